@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -96,46 +95,6 @@ def dotted(path: Path) -> str:
     """Return the name of a module."""
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
     return ".".join(parts).removesuffix(".__init__")
-
-
-# Words of no field: what they stood for has a name of its own.
-INVENTED = {
-    *("thing", "things", "beside", "aside", "blamed", "brought", "carried", "foreseen"),
-    *("newborn", "meeting", "meetings", "parting", "anew", "patience", "glance"),
-    *("woven", "lane", "lanes"),
-}
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
-# A quick look at the text, before the syntax: most files have none of them at all.
-# Words of prose have a blank behind them.
-_MAYBE = re.compile(r"[A-Za-z]\w*(?! (?!=|in |for |if )|\w)")
-
-
-def is_invented(name: str) -> bool:
-    """Return whether a name has a word of no field."""
-    return not INVENTED.isdisjoint(map(str.lower, _WORD.findall(name)))
-
-
-def identifiers(node: ast.AST) -> Iterator[str]:
-    """Yield the names that a node of a syntax defines or uses."""
-    for key in ("name", "id", "attr", "arg", "asname", "module"):
-        value = getattr(node, key, None)
-        if isinstance(value, str):
-            yield value
-
-
-@pytest.mark.parametrize("folder", ["animtool", "tests", "samples", "rigs"])
-def test_names_are_made_of_the_words_of_the_field(folder: str) -> None:
-    root = PACKAGE if folder == "animtool" else Path(__file__).parents[1] / folder
-    found = set()
-    for path in root.rglob("*.py"):
-        names = {path.stem}
-        text = path.read_text("utf-8")
-        if any(map(is_invented, set(_MAYBE.findall(text)))):
-            names.update(
-                n for node in ast.walk(ast.parse(text)) for n in identifiers(node)
-            )
-        found |= {f"{path.relative_to(root)}: {n}" for n in names if is_invented(n)}
-    assert sorted(found) == []
 
 
 # Who opens a file without `animtool.core.files.reading`, and which.

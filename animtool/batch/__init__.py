@@ -1,1 +1,1 @@
-"""Many files made alike: found, planned, made by several processes, and resumed."""
+"""Batches: find, plan, build in several processes, and resume."""

@@ -24,10 +24,10 @@ from animtool.batch.records import (
     object_of,
     text_in,
 )
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
@@ -50,19 +50,19 @@ MAX_SECONDS = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """What the command line says of shots, on top of a batch file."""
+    """Shot options of the command line that extend a batch file."""
 
-    path: Path | None = None  # the timeline; None is that of the batch file
+    path: Path | None = None  # the timeline; None is the batch file's
     words: tuple[str, ...] = ()  # options of its shots, in place of the batch's
 
 
-# Of what no timeline cuts.
-WHOLE = Cuts()
+# Items without a timeline.
+NO_CUTS = Cuts()
 
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A bundle that is not written yet."""
+    """An Open Job Description bundle that is not written yet."""
 
     template: Mapping[str, Any]  # of the job
     values: Mapping[str, str]  # of its parameters, where the template has none
@@ -71,13 +71,13 @@ class Bundle:
 
     @property
     def tasks(self) -> int:
-        """How many tasks make the items."""
+        """Number of tasks that build the items."""
         return -(-self.items // self.chunk)
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenBundle:
-    """A bundle that is written."""
+    """A written bundle."""
 
     folder: Path
     files: list[Path]  # the template first
@@ -88,7 +88,7 @@ class WrittenBundle:
 
     @property
     def run(self) -> list[str]:
-        """The command that runs it here."""
+        """Command that runs the bundle locally."""
         values = self.bundle.values.items()
         parts = [part for name, value in values for part in ("-p", f"{name}={value}")]
         command = ["openjd", "run", str(self.files[0]), "--step", "Settle"]
@@ -96,13 +96,13 @@ class WrittenBundle:
 
 
 def mean_seconds(path: Path) -> float:
-    """Return what an item took, by a JSON report of a batch [s] (else BAT037)."""
+    """Return the mean time of an item from a batch's JSON report [s] (else BAT037)."""
     try:
         items = list_in(json_of_file(path, MAX_REPORT), "items")
         seconds = [
             number_in(item, "seconds")
             for item in map(object_of, items)
-            if text_in(item, "status") == Status.DONE
+            if text_in(item, "status") == ItemStatus.DONE
         ]
     except RecordError as error:
         options = (flag("items", "1-20"), flag("force"), flag("format", "json"))
@@ -119,7 +119,7 @@ def mean_seconds(path: Path) -> float:
 def chunk_size(
     items: int, seconds: float | None = None, span: float = TASK_SECONDS
 ) -> int:
-    """Return how many items of some seconds [s] each make a task of those wanted [s].
+    """Return the number of items of a task, by seconds an item and a task [s].
 
     >>> chunk_size(1000, 0.5), chunk_size(1000), chunk_size(10, 0.1)
     (240, 100, 10)
@@ -129,8 +129,8 @@ def chunk_size(
     return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = WHOLE) -> Bundle:
-    """Return the bundle of a batch, and what its file leaves open of shots."""
+def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> Bundle:
+    """Return the bundle of a batch, with shot options."""
     more = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
@@ -218,12 +218,16 @@ def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
 
 
 def _script(*chosen: str) -> dict[str, Any]:
-    """Return what a step runs."""
+    """Return the script of a step."""
     arguments = ["batch", "{{Param.BatchFile}}", *chosen, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
-    way = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
-    run = {"command": "{{Param.Command}}", "args": arguments, "cancelation": way}
+    cancelation = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
+    run = {
+        "command": "{{Param.Command}}",
+        "args": arguments,
+        "cancelation": cancelation,
+    }
     return {"actions": {"onRun": run}}
 
 
@@ -231,17 +235,19 @@ def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> WrittenBundle:
     """Write a bundle; refuse files that exist (OUT001)."""
-    given = [{"name": name, "value": value} for name, value in bundle.values.items()]
+    parameters = [
+        {"name": name, "value": value} for name, value in bundle.values.items()
+    ]
     texts = {
         folder / TEMPLATE: yaml_text(dict(bundle.template)),
-        folder / VALUES: yaml_text({"parameterValues": given}),
+        folder / VALUES: yaml_text({"parameterValues": parameters}),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(folder, error) from error
     check_outputs(list(texts), [], overwrite=overwrite)
-    with together():
+    with atomic_outputs():
         for path, text in texts.items():
             write_parts(path, [text.encode()])
     return WrittenBundle(folder, list(texts), bundle)

@@ -1,4 +1,4 @@
-"""The executor of a dask cluster: which workers are fit, and which builds what.
+"""The executor of a dask cluster: checks workers and sends them items.
 
 A worker is checked before it is sent an item, and an item is done when this machine
 sees its files with the content that the worker wrote.
@@ -33,7 +33,7 @@ from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
 from animtool.batch.records import RecordError, json_of_file, text_in
-from animtool.batch.work import Outcome, Status
+from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import (
     AnimtoolError,
@@ -72,8 +72,8 @@ ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 RESUME = "finished items are recorded; run the same command again to resume"
 
 
-def dask(work: Work) -> Iterator[Outcome | Fault]:
-    """Yield outcomes of items that the workers of a dask cluster build.
+def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
+    """Yield the outcomes of items that the workers of a dask cluster build.
 
     Each thread of a worker has a subprocess that builds one item after another: limits,
     and what a crash costs, are those of `run_processes`. As many items are begun as the
@@ -95,7 +95,7 @@ def dask(work: Work) -> Iterator[Outcome | Fault]:
 
 
 def _address(path: Path) -> str:
-    """Return the address that a scheduler has written to a file."""
+    """Return the address in a scheduler file."""
     try:
         address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
     except RecordError as error:
@@ -107,7 +107,7 @@ def _address(path: Path) -> str:
     return address
 
 
-def _outcomes(work: Work, address: str) -> Iterator[Outcome | Fault]:
+def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
     client = _client(address)
     name = f"animtool-{uuid4().hex}"
     try:
@@ -126,7 +126,7 @@ def _outcomes(work: Work, address: str) -> Iterator[Outcome | Fault]:
 
 
 def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
-    """Fetch results while others are being sent, until there is None to fetch."""
+    """Fetch results while others are sent, until the queue holds None."""
     while (future := finished.get()) is not None:
         try:
             value = future.result()
@@ -138,21 +138,21 @@ def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
 def _client(address: str) -> Any:
     from distributed import Client
 
-    made: SimpleQueue[Any] = SimpleQueue()
+    connections: SimpleQueue[Any] = SimpleQueue()
 
     def connect() -> None:
         try:
-            made.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+            connections.put(Client(address, timeout=TIMEOUT, set_as_default=False))
         except Exception as error:
-            made.put(error)
+            connections.put(error)
 
-    # Its own timeout does not count what a server that is no scheduler answers.
+    # Its own timeout does not cover answers of a server that is not a scheduler.
     with warnings.catch_warnings():
         # Versions of workers are compared before the first item.
         warnings.simplefilter("ignore")
         Thread(target=connect, daemon=True).start()
         try:
-            client = made.get(timeout=TIMEOUT)
+            client = connections.get(timeout=TIMEOUT)
         except Empty:
             client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
@@ -177,7 +177,7 @@ def _unusable(about: str, why: str, hint: str) -> OutputError:
 
 
 def _leave(client: Any, name: str) -> None:
-    """End what this run has on workers, and leave them.
+    """Stop the work of this run on workers, and disconnect.
 
     A scheduler that does not answer is not waited for.
     """
@@ -200,7 +200,7 @@ def _leave(client: Any, name: str) -> None:
 
 @contextmanager
 def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Give files in the folders of outputs by which workers tell them from others."""
+    """Create files in output folders by which workers recognise them."""
     texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:
@@ -216,7 +216,7 @@ def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
-    """Yield the inputs that a worker must see; of many every n-th."""
+    """Yield the inputs that a worker must see; every n-th of many."""
     paths = list(dict.fromkeys(path.absolute() for path in work.inputs))
     for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
         state = delivery.note(path)
@@ -231,7 +231,7 @@ def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
 def _asking(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
-    """Return what checks a worker, on it: its host, and code and reason if unfit.
+    """Return a task that checks a worker: its host, and code and reason if unfit.
 
     A worker drops out of its cluster where it cannot import what a message to it names.
     So this is sent by its code, and what it needs of animtool as bytes.
@@ -260,10 +260,10 @@ def _asking(
     return ask
 
 
-def _building(name: str) -> Callable[[bytes], Outcome | None]:
-    """Return what builds an item, on a worker that was checked; sent by its code."""
+def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
+    """Return a task that builds an item on a checked worker, sent as code."""
 
-    def build(pickled: bytes) -> Outcome | None:
+    def build(pickled: bytes) -> ItemOutcome | None:
         import pickle
 
         from distributed import get_worker
@@ -276,19 +276,19 @@ def _building(name: str) -> Callable[[bytes], Outcome | None]:
 
 
 @dataclass(slots=True, eq=False)
-class _Worker:
-    """A worker of the cluster, as far as it is known."""
+class _ClusterWorker:
+    """Known state of a worker of the cluster."""
 
     address: str  # of the worker
     threads: int  # how many it has
     fit: bool | None = None  # whether it builds items; None is not known yet
     host: str = ""  # its machine
-    going: int = 0  # items that it has now
-    built: int = 0  # items that it built
+    going: int = 0  # current items
+    built: int = 0  # finished items
 
-    def has_room(self, *, ahead: bool) -> bool:
-        """Return whether it can be sent an item; ``ahead`` of its threads too."""
-        return self.going < self.threads + (ahead and self.built > 0)
+    def has_room(self, *, queue_next: bool) -> bool:
+        """Return whether to send an item; with ``queue_next`` one more."""
+        return self.going < self.threads + (queue_next and self.built > 0)
 
     def __str__(self) -> str:
         return f"{self.address} ({self.host})" if self.host else self.address
@@ -296,32 +296,34 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Sent:
-    """A task that is on its way: an item, or without one the check of a worker."""
+    """A running task: an item, or a check of a worker without one."""
 
-    worker: _Worker  # to whom
+    worker: _ClusterWorker  # its receiver
     item: Item | None = None
 
 
 @dataclass(slots=True)
 class _Farm:
-    """One run on a cluster."""
+    """A run on a cluster."""
 
     client: Any  # the way to the cluster
     name: str  # of the run
-    work: Work  # what it is given
+    work: Work  # its input
     tokens: Mapping[str, str]  # files by which workers know the disks of outputs
-    workers: dict[str, _Worker] = field(default_factory=dict)  # those that live
+    workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # those that live
     sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # futures
     ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # and their results
     again: list[Item] = field(default_factory=list)  # to be sent to another worker
     losses: dict[int, int] = field(default_factory=dict)  # by item number
     # Outcomes whose files are not seen yet, and until when they are waited for.
-    unseen: list[tuple[float, Item, _Worker, Outcome]] = field(default_factory=list)
+    unseen: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
+        default_factory=list
+    )
     said: list[Fault] = field(default_factory=list)  # warnings that are due
     delivery: Delivery = field(init=False)
     check: bytes = field(init=False)
-    build: Callable[[bytes], Outcome | None] = field(init=False)
+    build: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _had_workers: float = field(default_factory=time.monotonic)
     _waits: bool = False  # whether it was said that there is no worker
 
@@ -332,7 +334,7 @@ class _Farm:
         inputs = tuple(_inputs(self.work, self.delivery))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
-    def outcomes(self) -> Iterator[Outcome | Fault]:
+    def outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield outcomes and warnings until all items are built."""
         counted_at = -POLL_INTERVAL
         while True:
@@ -348,15 +350,15 @@ class _Farm:
             with suppress(Empty):
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
-                    yield from self._heard(self.sent.pop(future), value)
-            yield from self._seen()
+                    yield from self._handle_answer(self.sent.pop(future), value)
+            yield from self._delivered()
 
     def _said(self) -> Iterator[Fault]:
         while self.said:
             yield self.said.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
-        """Return the workers of now, and how many threads each has."""
+        """Return the current workers and the number of their threads."""
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.work.argument, "the scheduler has stopped", RESUME)
         try:
@@ -379,19 +381,19 @@ class _Farm:
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
         return threads
 
-    def _lost(self, addresses: Mapping[str, int]) -> Iterator[Outcome]:
-        """Take back what lost workers had, and begin to check new ones."""
+    def _lost(self, addresses: Mapping[str, int]) -> Iterator[ItemOutcome]:
+        """Take back items of lost workers, and check new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
             for future in [f for f, sent in self.sent.items() if sent.worker is worker]:
                 future.cancel()
                 yield from self._loss(self.sent.pop(future), "the worker has stopped")
         for address in addresses.keys() - self.workers.keys():
-            self.workers[address] = _Worker(address, addresses[address])
+            self.workers[address] = _ClusterWorker(address, addresses[address])
             self._ask(self.workers[address])
 
-    def _loss(self, sent: _Sent, why: str) -> Iterator[Outcome]:
-        """Send the item of a lost worker again, unless that happens each time."""
+    def _loss(self, sent: _Sent, why: str) -> Iterator[ItemOutcome]:
+        """Send the item of a lost worker again, a limited number of times."""
         sent.worker.going -= sent.item is not None
         if sent.item is None:
             return
@@ -406,9 +408,9 @@ class _Farm:
             "out of memory or over a time limit of the cluster; see the workers' logs"
         )
         fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
-        yield Outcome.failed(sent.item, fault)
+        yield ItemOutcome.failed(sent.item, fault)
 
-    def _ask(self, worker: _Worker) -> None:
+    def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
             _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
         )
@@ -421,15 +423,15 @@ class _Farm:
         future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
-        """Send items while threads of fit workers are free; return if more are left."""
+        """Send items while fit workers have free threads; return if any remain."""
         fit = [worker for worker in self.workers.values() if worker.fit]
         going = sum(worker.going for worker in fit)
         asked, threads = self.work.asked, sum(worker.threads for worker in fit)
         # Where every thread is used, the next item waits at its worker for the one
         # before it: its way there takes no time then.
-        ahead = self.work.ahead and (asked is None or asked >= threads)
-        while ahead or asked is None or going < asked:
-            free = [worker for worker in fit if worker.has_room(ahead=ahead)]
+        queue_next = self.work.queue_next and (asked is None or asked >= threads)
+        while queue_next or asked is None or going < asked:
+            free = [worker for worker in fit if worker.has_room(queue_next=queue_next)]
             if not free:
                 return True
             item = self.again.pop(0) if self.again else next(self.work.items, None)
@@ -442,21 +444,23 @@ class _Farm:
         return True
 
     def _refuse_unfit(self) -> None:
-        """Raise where every worker was checked and none is fit."""
+        """Raise where all workers are checked and unfit."""
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
         why = f"{count}, all excluded: the warnings say why"
         raise _unusable(self.work.argument, why, RESUME)
 
-    def _heard(self, sent: _Sent, value: object) -> Iterator[Outcome | Fault]:
-        """Take the answer of a worker: of its check, or the outcome of an item."""
+    def _handle_answer(
+        self, sent: _Sent, value: object
+    ) -> Iterator[ItemOutcome | Fault]:
+        """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
             yield from self._checked(worker, value)
             return
         if isinstance(value, BaseException):
-            # Where the worker is lost, the next count says so.
+            # A lost worker shows in the next count.
             yield from self._loss(sent, f"{type(value).__name__}: {value}")
             return
         worker.going -= 1
@@ -465,16 +469,16 @@ class _Farm:
             worker.fit = None
             self.again.append(item)
             self._ask(worker)
-        elif not (isinstance(value, Outcome) and value.number == item.number):
+        elif not (isinstance(value, ItemOutcome) and value.number == item.number):
             message = f"worker {worker} returned something other than a result"
             fault = Fault("BAT020", message, str(item.file.path))
-            yield Outcome.failed(item, fault)
-        elif value.status is Status.DONE:
+            yield ItemOutcome.failed(item, fault)
+        elif value.status is ItemStatus.DONE:
             yield from self._built(worker, item, value)
         else:
             yield from self._failed(worker, item, value)
 
-    def _checked(self, worker: _Worker, value: object) -> Iterator[Fault]:
+    def _checked(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
             worker.host, code, why = value
             worker.fit = not code
@@ -486,23 +490,25 @@ class _Farm:
         if not worker.fit:
             yield from self._leave_out(worker, code, why)
 
-    def _leave_out(self, worker: _Worker, code: str, why: str) -> Iterator[Fault]:
-        """Give a worker no more items, and say so once."""
+    def _leave_out(
+        self, worker: _ClusterWorker, code: str, why: str
+    ) -> Iterator[Fault]:
+        """Stop sending items to a worker, and warn once."""
         worker.fit = False
         message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
     def _built(
-        self, worker: _Worker, item: Item, outcome: Outcome
-    ) -> Iterator[Outcome | Fault]:
-        """Take an outcome whose inputs are those of this machine; wait for its files.
+        self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
+    ) -> Iterator[ItemOutcome | Fault]:
+        """Accept an outcome with this machine's inputs; wait for its files.
 
         Where inputs are others, another worker builds the item.
         """
         other = self.delivery.other_inputs(outcome)
         changed = self.delivery.changed(other)
         if changed:
-            yield Outcome.failed(item, *changed_error(*changed).faults)
+            yield ItemOutcome.failed(item, *changed_error(*changed).faults)
         elif other:
             why = f"it has different files with the same names: {listed(other, 2)}"
             yield from self._leave_out(worker, INPUTS, why)
@@ -511,15 +517,15 @@ class _Farm:
             until = time.monotonic() + UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
-    def _seen(self) -> Iterator[Outcome | Fault]:
-        """Yield the outcomes whose files are seen here, with the content written."""
+    def _delivered(self) -> Iterator[ItemOutcome | Fault]:
+        """Yield the outcomes whose files have arrived with the written content."""
         now, waiting = time.monotonic(), self.unseen
         self.unseen = []
         for until, item, worker, outcome in waiting:
-            seen = self.delivery.seen(outcome)
-            if seen is not None:
+            delivered = self.delivery.delivered(outcome)
+            if delivered is not None:
                 worker.built += 1
-                yield seen
+                yield delivered
             elif now < until and worker.fit:
                 self.unseen.append((until, item, worker, outcome))
             else:
@@ -532,9 +538,9 @@ class _Farm:
                     yield from self._leave_out(worker, DISK, why)
 
     def _failed(
-        self, worker: _Worker, item: Item, outcome: Outcome
-    ) -> Iterator[Outcome | Fault]:
-        """Take a failure, unless another worker can do what this one cannot."""
+        self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
+    ) -> Iterator[ItemOutcome | Fault]:
+        """Accept a failure, unless another worker can build the item."""
         unread = [
             fault.path
             for fault in outcome.faults

@@ -1,4 +1,4 @@
-"""What runs on the workers of a cluster: a check before the first item, and items.
+"""Code that runs on the workers of a cluster: a check, then items.
 
 Nothing of dask is imported: a worker is any object with ``plugins``, whose
 ``teardown`` it calls when it ends.
@@ -18,8 +18,8 @@ from typing import Any
 import animtool
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
-from animtool.batch.spec import made_by
-from animtool.batch.work import Outcome
+from animtool.batch.spec import package_versions
+from animtool.batch.work import ItemOutcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
 from animtool.core.files.reading import read_input
@@ -31,7 +31,7 @@ VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"
 
 @dataclass(frozen=True, slots=True)
 class InputCheck:
-    """An input, as the machine that runs the batch has it."""
+    """An input and its state on the machine that runs the batch."""
 
     path: str  # absolute
     size: int  # [bytes]
@@ -40,20 +40,20 @@ class InputCheck:
 
 @dataclass(frozen=True, slots=True)
 class WorkerCheck:
-    """What a worker must have before it is sent an item."""
+    """Requirements of a worker before it is sent an item."""
 
     task: WorkerTask  # how it builds items
-    inputs: tuple[InputCheck, ...]  # files that it must see
-    # By path, what is in files in the output folders, which the run wrote just now.
+    inputs: tuple[InputCheck, ...]  # required files
+    # Content by path of files that the run just wrote to the output folders.
     tokens: Mapping[str, str]
 
 
 def builder_versions() -> dict[str, str]:
-    """Return the versions that decide results, and a digest of animtool's own code.
+    """Return the versions that affect results, and a digest of animtool's code.
 
     A checkout has the same version before and after a change.
     """
-    return {**made_by(), "animtool code": _code_digest()}
+    return {**package_versions(), "animtool code": _code_digest()}
 
 
 @cache
@@ -69,7 +69,7 @@ def _code_digest() -> str:
 
 
 def differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
-    """Return which versions differ, in words; empty where none does.
+    """Return the versions that differ as text; empty if none does.
 
     >>> differences({"numpy": "2.1", "scipy": "1"}, {"numpy": "1.9", "scipy": "1"})
     'numpy 1.9 instead of 2.1'
@@ -84,7 +84,7 @@ def differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
 def admit(
     worker: Any, name: str, versions: Mapping[str, str], pickled: bytes
 ) -> tuple[str, str]:
-    """Prepare a worker for a run; return the code and reason where it is unfit.
+    """Prepare a worker for a run; return code and reason if it is unfit.
 
     Args:
         worker: The worker, which keeps what is prepared among its ``plugins``.
@@ -134,14 +134,14 @@ def _is_same(one: InputCheck) -> bool:
         return False
 
 
-def build_on(worker: Any, name: str, item: Item) -> Outcome | None:
-    """Return the outcome of an item; None where the worker is not prepared."""
+def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
+    """Return the outcome of an item; None on a worker that is not prepared."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
 
 
 def release(worker: Any, name: str) -> None:
-    """End what a run has on a worker."""
+    """Stop the work of a run on a worker."""
     processes: WorkerProcesses | None = worker.plugins.pop(name, None)
     if processes is not None:
         processes.teardown(worker)
@@ -149,13 +149,13 @@ def release(worker: Any, name: str) -> None:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """The subprocesses of a worker that build items: one for each busy thread."""
+    """Subprocesses of a worker that build items, one a busy thread."""
 
     task: WorkerTask  # how they build items
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
 
-    def build(self, item: Item) -> Outcome:
+    def build(self, item: Item) -> ItemOutcome:
         """Return the outcome of an item."""
         # Both are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
@@ -166,13 +166,15 @@ class WorkerProcesses:
             self._busy.remove(process)
             process.end()
             message = f"cannot be built there: {error}"
-            return Outcome.failed(item, Fault("BAT020", message, str(item.file.path)))
+            return ItemOutcome.failed(
+                item, Fault("BAT020", message, str(item.file.path))
+            )
         self._busy.remove(process)
         self._idle.append(process)
         return outcome
 
     def teardown(self, worker: object) -> None:
-        """End the subprocesses, and what they are at."""
+        """Stop the subprocesses and their work."""
         del worker
         for process in [*self._idle, *self._busy]:
             process.end()

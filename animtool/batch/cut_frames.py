@@ -1,4 +1,4 @@
-"""The frames of a cut: where it begins, what it shows, what names stand for it."""
+"""The frames of a cut: start, media, and names for patterns."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from animtool.core.timecode import is_timecode, parse_timecode
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """What is stated of shots; None is not stated."""
+    """Metadata of shots; None is not stated."""
 
-    start_frame: int | None = None  # first frame of the shot, that of its head handle
+    start_frame: int | None = None  # first frame of the shot, including the head handle
     cut_start: int | None = None  # first frame of the cut, behind the head handle
     handles: int | None = None  # shot frames before and after the cut
     first_timecode: str | None = None  # of the media, such as 01:00:00:00
@@ -35,28 +35,28 @@ class CutMetadata:
 def cut_metadata(
     metadata: Mapping[str, Any], named: str, *, rate: bool = False
 ) -> tuple[CutMetadata, list[tuple[str, str]]]:
-    """Return what metadata says, and what is wrong with it and what to do.
+    """Return the cut's metadata, and the faults in it with hints.
 
     >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
     8
     >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
     [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
     """
-    given = metadata.get("animtool")
-    if given is None:
+    stated = metadata.get("animtool")
+    if stated is None:
         return CutMetadata(), []
     where = f"metadata.animtool of {named}"
     names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
-    if not isinstance(given, Mapping):
+    if not isinstance(stated, Mapping):
         return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
     values: dict[str, Any] = {}
     faults = []
-    for key, value in given.items():
+    for key, value in stated.items():
         if key not in names:
             faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
             continue
         try:
-            values[key] = _READ.get(key, _whole)(key, value)
+            values[key] = _READ.get(key, _integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLES[key]}"
             faults.append((f"{where}: {key}: {error}", hint))
@@ -72,7 +72,7 @@ EXAMPLES = {
 }
 
 
-def _whole(key: str, value: object) -> int:
+def _integer(key: str, value: object) -> int:
     shown = excerpt(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{shown} is not a whole number")
@@ -107,7 +107,7 @@ SHOT_NAMES = (
 
 @dataclass(frozen=True, slots=True)
 class CutOptions:
-    """What a timeline's shots have that its metadata need not say.
+    """Shot options that a timeline's metadata may leave open.
 
     Attributes:
         handles: Shot frames before and after each cut; None is as clips and timeline
@@ -128,17 +128,17 @@ class CutOptions:
 
 @dataclass(frozen=True, slots=True)
 class CutContext:
-    """What is stated of a clip: by options, itself, its timeline and the project."""
+    """Shot settings by precedence: options, clip, timeline, project."""
 
     options: CutOptions
-    own: CutMetadata
+    clip: CutMetadata
     timeline: CutMetadata
     project: Config
 
     @property
     def handles(self) -> int:
         """Shot frames before and after the cut."""
-        stated = (self.options.handles, self.own.handles, self.timeline.handles)
+        stated = (self.options.handles, self.clip.handles, self.timeline.handles)
         return next((count for count in stated if count is not None), 0)
 
     def first_timecode(
@@ -154,7 +154,7 @@ class CutContext:
         Raises:
             ValueError: What is stated is no time code of the rate.
         """
-        texts = [one.first_timecode for one in (self.options, self.own, self.timeline)]
+        texts = [one.first_timecode for one in (self.options, self.clip, self.timeline)]
         if default is None:
             texts.append(self.project.timeline.first_timecode)
         text = next((text for text in texts if text is not None), None)
@@ -165,14 +165,14 @@ class CutContext:
         return parse_timecode(text, rate) / rate
 
     def cut_in(self) -> tuple[int, list[str]]:
-        """Return the first frame of the cut, and which statements contradict it.
+        """Return the first frame of the cut, and contradicting settings.
 
         A start is that of the head handle. The project's is 1001 where it states none.
         """
         faults, settings = list[str](), self.project
         levels = [
             (self.options.start, self.options.cut_start, "options"),
-            (self.own.start_frame, self.own.cut_start, "its metadata"),
+            (self.clip.start_frame, self.clip.cut_start, "its metadata"),
             (self.timeline.start_frame, self.timeline.cut_start, "the timeline's"),
             (None, settings.timeline.cut_start, "settings"),
         ]
@@ -202,7 +202,7 @@ def shot_of(
     *,
     drop: bool = False,
 ) -> Shot:
-    """Return the frames of a clip.
+    """Return the shot frames of a clip.
 
     Args:
         name: Of the shot.
@@ -236,7 +236,7 @@ def shot_of(
 def played_notices(
     shot: Shot, span: Span, fps: Fraction, named: str
 ) -> Iterator[tuple[str, str, bool]]:
-    """Yield what a shot has that is seldom meant: code, message, whether a warning."""
+    """Yield unusual properties of a shot: code, message, whether a warning."""
     first, last = (
         f"{float(shot.seconds_at(frame)):.6g} s"
         for frame in (shot.cut_in, shot.cut_out)
@@ -255,7 +255,7 @@ def played_notices(
 
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
-    """Return the frames of its media that a cut shows, from 1 at the first."""
+    """Return the media frames that a cut shows, counted from 1."""
     shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
     first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
     return {

@@ -1,4 +1,4 @@
-"""Shots of an edit: the clips of an OpenTimelineIO timeline, and their media."""
+"""Shots of an edit: clips of an OpenTimelineIO timeline and their media."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.batch.cut_frames import (
 )
 from animtool.batch.edl import Edl, edl_timeline, read_edl
 from animtool.batch.spans import (
-    Shown,
+    ShownClip,
     Span,
     UnsupportedTimeError,
     Walk,
@@ -65,38 +65,38 @@ HOW = (
     f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
     "batch file's options, or `fps` under [timeline] in animtool.toml"
 )
-USUAL = HOW.format("24", "25, 30000/1001, 30")
+COMMON_RATES_HINT = HOW.format("24", "25, 30000/1001, 30")
 
 
 def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
-    """Return the rate that the time codes of an EDL count.
+    """Return the frame rate of an EDL's time codes.
 
     It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
 
     Raises:
         OptionError: Nothing states it (BAT054), or two do (BAT051).
     """
-    place = str(edl.path)
+    path = str(edl.path)
     if edl.fps is not None:
-        return _agreed(edl.fps, asked, place)
-    found = asked or find_config(edl.path).timeline.fps
-    if found is not None:
-        return found
+        return _agreed(edl.fps, asked, path)
+    configured = asked or find_config(edl.path).timeline.fps
+    if configured is not None:
+        return configured
     message = "states no frame rate, which its time codes need"
-    how = USUAL
+    how = COMMON_RATES_HINT
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
         how = HOW.format("30000/1001", "60000/1001")
     elif edl.last_label > 0:
         message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
         message += f"above {edl.last_label} fps"
-    raise OptionError(Fault("BAT054", message, place, (), how))
+    raise OptionError(Fault("BAT054", message, path, (), how))
 
 
 def timeline_rate(
     timeline: Any, path: Path, stated: Fraction | None, asked: Fraction | None
 ) -> tuple[Fraction, list[Fault]]:
-    """Return the rate of a timeline's shots, and a warning where others count too.
+    """Return the rate of a timeline's shots, and a warning for mixed rates.
 
     It is the stated one, else that of the global start time, else the one asked for,
     else the project's, else the one that all clips and gaps count at, or more than half
@@ -113,22 +113,22 @@ def timeline_rate(
         OptionError: No rate is known (BAT054), or the one asked for is not that of
             the timeline (BAT051).
     """
-    place, begin = str(path), timeline.global_start_time
+    path_text, begin = str(path), timeline.global_start_time
     if stated is None and begin is not None and begin.rate > 0:
         try:
             stated = exact_rate(begin.rate)
         except ValueError as error:
             message = f"invalid global start time: {error}"
-            raise FormatError(Fault("BAT041", message, place)) from error
+            raise FormatError(Fault("BAT041", message, path_text)) from error
     if stated is not None:
-        return _agreed(stated, asked, place), []
-    found = asked or find_config(path).timeline.fps
-    if found is not None:
-        return found, []
+        return _agreed(stated, asked, path_text), []
+    configured = asked or find_config(path).timeline.fps
+    if configured is not None:
+        return configured, []
     rates = Counter(picture_rates(timeline.tracks))
     total = sum(rates.values())
     if not total:
-        # No clip has a range that could be shown, and each that is there says so.
+        # No clip has a visible range; each clip is reported.
         return Fraction(1), []
     chosen, count = rates.most_common(1)[0]
     if len(rates) == 1:
@@ -136,24 +136,26 @@ def timeline_rate(
     each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
     message = f"states no rate, and its clips and gaps use several: {each}"
     if 2 * count <= total:
-        raise OptionError(Fault("BAT054", message, place, (), USUAL))
+        raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
     message += f"; using {rate_label(chosen)}"
-    return chosen, [Fault("BAT049", message, place, (), USUAL, Severity.WARNING)]
+    return chosen, [
+        Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
+    ]
 
 
-def _agreed(stated: Fraction, asked: Fraction | None, place: str) -> Fraction:
-    """Return a stated rate (BAT051 where another is asked for)."""
+def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
+    """Return a stated rate (BAT051 if another one is requested)."""
     if asked is not None and asked != stated:
         message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
         hint = "shots are written at the rate of their timeline"
-        raise OptionError(Fault("BAT051", message, place, (), hint))
+        raise OptionError(Fault("BAT051", message, path, (), hint))
     return stated
 
 
 def picture_rates(composition: Any) -> Iterator[Fraction]:
-    """Yield the rate of every clip and gap on tracks of pictures.
+    """Yield the rate of every clip and gap on video tracks.
 
-    A clip without a range of its own counts at the rate of its media's.
+    A clip without a source range counts at the rate of its media range.
     """
     for child in composition:
         if hasattr(child, "find_children"):
@@ -171,14 +173,14 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
 # What names of files and of variables' users may hold everywhere.
 # What a person reads of a timeline of thousands of clips.
 MAX_FAULTS, MAX_NAMED = 100, 100
-# With what else a file's name has, within what disks allow.
+# Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME = 120
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """What an item is made of: a clip of a timeline, or a file."""
+    """The media of an item: a clip of a timeline, or a file."""
 
     media: MatchedFile  # the media
     # What names stand for in its scene and its output, `SHOT_NAMES`.
@@ -192,7 +194,7 @@ class CutList:
     """The shots of a timeline."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
-    # What was left out of it, or changed.
+    # Notices of clips that were left out or changed.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -208,18 +210,21 @@ def read_cuts(
     that is not there, has that of ``media`` that is called like it, or like that file.
     Its times are seconds of the media; a shot counts frames at the timeline's rate.
     """
-    return _Reader(path, media, options or CutOptions(), left_out).read()
+    return _CutReader(path, media, options or CutOptions(), left_out).read()
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
-    """Return the shot of a name, or the only one (else BAT048); see `read_cuts`."""
-    return _Reader(path, (), options).read_one(name)
+    """Return a named shot, or the only one (else BAT048); see `read_cuts`."""
+    return _CutReader(path, (), options).read_one(name)
 
 
 def _named(
-    entries: Sequence[Shown], name: str | None, path: Path, skipped: Mapping[str, str]
-) -> list[Shown]:
-    """Return the clip that is the shot of a name; without one the only clip."""
+    entries: Sequence[ShownClip],
+    name: str | None,
+    path: Path,
+    skipped: Mapping[str, str],
+) -> list[ShownClip]:
+    """Return the clips of a named shot; without a name the only clip."""
     names = [entry.name for entry in entries]
     if name is not None and name not in names and name in skipped:
         message = f"has no shot {excerpt(name)}: {skipped[name]}"
@@ -241,8 +246,8 @@ def _named(
     return [entry for entry in entries if entry.name == name]
 
 
-class _Reader:
-    """Reads a timeline."""
+class _CutReader:
+    """Reads the shots of a timeline."""
 
     def __init__(
         self,
@@ -256,7 +261,7 @@ class _Reader:
         self.faults: list[Fault] = []
         # Names of shots, and up to which number each has others behind it.
         self.taken: dict[str, int] = {}
-        self.own = CutMetadata()
+        self.timeline_metadata = CutMetadata()
         self.fps = Fraction(0)
         self.tree: Any = None  # the timeline; without it clips have no parents
         self.drop = False  # whether time codes of media are drop-frame
@@ -265,16 +270,16 @@ class _Reader:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
     def read(self) -> CutList:
-        """Return its shots."""
-        return self.taken_from(self.clips().clips)
+        """Return the shots."""
+        return self.cuts_of(self.clips().clips)
 
     def read_one(self, name: str | None) -> CutList:
-        """Return the shot of a name."""
+        """Return a named shot."""
         walk = self.clips()
-        return self.taken_from(_named(walk.clips, name, self.path, walk.skipped))
+        return self.cuts_of(_named(walk.clips, name, self.path, walk.skipped))
 
     def clips(self) -> Walk:
-        """Return the clips that it shows, with the names of their shots."""
+        """Return the visible clips with the names of their shots."""
         walk = Walk(self.say)
         timeline = self.tree = self.timeline()
         if timeline is None:
@@ -290,13 +295,13 @@ class _Reader:
         return walk
 
     def timeline(self) -> Any:
-        """Return the timeline, its rate and what it states known; None of no event."""
+        """Return the timeline, its rate and metadata; None without events."""
         library()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
-            self.own = self.metadata(timeline, "the timeline", rate=True)
+            self.timeline_metadata = self.metadata(timeline, "the timeline", rate=True)
             asked = self.options.fps
-            rate = timeline_rate(timeline, self.path, self.own.fps, asked)
+            rate = timeline_rate(timeline, self.path, self.timeline_metadata.fps, asked)
             self.fps, notices = rate
         else:
             edl = read_edl(self.path)
@@ -307,7 +312,7 @@ class _Reader:
         self.cuts.notices += notices
         return timeline
 
-    def taken_from(self, entries: Sequence[Shown]) -> CutList:
+    def cuts_of(self, entries: Sequence[ShownClip]) -> CutList:
         """Return the shots of clips."""
         for entry in entries:
             self.clip(entry)
@@ -320,33 +325,33 @@ class _Reader:
         return self.cuts
 
     def say(self, code: str, message: str, warn: bool) -> None:
-        """Say what was left out of the timeline, or changed."""
+        """Report parts of the timeline that were left out or changed."""
         self.note(code, message, Severity.WARNING if warn else Severity.NOTE)
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
-        """Say something about the timeline."""
+        """Record a notice on the timeline."""
         fault = Fault(code, message, str(self.path), severity=severity)
         self.cuts.notices.append(fault)
 
     def fault(self, code: str, message: str, hint: str | None = None) -> None:
-        """Say what makes the timeline unusable."""
+        """Record an error of the timeline."""
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
     def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
-        """Return what ``metadata.animtool`` of a clip or the timeline says."""
+        """Return ``metadata.animtool`` of a clip or the timeline."""
         metadata, faults = cut_metadata(schema.metadata, named, rate=rate)
         for message, hint in faults:
             self.fault("BAT047", message, hint)
         return metadata
 
-    def entry(self, shown: Shown) -> Shown:
+    def entry(self, shown: ShownClip) -> ShownClip:
         """Return a clip with the name of its shot."""
         path = self.referred(shown.clip)
         name = shown.clip.name or ("" if path is None else source_stem(path))
         return replace(shown, name=self.name(name, shown.named))
 
-    def clip(self, entry: Shown) -> None:
-        """Take a clip."""
+    def clip(self, entry: ShownClip) -> None:
+        """Add the shot of a clip."""
         # It imports numpy, and a batch of files is planned without.
         from animtool.core.clock import MAX_FRAMES
 
@@ -354,8 +359,10 @@ class _Reader:
         medium = self.medium(clip, named)
         if medium is None:
             return
-        own, settings = self.metadata(clip, named), find_config(self.path)
-        context = CutContext(self.options, own, self.own, settings)
+        clip_metadata, settings = self.metadata(clip, named), find_config(self.path)
+        context = CutContext(
+            self.options, clip_metadata, self.timeline_metadata, settings
+        )
         for message in context.cut_in()[1]:
             self.fault("BAT047", f"{named}: {message}", "write one of them")
         there = clip.media_reference.available_range
@@ -402,7 +409,7 @@ class _Reader:
         return None if not url else media_path(str(url), self.path.parent)
 
     def medium(self, clip: Any, named: str) -> MatchedFile | None:
-        """Return the media of a clip; None where it has none, or it is missing."""
+        """Return the media of a clip; None if it has none or it is missing."""
         path = self.referred(clip)
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is skipped, as requested: {path}")
@@ -429,8 +436,8 @@ class _Reader:
             self.note("BAT043", message, Severity.WARNING)
         return None
 
-    def overlaps(self, entry: Shown, span: Span) -> tuple[int, int]:
-        """Return the frames that transitions show before and after a clip's cut."""
+    def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
+        """Return the frames that transitions add before and after a cut."""
         sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
         before, after = (
             ceil(seconds_of(side) / entry.speed * self.fps - NEAR)
@@ -444,7 +451,7 @@ class _Reader:
         return before, after
 
     def name(self, shot: str, named: str) -> str:
-        """Return a name that is legal, and of no shot before."""
+        """Return a legal name that no other shot has."""
         legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
@@ -458,7 +465,7 @@ class _Reader:
 
 
 def _is_file(path: Path) -> bool | None:
-    """Return whether a path is that of a file; None where nothing is there."""
+    """Return whether a path is a file; None if nothing is there."""
     try:
         return path.is_file() or (False if path.exists() else None)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What another machine built, compared with what this machine sees."""
+"""Files that another machine built, compared with local copies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.batch.manifest import FileRecord, file_digest
-from animtool.batch.spec import place_of
-from animtool.batch.work import Outcome
+from animtool.batch.spec import path_of_name
+from animtool.batch.work import ItemOutcome
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 
 @dataclass(slots=True)
 class Delivery:
-    """Files as this machine sees them, each read once while it stays as it is."""
+    """Local state of files, each read once while it is unchanged."""
 
     root: Path  # folder from which records name files
     # What inputs were when they were first looked at.
@@ -26,35 +26,35 @@ class Delivery:
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
     def note(self, path: Path) -> FileState | None:
-        """Return what an input was when it was first looked at."""
+        """Return the first recorded state of an input."""
         where = path.absolute()
         if where not in self._states:
             self._states[where] = FileState.of(where)
         return self._states[where]
 
-    def other_inputs(self, outcome: Outcome) -> list[Path]:
-        """Return the inputs that are not, here, what an item was built from."""
-        paths = [(place_of(one.path, self.root), one) for one in outcome.inputs]
+    def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
+        """Return the inputs whose local content differs from an item's."""
+        paths = [(path_of_name(one.path, self.root), one) for one in outcome.inputs]
         return [path for path, one in paths if not self._is_same(path, one)]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
-        """Return the inputs that changed here since they were first looked at."""
+        """Return the inputs that changed locally since their first record."""
         return [path for path in paths if self.note(path) != FileState.of(path)]
 
-    def seen(self, outcome: Outcome) -> Outcome | None:
-        """Return an outcome with its outputs as they are here; None if they are not.
+    def delivered(self, outcome: ItemOutcome) -> ItemOutcome | None:
+        """Return an outcome with its local outputs; None until they match.
 
         They are looked up afresh: a network disk may remember for a minute that a file
         was missing.
         """
         outputs = []
         for folder in dict.fromkeys(
-            place_of(one.path, self.root).parent for one in outcome.outputs
+            path_of_name(one.path, self.root).parent for one in outcome.outputs
         ):
             with suppress(OSError), os.scandir(folder):
                 pass
         for one in outcome.outputs:
-            path = place_of(one.path, self.root)
+            path = path_of_name(one.path, self.root)
             state = FileState.of(path)
             if state is None or not self._is_same(path, one):
                 return None

@@ -1,4 +1,4 @@
-"""The items of a batch: its inputs found, its outputs named, both checked."""
+"""The items of a batch: inputs matched, outputs named, both checked."""
 
 from __future__ import annotations
 
@@ -28,15 +28,20 @@ from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
 from animtool.core.errors import (
     Fault,
-    NothingFoundError,
+    NoMatchError,
     OptionError,
     Severity,
     listed,
     refuse_warnings,
 )
 from animtool.core.files.output import inside
-from animtool.core.files.reading import MatchedFile, Places, files_meant, nearest_file
-from animtool.core.names import check_given, is_named
+from animtool.core.files.reading import (
+    MatchedFile,
+    PathResolver,
+    matching_files,
+    nearest_file,
+)
+from animtool.core.names import check_unused, is_named
 from animtool.core.rates import rate_label
 from animtool.core.readers import (
     BVH,
@@ -74,7 +79,7 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return what the first item of an input is baked from.
+    """Return the source of an input's first item.
 
     variables: what overrides give the input.
     """
@@ -85,19 +90,19 @@ def sample_source(
 
 
 def check_columns(spec: BatchSpec) -> None:
-    """Refuse columns of variants whose names mean something else."""
+    """Refuse columns of variants with reserved names."""
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
     taken = {*INPUT_NAMES, *shots, *spec.variables}
     path = spec.variants.path
-    place, lines = (None, ()) if path is None else (str(path), (1,))
+    path_text, lines = (None, ()) if path is None else (str(path), (1,))
     hint = (
         f"names of inputs, shots and {argument('set')} are reserved: "
         f"{listed(sorted(taken))}"
     )
     faults = [
-        Fault("BAT063", message, place, lines, hint)
+        Fault("BAT063", message, path_text, lines, hint)
         for _, message in name_problems(spec.variants.names, taken)
     ]
     if faults:
@@ -105,9 +110,9 @@ def check_columns(spec: BatchSpec) -> None:
 
 
 def check_effects(
-    spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], own: Overridden
+    spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], overrides: Overridden
 ) -> None:
-    """Refuse scenes of which all items, or all variants, would be the same."""
+    """Refuse scenes whose items or variants would all be equal."""
     kinds = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
@@ -123,7 +128,7 @@ def check_effects(
             continue
         if spec.scene is None and not names:
             continue
-        values = own.values.get(shot.media.path, {})
+        values = overrides.values.get(shot.media.path, {})
         scene = cast("Scene", sample_source(spec, item_task, shot, values))
         inputs = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
         if spec.scene is not None and not scene.effective_variables & inputs:
@@ -138,24 +143,24 @@ def check_effects(
 
 
 def _unused(scene: Scene, count: int) -> Fault:
-    """Return the fault of a scene that does not use its inputs."""
+    """Return the fault of a scene that ignores its inputs."""
     message = "the scene does not use its input"
     if count > 1:
         message += f": all {count} items would be the same"
     hint = "write `file: ${input}` in its source"
     if scene.sources:
-        return scene.sources[0].place.fault("BAT060", message, hint, Severity.ERROR)
+        return scene.sources[0].location.fault("BAT060", message, hint, Severity.ERROR)
     return Fault("BAT060", message, str(scene.path), (), hint)
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch whose items are known."""
+    """A batch with its items."""
 
-    name: str  # what its records are called
+    name: str  # name of its records
     items: tuple[Item, ...]  # in order
     item_task: ItemTask  # how each is made
-    limits: Limits  # what each may take
+    limits: Limits  # limits of each item
     jobs: int | None  # how many processes; None is one for each processor
     root: Path  # folder of all outputs, absolute, from which records name files
     named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
@@ -166,7 +171,7 @@ class Batch:
 
     @property
     def records(self) -> Path:
-        """The folder of its records."""
+        """Folder of its records."""
         return self.root / RECORDS
 
     def outputs(self, item: Item) -> list[Path]:
@@ -180,7 +185,7 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, in the order of their names, or of a timeline.
+    """Return the items of a batch, sorted by name or in timeline order.
 
     Raises:
         StrictError: Warnings are errors, and there is one of the batch itself.
@@ -199,23 +204,31 @@ def find_batch(spec: BatchSpec) -> Batch:
         raise _nothing(spec)
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    own = overridden(spec.overrides, files, spec.folder, _suffixes(spec), spec.path)
+    overrides = overridden(
+        spec.overrides, files, spec.folder, _suffixes(spec), spec.path
+    )
     sample = None
     if spec.scene is not None:
-        values = own.values.get(files[0].path, {})
+        values = overrides.values.get(files[0].path, {})
         sample = sample_source(spec, item_task, shots[0], values)
         if spec.output is not None:
             item_task.refuse_several(sample)
     _check_variables(spec, item_task, sample)
-    check_effects(spec, item_task, shots, own)
-    items = _Items(spec, item_task, shots, sample, own).made()
+    check_effects(spec, item_task, shots, overrides)
+    items = _Items(spec, item_task, shots, sample, overrides).build()
     _check_roots(spec, items)
     options = spec.options
-    notices = (*cuts.notices, *own.notices)
+    notices = (*cuts.notices, *overrides.notices)
     refuse_warnings(notices, strict=options.strict)
     table = None if spec.variants is None else spec.variants.path
-    given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
-    given.append(table)
+    named_paths = [
+        spec.scene,
+        options.rig_layer,
+        options.source.rig,
+        spec.path,
+        spec.cuts,
+    ]
+    named_paths.append(table)
     return Batch(
         spec.name,
         items,
@@ -223,14 +236,14 @@ def find_batch(spec: BatchSpec) -> Batch:
         spec.limits,
         spec.jobs,
         Path(spec.folder, output_root(spec.output or "")).absolute(),
-        tuple(path for path in given if path is not None),
+        tuple(path for path in named_paths if path is not None),
         sample,
         notices,
     )
 
 
 def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
-    """Return what the first item of each scene of a batch gives it, by path.
+    """Return the variables of the first item of each scene of a batch, by path.
 
     Raises:
         AnimtoolError: Inputs, a timeline or overrides cannot be read.
@@ -241,20 +254,22 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     shots = _cuts(spec).shots
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    own = overridden(spec.overrides, files, spec.folder, _suffixes(spec), spec.path)
-    found: dict[Path, SceneValues] = {}
+    overrides = overridden(
+        spec.overrides, files, spec.folder, _suffixes(spec), spec.path
+    )
+    by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
         path = spec.scene or shot.media.path
-        if path not in found and is_named(path, "scene"):
+        if path not in by_scene and is_named(path, "scene"):
             names, file = {**shot.names, **spec.rows[0]}, shot.media
-            values = own.values.get(file.path, {})
+            values = overrides.values.get(file.path, {})
             item = Item(1, file, file.path, names, variables=values)
-            found[path] = SceneValues(item_task.names(item), frozenset(names))
-    return found
+            by_scene[path] = SceneValues(item_task.names(item), frozenset(names))
+    return by_scene
 
 
 def _with_scene_input(spec: BatchSpec) -> BatchSpec:
-    """Return a batch of variants of a scene alone, whose input that scene is."""
+    """Return a batch of scene variants with the scene as its input."""
     if spec.scene is None or spec.variants is None or spec.inputs or spec.cuts:
         return spec
     scene = spec.scene if spec.path is None else spec.scene.absolute()
@@ -262,12 +277,12 @@ def _with_scene_input(spec: BatchSpec) -> BatchSpec:
 
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
-    place = None if spec.path is None else str(spec.path)
+    path = None if spec.path is None else str(spec.path)
     known = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
         known |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
-        Fault("BAT004", message, place, (), hint)
+        Fault("BAT004", message, path, (), hint)
         for message, hint in unknown_names(pattern, known)
     ]
     if faults:
@@ -289,30 +304,30 @@ def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    own = [name for one in spec.overrides for name in one.variables]
-    given = [*dict.fromkeys([*spec.variables, *own]), *spec.rows[0]]
-    used = {name for name in given if f"{{{name}}}" in (spec.output or "")}
+    overridden = [name for one in spec.overrides for name in one.variables]
+    variables = [*dict.fromkeys([*spec.variables, *overridden]), *spec.rows[0]]
+    used = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
     elif any(is_named(path, "scene") for path in item_task.kinds):
-        # Each has its own, and says what is wrong with them when it is made.
-        used |= set(given)
+        # Each holds its faults until the items are built.
+        used |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_given(given, used - taken)
+    check_unused(variables, used - taken)
 
 
 @dataclass(slots=True)
 class _Items:
-    """The items, each with its output: the pattern's, its scene's, or beside."""
+    """Builds the items, each with its output: by pattern, scene or input."""
 
     spec: BatchSpec
     item_task: ItemTask
     shots: Sequence[Cut]
     sample: Source | None
-    own: Overridden
+    overrides: Overridden
     faults: list[Fault] = field(default_factory=list)
 
-    def made(self) -> tuple[Item, ...]:
+    def build(self) -> tuple[Item, ...]:
         """Return the items."""
         spec = self.spec
         outputs = None
@@ -335,8 +350,8 @@ class _Items:
         row: Mapping[str, str],
         outputs: NamedOutputs | None,
     ) -> Item:
-        spec, file, own = self.spec, shot.media, {**shot.names, **row}
-        variables = self.own.values.get(file.path, {})
+        spec, file, overrides = self.spec, shot.media, {**shot.names, **row}
+        variables = self.overrides.values.get(file.path, {})
         parts = {name: file_name(value) for name, value in row.items()}
         more = "".join(f"_{part}" for part in parts.values())
         output = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
@@ -349,7 +364,7 @@ class _Items:
                 output = outputs.path(names)
             except UnsafeNameError as error:
                 self._refuse(shot, row, error)
-        item = Item(number, file, output, own, (), row, variables, shot.shot)
+        item = Item(number, file, output, overrides, (), row, variables, shot.shot)
         named_by_scene = getattr(self.sample, "output", None) is not None
         if outputs is None and (
             named_by_scene or (spec.scene is None and is_named(file.path, "scene"))
@@ -360,7 +375,7 @@ class _Items:
     def _refuse(
         self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
     ) -> None:
-        """Note an output with an unsafe name, at the file that states the name."""
+        """Record an output with an unsafe name, at the file that states it."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
         hint = f"rename the input, or remove the name from {argument('output')}"
@@ -372,32 +387,32 @@ class _Items:
             hint = "use another value"
         elif name in spec.variables:
             source, hint = spec.path, "use another value"
-        place = None if source is None else str(source)
-        fault = Fault("OUT006", f"the output {error}", place, (), hint)
+        path = None if source is None else str(source)
+        fault = Fault("OUT006", f"the output {error}", path, (), hint)
         if fault not in self.faults:
             self.faults.append(fault)
 
 
 def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
-    """Refuse outputs outside of the folders that a batch file may write to."""
+    """Refuse outputs outside the folders that a batch file may write to."""
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
     shown = listed([str(root) for root in spec.roots])
     hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("DOC014", f"{str(folder)!r} is outside {shown}", place, (), hint)
+        Fault("DOC014", f"{str(folder)!r} is outside {shown}", path, (), hint)
         for folder in folders
         if not any(inside(folder, root) for root in spec.roots)
-        for place in [None if spec.path is None else str(spec.path)]
+        for path in [None if spec.path is None else str(spec.path)]
     ]
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
 
 
 def _cuts(spec: BatchSpec) -> CutList:
-    """Return what items are made of: clips of a timeline, or the inputs."""
-    cuts, left_out, unmatched = _found(spec)
+    """Return the cuts of the items: clips of a timeline, or the inputs."""
+    cuts, left_out, unmatched = _matched_inputs(spec)
     if spec.cuts is None:
         return CutList([Cut(file) for file in cuts], unmatched)
     options, start = spec.options, spec.options.start
@@ -415,15 +430,15 @@ def _cuts(spec: BatchSpec) -> CutList:
         message = f"start is {float(start):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
-    given = CutOptions(
+    cut_options = CutOptions(
         spec.handles, first, spec.fps or fps, spec.cut_start, spec.first_timecode
     )
-    listed_cuts = read_cuts(spec.cuts, cuts, given, left_out)
+    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, left_out)
     return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch whose options have the rate of the command line.
+    """Return a batch with the frame rate of the command line.
 
     Raises:
         OptionError: What is for timelines is given without one (CLI002).
@@ -445,7 +460,7 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
-    """Return a batch whose timeline is its cut list, where it is one of the inputs."""
+    """Return a batch with a timeline among its inputs as its cut list."""
     named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
     if not named:
         return spec
@@ -458,17 +473,17 @@ def _with_timeline(spec: BatchSpec) -> BatchSpec:
     return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
 
 
-def _found(
+def _matched_inputs(
     spec: BatchSpec,
 ) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
-    """Return the inputs, each once, in order; and whether a file is left out.
+    """Return the distinct inputs in order, and a test for excluded files.
 
     And a warning for each entry that matches no file.
     """
     suffixes = _suffixes(spec)
-    place = Places()
+    resolve = PathResolver()
     left_out = {
-        place(file.path)
+        resolve(file.path)
         for text in spec.exclude
         for file in _meant(spec.folder, text, suffixes)
     }
@@ -479,16 +494,16 @@ def _found(
         if not meant:
             unmatched.append(_unmatched(spec, i, suffixes))
         for file in meant:
-            where = place(file.path)
+            where = resolve(file.path)
             if where not in left_out:
                 files.setdefault(where, file)
     ordered = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered, lambda path: place(path) in left_out, unmatched
+    return ordered, lambda path: resolve(path) in left_out, unmatched
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
-    """Return a warning for each entry of the inputs that matches no file."""
-    return _found(spec)[2]
+    """Return a warning for each entry of the inputs without a match."""
+    return _matched_inputs(spec)[2]
 
 
 def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
@@ -501,16 +516,16 @@ def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
     return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 
-def _nothing(spec: BatchSpec) -> NothingFoundError:
+def _nothing(spec: BatchSpec) -> NoMatchError:
     path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
         message = "has no clip with media"
         hint = "a clip without media uses the INPUT with its name: pass takes too"
-        return NothingFoundError(Fault("BAT005", message, str(spec.cuts), (), hint))
+        return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = _suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
-    return NothingFoundError(Fault("BAT005", message, path, (), hint))
+    return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 
 def _suffixes(spec: BatchSpec) -> Sequence[str]:
@@ -518,4 +533,4 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
 
 
 def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
-    return list(files_meant(os.fspath(folder / text), suffixes))
+    return list(matching_files(os.fspath(folder / text), suffixes))

@@ -50,7 +50,7 @@ _FREEZE = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 @dataclass(slots=True)
 class Event:
-    """An event of an EDL, as it is written."""
+    """An event of an EDL as written."""
 
     line: int
     number: str
@@ -66,7 +66,7 @@ class Event:
 
 @dataclass(slots=True)
 class Edl:
-    """What an EDL says, before its rate is known."""
+    """An EDL whose rate may be unknown."""
 
     path: Path
     title: str = ""
@@ -75,7 +75,7 @@ class Edl:
 
     @property
     def drop(self) -> bool:
-        """Whether there are drop-frame time codes."""
+        """Whether it has drop-frame time codes."""
         return any(";" in time for event in self.events for time in event.times)
 
     @property
@@ -147,7 +147,7 @@ def _stated(text: str) -> Fraction | None:
 
 
 def _comment(event: Event, line: str) -> None:
-    """Take what a line behind an event says of it."""
+    """Apply a comment after an event to that event."""
     if (speed := _SPEED.fullmatch(line)) is not None:
         event.speed = speed["speed"]
     elif _FREEZE.match(line) is not None:
@@ -159,12 +159,12 @@ def _comment(event: Event, line: str) -> None:
 
 
 def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
-    """Return an EDL as a timeline of OpenTimelineIO, and what was chosen in it.
+    """Return an EDL as an OpenTimelineIO timeline, with notices.
 
     Raises:
         FormatError: Time codes are none of the rate (BAT041).
     """
-    return _Builder(edl, rate).built()
+    return _TimelineBuilder(edl, rate).built()
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ class _Times:
     shown: int
 
 
-class _Builder:
+class _TimelineBuilder:
     def __init__(self, edl: Edl, rate: Fraction) -> None:
         import opentimelineio as otio
 
@@ -199,7 +199,7 @@ class _Builder:
         return timeline, self.notices
 
     def times(self, event: Event) -> _Times | None:
-        """Return the times of an event; None where they are none, which is a fault."""
+        """Return the times of an event; None with a fault if invalid."""
         try:
             frames = [self.frame(text) for text in event.times]
         except ValueError as error:
@@ -208,15 +208,15 @@ class _Builder:
                 "set the rate that its time codes count, such as "
                 f"{argument('fps', '30000/1001')}"
             )
-            place = str(self.edl.path), (event.line,)
-            self.faults.append(Fault("BAT041", message, *place, hint))
+            location = str(self.edl.path), (event.line,)
+            self.faults.append(Fault("BAT041", message, *location, hint))
             return None
         # Of motion that goes backwards some write the last frame first.
         first, last = sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
         return _Times(first, last - first, frames[2], frames[3] - frames[2])
 
     def frame(self, text: str) -> int:
-        """Return the frame of a time code, or of a number of a frame."""
+        """Return the frame of a time code or frame number."""
         if ":" not in text:
             if len(text) > len(str(MAX_FRAME)):
                 raise ValueError(f"{excerpt(text)} is not a frame")
@@ -224,7 +224,7 @@ class _Builder:
         return int(parse_timecode(text, self.rate))
 
     def add(self, timeline: Any, event: Event, times: _Times, later: bool) -> None:
-        """Put an event on its tracks."""
+        """Add an event to its tracks."""
         schema = self.otio.schema
         for name in _tracks_of(event.channel):
             if name not in self.tracks:
@@ -246,7 +246,7 @@ class _Builder:
                 track.append(self.clip(event, times))
 
     def transition(self, event: Event) -> Any:
-        """Return a transition, which begins where its second clip does."""
+        """Return a transition that starts with its second clip."""
         time = self.otio.opentime.RationalTime
         ends = time(0, float(self.rate)), time(event.length, float(self.rate))
         return self.otio.schema.Transition(event.edit, "SMPTE_Dissolve", *ends)
@@ -270,7 +270,7 @@ class _Builder:
         return clip
 
     def speed(self, event: Event, times: _Times, name: str) -> tuple[Fraction, int]:
-        """Return how fast an event plays, and how many frames it shows."""
+        """Return the speed of an event and its number of frames."""
         source, shown = max(times.count, 0), max(times.shown, 0)
         if event.freeze:
             return Fraction(0), shown or source
@@ -288,8 +288,8 @@ class _Builder:
             message = f"clip {excerpt(name)}: its source has {source} frames, its "
             message += f"record {shown}, and no speed (M2) is stated: the {source} "
             message += "frames of its source are used, at their own speed"
-            place = str(self.edl.path), (event.line,)
-            warning = Fault("BAT056", message, *place, severity=Severity.WARNING)
+            location = str(self.edl.path), (event.line,)
+            warning = Fault("BAT056", message, *location, severity=Severity.WARNING)
             self.notices.append(warning)
         return Fraction(1), source
 
@@ -304,7 +304,7 @@ def _speed(event: Event) -> Fraction:
 
 
 def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
-    """Yield events, and whether the next one is the second part of the same.
+    """Yield events, and whether the next one belongs to the same edit.
 
     Comments stand behind the second and are of both.
     """
@@ -317,7 +317,7 @@ def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
         yield event, pair
 
 
-# What stands for several tracks.
+# Channels of several tracks.
 CHANNELS = {
     "B": ("V", "A1"),
     "AA": ("A1", "A2"),

@@ -1,4 +1,4 @@
-"""What builds the items of a batch: the table of executors, and the local ones."""
+"""The table of executors, which build the items of a batch; the local ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias, cast
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
-from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import check_known
@@ -21,7 +21,7 @@ PLUGIN_GROUP = "animtool.executors"
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What an executor is given.
+    """Input of an executor.
 
     Attributes:
         builder: Makes an item, whatever happens short of the end of its process; it
@@ -48,17 +48,17 @@ class Work:
     asked: int | None = None
     inputs: tuple[Path, ...] = ()
     folders: tuple[Path, ...] = ()
-    ahead: bool = True
+    queue_next: bool = True
 
 
-# Yields the outcome of each item as it ends, and warnings about what builds them;
+# Yields the outcome of each item as it ends, and warnings about workers;
 # closing the iterator ends the work.
-Run: TypeAlias = Callable[[Work], Iterator[Outcome | Fault]]
+Run: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
 
 @dataclass(frozen=True, slots=True)
 class Executor:
-    """One entry of the table of executors.
+    """An entry of the table of executors.
 
     Attributes:
         about: How it makes items, one line.
@@ -72,11 +72,11 @@ class Executor:
     ready: str = ""
 
     def load(self) -> Run:
-        """Return the function that makes items."""
+        """Return the function that builds items."""
         return cast(Run, load_object(self.run))
 
-    def get_ready(self, item_task: ItemTask) -> None:
-        """Begin what takes long before the first item, of a batch that has some."""
+    def prepare(self, item_task: ItemTask) -> None:
+        """Start slow preparations before the first item."""
         if self.ready:
             cast(Callable[[ItemTask], None], load_object(self.ready))(item_task)
 
@@ -98,15 +98,15 @@ EXECUTORS = {
 }
 
 
-def processes(work: Work) -> Iterator[Outcome]:
-    """Yield what becomes of items, made by several processes of this machine."""
+def processes(work: Work) -> Iterator[ItemOutcome]:
+    """Yield outcomes of items built by several local processes."""
     if work.argument:
         raise _argument("processes", f"{argument('jobs')} sets how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
-def serial(work: Work) -> Iterator[Outcome]:
-    """Yield what becomes of items, made one after another in this process."""
+def serial(work: Work) -> Iterator[ItemOutcome]:
+    """Yield outcomes of items built one after another in this process."""
     if work.argument:
         raise _argument("serial", "it takes no argument")
     if work.limits != Limits():
@@ -121,7 +121,7 @@ def _argument(name: str, hint: str) -> OptionError:
 
 
 def find_executor(name: str) -> Executor:
-    """Return an executor by its name, those of plug-ins included.
+    """Return an executor by name, those of plug-ins included.
 
     >>> find_executor("serial").about
     "one after another, in animtool's own process"
@@ -145,7 +145,7 @@ class ListedExecutor:
 
 
 def listed_executors() -> list[ListedExecutor]:
-    """Return every executor, animtool's own first, those of plug-ins loaded.
+    """Return every executor, built-in ones first, plug-ins loaded.
 
     >>> [entry.name for entry in listed_executors()][:3]
     ['dask', 'processes', 'serial']

@@ -1,4 +1,4 @@
-"""Batch files: their keys, as models that ``animtool schema`` prints; reading.
+"""Batch files: the keys, as models that ``animtool schema`` prints, and reading.
 
 The tables of ``docs/reference`` are made of their descriptions and examples.
 """
@@ -51,7 +51,7 @@ Value = str | Real | bool
 
 
 def value_text(document: Document, at: Location, value: Value) -> str:
-    """Return a value as the file has it; numbers keep the digits written."""
+    """Return a value as written; numbers keep their digits."""
     if isinstance(value, str):
         return value
     written = document.written(at)
@@ -59,15 +59,15 @@ def value_text(document: Document, at: Location, value: Value) -> str:
 
 
 def variables_of_document(
-    document: Document, at: Location, own: Mapping[str, Value]
+    document: Document, at: Location, values: Mapping[str, Value]
 ) -> dict[str, str]:
-    """Return the values of variables as text; names that are none are faults."""
-    for name in own:
+    """Return variables as text; invalid names are faults."""
+    for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
             hint = "use letters, digits and _, and do not start with a digit"
             document.add("BAT002", (*at, name), message, hint)
-    return {name: value_text(document, (*at, name), v) for name, v in own.items()}
+    return {name: value_text(document, (*at, name), v) for name, v in values.items()}
 
 
 class OverrideModel(FileModel):
@@ -85,7 +85,7 @@ class OverrideModel(FileModel):
 def overrides_of_document(
     document: Document, models: Sequence[OverrideModel], taken: Collection[str]
 ) -> tuple[Override, ...]:
-    """Return the overrides of a batch file, faults of their names noted.
+    """Return the overrides of a batch file, with faults of names.
 
     Args:
         document: The batch file.
@@ -105,7 +105,7 @@ def overrides_of_document(
 
 
 class LimitsModel(FileModel):
-    """What an item may take."""
+    """Limits of an item."""
 
     seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
         "Time limit of an item. Default: none.", 60, default=None
@@ -128,11 +128,11 @@ class LimitsModel(FileModel):
 )
 @with_fields(SourceOptions, file_kind="batch")
 class OptionsModel(FileModel):
-    """How to bake the inputs, where no scene says it."""
+    """Bake options of inputs that are not scenes."""
 
 
 class RangeModel(FileModel):
-    """Values from one number to another."""
+    """A range of numbers."""
 
     start: Real = key("The first value.", 0)
     stop: Real = key("The last value, if the steps reach it.", 1)
@@ -234,8 +234,8 @@ AT = ("variants",)
 def rows_of_document(
     document: Document, variants: Any, taken: Collection[str]
 ) -> Variants | None:
-    """Return the table of values in a batch file; None, and its faults, without one."""
-    reader = _Reader(document, taken)
+    """Return the variants of a batch file; None without any, or with faults."""
+    reader = _VariantReader(document, taken)
     before = len(document.faults)
     if isinstance(variants, list):
         table = reader.rows(variants)
@@ -248,7 +248,7 @@ def rows_of_document(
     )
 
 
-class _Reader:
+class _VariantReader:
     def __init__(self, document: Document, taken: Collection[str]) -> None:
         self.document, self.taken = document, taken
 
@@ -280,8 +280,8 @@ class _Reader:
         rows = []
         for i, entry in enumerate(table):
             if set(entry) != set(first):
-                odd = ", ".join(sorted(set(entry) ^ set(first)))
-                message = f"the columns differ from those of the first row: {odd}"
+                differing = ", ".join(sorted(set(entry) ^ set(first)))
+                message = f"the columns differ from those of the first row: {differing}"
                 hint = f"columns: {', '.join(first)}"
                 self.document.add("BAT062", (*AT, i), message, hint)
                 continue
@@ -322,7 +322,7 @@ class _Reader:
 
 
 def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
-    """Return what a batch file asks for.
+    """Return the spec of a batch file.
 
     Args:
         path: The file.
@@ -336,7 +336,7 @@ def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
 
 
 def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpec:
-    """Return what a document asks for; see `load_batch`."""
+    """Return the spec of a document; see `load_batch`."""
     check_version(document, "batch")
     model = validated(document, BatchModel)
     spec = _BatchReader(document, model, of_shots=of_shots).spec()
@@ -361,11 +361,13 @@ class _BatchReader:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
-        without = not (model.inputs or self.document.is_placeholder(("inputs",)))
-        if without and not (self.of_shots or (model.scene and model.variants)):
-            message = "key 'inputs' is missing"
+        known = not self.document.is_placeholder(("inputs",))
+        scene_alone = model.scene and model.variants
+        if known and not (model.inputs or self.of_shots or scene_alone):
+            empty = "inputs" in model.model_fields_set
+            message = "has no entries" if empty else "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
-            self.document.add("DOC021", (), message, hint)
+            self.document.add("DOC021", ("inputs",) if empty else (), message, hint)
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._names(columns)
@@ -397,7 +399,7 @@ class _BatchReader:
         )
 
     def _taken(self) -> set[str]:
-        """Return the names that an input or a shot gives a value."""
+        """Return the names that an input or shot defines."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
 
     def _first_timecode(self) -> str | None:
@@ -409,21 +411,23 @@ class _BatchReader:
         return text
 
     def _variants(self) -> Variants | None:
-        """Return the table of values; None where there is none, or it is faulty."""
-        given = self.model.variants
-        if not given:
+        """Return the variants; None without any, or with faults."""
+        variants = self.model.variants
+        if not variants:
             if "variants" in self.model.model_fields_set:
                 hint = "write {k: [1, 2]}, a list of rows, or the name of a CSV file"
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
-        if isinstance(given, str):
-            path = referred_input(self.document, ("variants",), given, self.keys.roots)
+        if isinstance(variants, str):
+            path = referred_input(
+                self.document, ("variants",), variants, self.keys.roots
+            )
             return None if path is None else read_variants(path)
         taken = {*self._taken(), *self.model.variables}
-        return rows_of_document(self.document, given, taken)
+        return rows_of_document(self.document, variants, taken)
 
     def _names(self, columns: Sequence[str]) -> None:
-        """Check the names between braces in the output."""
+        """Check the names in braces in the output."""
         model = self.model
         known = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:

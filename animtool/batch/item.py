@@ -1,4 +1,4 @@
-"""How the items of a batch are made and named, and one of them.
+"""Items of a batch: names, outputs and the bake of one.
 
 References:
     Open Job Description, "pathmapping-1.0",
@@ -23,7 +23,7 @@ from animtool.batch.records import (
     object_of,
     text_in,
 )
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.output import inside, name_problem
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
 
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 # These are paths that a pattern begins with, to write where the inputs are.
-_PLACES = frozenset({"input", "folder"})
+_INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
 def input_names(file: MatchedFile) -> dict[str, str]:
-    """Return what the names stand for that every input has.
+    """Return the values of the names that every input defines.
 
     ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
     that without what says its kind, and ``parent`` the folders between the one that
@@ -69,7 +69,7 @@ def input_names(file: MatchedFile) -> dict[str, str]:
 
 
 def file_pattern(pattern: str, name: str) -> str:
-    """Return the pattern of files that a pattern stands for, which may name a folder.
+    """Return the glob of a pattern, which may name a folder.
 
     >>> file_pattern("out/", "{parent}/{stem}"), file_pattern("{stem}.usda", "{stem}")
     ('out/{parent}/{stem}.usdc', '{stem}.usda')
@@ -80,7 +80,7 @@ def file_pattern(pattern: str, name: str) -> str:
 def unknown_names(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with a pattern, and what to do about it.
+    """Yield faults of a pattern, with hints.
 
     >>> list(unknown_names("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
@@ -101,7 +101,7 @@ def unknown_names(
 
 
 def output_root(pattern: str) -> PurePath:
-    """Return the folder that all outputs of a pattern are in.
+    """Return the folder that contains all outputs of a pattern.
 
     >>> output_root("out/{parent}/{stem}.usdc").as_posix()
     'out'
@@ -113,7 +113,7 @@ def output_root(pattern: str) -> PurePath:
 
 @dataclass(slots=True)
 class NamedOutputs:
-    """The outputs of a pattern, none of which leaves the folder that it states."""
+    """Outputs of a pattern, confined to its folder."""
 
     pattern: str  # the files to write
     folder: Path  # where a relative one starts
@@ -121,13 +121,13 @@ class NamedOutputs:
     _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
-        """Return the output that the pattern is for some values."""
+        """Return the output of some values."""
         root, path = self.folder, self.folder
         below = False
         for part in PurePath(self.pattern).parts:
             names = [name for _, name, *_ in Formatter().parse(part) if name]
             text = part.format(**values)
-            if set(names) - _PLACES:
+            if set(names) - _INPUT_FOLDERS:
                 below = True
                 self._check(text, names, values)
             path /= text
@@ -138,7 +138,7 @@ class NamedOutputs:
         return path
 
     def _check(self, text: str, names: list[str], values: Mapping[str, str]) -> None:
-        """Refuse a part of a path that is not one name, or some in folders."""
+        """Refuse path parts that are not single names."""
         for name in names:
             value = values[name]
             wrong = re.search(r"[\x00-\x1f\x7f\\]", value)
@@ -165,7 +165,7 @@ class NamedOutputs:
 
 
 class UnsafeNameError(ValueError):
-    """A name of an output leaves its folder, or is not legal everywhere.
+    """An output name leaves its folder or is not legal everywhere.
 
     Attributes:
         name: That of the pattern whose value it is; empty is none.
@@ -188,19 +188,19 @@ MAX_BYTES = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class PathRule:
-    """Where a folder of one machine is on this one."""
+    """Maps a folder of another machine to a local one."""
 
     source: PurePath  # there
     destination: str  # here
 
 
 def read_rules(path: Path) -> list[PathRule]:
-    """Return the rules of a file; none of one without any (malformed: BAT038)."""
+    """Return the path rules of a file; none if it has none (malformed: BAT038)."""
     try:
         plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        given = list_in(plain, key) if key in plain else ()
-        return [_rule(object_of(rule)) for rule in given]
+        rules = list_in(plain, key) if key in plain else ()
+        return [_rule(object_of(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
@@ -215,7 +215,7 @@ def _rule(plain: Mapping[str, Any]) -> PathRule:
 
 
 def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
-    r"""Return a path as this machine has it, by the rule of the innermost folder.
+    r"""Return the local path, by the rule of the innermost folder.
 
     >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
     >>> mapped_path("z:\\show\\a.bvh", [rule]), mapped_path("a.bvh", [rule])
@@ -230,7 +230,7 @@ def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
 
 
 def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
-    """Return a batch whose inputs and output are those of this machine.
+    """Return a batch with local inputs and outputs.
 
     Names of files in scenes and options are not changed: they are found where they are
     relative.
@@ -254,7 +254,7 @@ def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
 
 
 def values_text(values: Mapping[str, str]) -> str:
-    """Return the values of a variant behind the name of its input.
+    """Return a variant's values as a suffix to its input.
 
     >>> values_text({"k": "2", "s": "0.5"})
     ' (k=2, s=0.5)'
@@ -265,12 +265,12 @@ def values_text(values: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """What is made of one file."""
+    """One input of a batch and its output."""
 
-    number: int  # its place among those of the batch, from 1
-    file: MatchedFile  # what it is made of
+    number: int  # its number in the batch, from 1
+    file: MatchedFile  # its input
     output: Path  # the file to write; of several the first
-    # What names stand for in its scene, beside those of its input.
+    # Values of names in its scene, besides those of its input.
     names: Mapping[str, str] = field(default_factory=dict)
     # Every file to write, where its scene names several outputs, or one that is no USD;
     # empty where they follow from ``output``.
@@ -283,23 +283,23 @@ class Item:
 
     @property
     def label(self) -> str:
-        """The input, and its shot and the values of a variant."""
+        """Input, shot and variant as text."""
         shot = {} if self.shot is None else {"shot": self.shot.name}
         return f"{self.file.path}{values_text({**shot, **self.values})}"
 
     @property
     def folders(self) -> list[Path]:
-        """The folders that it writes to."""
+        """Folders that it writes to."""
         return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
 @dataclass(frozen=True, slots=True)
 class ItemTask:
-    """How every item is made."""
+    """How items are built."""
 
-    # A scene that says what is done to each; None bakes each as it is.
+    # A scene to apply to each; None bakes each input itself.
     scene: Path | None = None
-    # What names in scenes stand for, beside those of each input.
+    # Values of names in scenes, besides those of each input.
     variables: Mapping[str, str] = field(default_factory=dict)
     # How to bake, where there is no scene.
     options: BakeOptions = field(default_factory=BakeOptions)
@@ -311,15 +311,15 @@ class ItemTask:
     _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
 
     def names(self, item: Item) -> dict[str, str]:
-        """Return what names in a scene stand for."""
+        """Return the values of the names in a scene."""
         names = input_names(item.file)
         if self.scene is None:
-            # A scene that is an input is no input of its own.
+            # A scene that is an input has no input itself.
             del names["input"]
         return {**names, **item.names, **self.variables, **item.variables}
 
     def source(self, item: Item) -> Source:
-        """Return what is baked: a scene, loaded, or a file."""
+        """Return the source: a loaded scene, or a file."""
         path = item.file.path if self.scene is None else self.scene
         if not is_named(path, "scene"):
             return path
@@ -334,30 +334,30 @@ class ItemTask:
                 hint = (
                     "bake each first, then combine them: animtool bake *.usdc -o FILE"
                 )
-                raise OptionError(output.place.fault("SCN052", message, hint))
+                raise OptionError(output.location.fault("SCN052", message, hint))
         return scene
 
     def named(self, item: Item) -> Item:
-        """Return an item with the outputs that its scene names, if it names some."""
+        """Return an item with the outputs that its scene names."""
         scene = self.source(item)
-        own = getattr(scene, "output", None)
+        output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._is_several(scene):
             from animtool.scene.bake.outline import outlined
 
             files = outlined(scene, None, self._options(item.file.path)).files
-        return replace(item, output=own or item.output, files=tuple(files))
+        return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
-        """Refuse a scene that names its outputs, where a pattern names them too."""
+        """Refuse outputs named both by a scene and by a pattern."""
         if self._is_several(source):
             message = "the scene names its outputs, but the batch names one too"
             hint = (
                 f"remove the batch's output ({argument('output')}), and use "
                 "${stem} in the scene's"
             )
-            place = cast("Scene", source).outputs[-1].place
-            raise OptionError(place.fault("SCN044", message, hint))
+            location = cast("Scene", source).outputs[-1].location
+            raise OptionError(location.fault("SCN044", message, hint))
 
     @staticmethod
     def _is_several(source: Source) -> bool:
@@ -368,7 +368,7 @@ class ItemTask:
         return is_several(source)
 
     def bake(self, item: Item) -> list[OutputReport]:
-        """Make an item, and return what became of each of its outputs.
+        """Bake an item; return a report of each output.
 
         What they were before is replaced.
         """
@@ -391,26 +391,26 @@ class ItemTask:
         return outlined(source, item.output, self._options(item.file.path)).files
 
     def _options(self, path: Path) -> BakeOptions:
-        """Return the options for a file: those that are for its kind."""
+        """Return the options that apply to a file's format."""
         kind = path.suffix.lower()
         if kind not in self._fitting:
-            own = fitting_options(self.options.source, path, self.kinds)
-            options = replace(self.options, source=own, overwrite=True)
+            source_options = fitting_options(self.options.source, path, self.kinds)
+            options = replace(self.options, source=source_options, overwrite=True)
             self._fitting[kind] = options
         return self._fitting[kind]
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
-        """Return everything that decides how an item is made, but its files."""
-        plain: dict[str, object] = {"input": named_from(item.file.path, root)}
+        """Return everything but files that affects how an item is built."""
+        plain: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or is_named(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
-                names[key] = named_from(Path(names[key]), root)
+                names[key] = relative_name(Path(names[key]), root)
             plain["variables"] = names
         if item.shot is not None:
             plain["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
         if self.scene is not None:
-            plain["scene"] = named_from(self.scene, root)
+            plain["scene"] = relative_name(self.scene, root)
             plain["strict"] = self.options.strict
         else:
             plain["options"] = self._digest(item.file.path, root)
@@ -424,7 +424,7 @@ class ItemTask:
 
 
 def _plain(value: object, root: Path) -> object:
-    """Return options as what JSON can hold."""
+    """Return options as JSON values."""
     if is_dataclass(value):
         return {
             entry.name: _plain(getattr(value, entry.name), root)
@@ -433,7 +433,7 @@ def _plain(value: object, root: Path) -> object:
     if isinstance(value, tuple):
         return [_plain(part, root) for part in value]
     if isinstance(value, Path):
-        return named_from(value, root)
+        return relative_name(value, root)
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value)

@@ -1,4 +1,4 @@
-"""The ledger of a batch: who works on what, what is done, and what failed.
+"""The ledger of a batch: locks of runs, finished items and failures.
 
 A run of the whole batch holds `batch-NAME.lock`. Runs of some of its items each hold a
 lock and write files of their own, in `batch-NAME.d`, which the next whole run takes in.
@@ -28,11 +28,11 @@ from animtool.batch.records import (
     LineReader,
     LineWriter,
     RecordError,
+    integer_in,
     json_of_file,
     text_in,
-    whole_in,
 )
-from animtool.batch.spec import place_of
+from animtool.batch.spec import path_of_name
 from animtool.core.errors import Fault, LockedError, OutputError, excerpt
 from animtool.core.files.leftovers import is_running
 from animtool.core.files.output import replacing
@@ -51,15 +51,15 @@ MAX_WHY = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Which items failed."""
+    """Failed items."""
 
     why: dict[str, str] = field(default_factory=dict)  # of each, by key
-    length: int = 0  # of what could be read [bytes]
+    length: int = 0  # length of the readable part [bytes]
     damaged: tuple[Fault, ...] = ()  # warnings of lines that cannot be used
 
 
 def read_failures(path: Path) -> Failures:
-    """Return which items failed; none where there is no file."""
+    """Return the failed items; none without a file."""
     reader, messages = LineReader(path, HEAD), dict[str, str]()
     for line in reader.lines():
         try:
@@ -71,7 +71,7 @@ def read_failures(path: Path) -> Failures:
 
 
 def add_failure(path: Path, key: str, why: str, length: int) -> int:
-    """Add an item that failed; return how long the file is then [bytes].
+    """Add a failed item; return the new length of the file [bytes].
 
     ``length`` [bytes].
     """
@@ -81,7 +81,7 @@ def add_failure(path: Path, key: str, why: str, length: int) -> int:
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Write the file anew; without failures it goes."""
+    """Rewrite the file; remove it without failures."""
     if not failures:
         path.unlink(missing_ok=True)
         return
@@ -93,7 +93,7 @@ def _line(key: str, why: str) -> dict[str, str]:
     return {"item": key, "why": why.replace("\0", "\\0")[:MAX_WHY]}
 
 
-# A run of some items holds the lock of the whole for a moment, to see that it is free.
+# A run of some items briefly takes the batch's lock to check that it is free.
 TIMEOUT = 5.0
 # The numbers of items that a part of a batch is called by.
 _PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
@@ -102,7 +102,7 @@ MAX_OWNER = 4096
 
 @dataclass(slots=True)
 class History:
-    """What earlier runs left."""
+    """Results of earlier runs."""
 
     manifest: Manifest = field(default_factory=Manifest)  # by all of them
     # Why items failed that were not made since, by key.
@@ -113,7 +113,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class _Files:
-    """Where records are: of the whole batch, or of some items of it."""
+    """Record files: of the full batch, or of some items."""
 
     folder: Path
     name: str
@@ -129,15 +129,15 @@ class _Files:
         return self.folder / f"batch-{self.name}{suffix}"
 
     def holds(self) -> bool:
-        """Return whether something is recorded."""
+        """Return whether there are records."""
         paths = self.named(".jsonl"), self.named(".failed.jsonl")
         return any(path.exists() for path in paths)
 
-    def whole(self) -> _Files:
+    def of_batch(self) -> _Files:
         return _Files(self.folder, self.name)
 
     def others(self) -> list[_Files]:
-        """Return those of every part that left some."""
+        """Return the record files of every part."""
         stems = sorted(path.stem for path in self.parts.glob("*.lock"))
         return [_Files(self.folder, self.name, part) for part in stems]
 
@@ -151,35 +151,35 @@ class _Files:
 
 
 def read_history(folder: Path, name: str) -> History:
-    """Return what earlier runs of a batch left, of parts of it too."""
+    """Return the results of earlier runs of a batch and of its parts."""
     return _read(_Files(folder, name))[0]
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
-    """What there is in the files that a run adds to."""
+class _LocalRecords:
+    """Records in the files that a run appends to."""
 
     manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
-def _read(files: _Files) -> tuple[History, _Own]:
-    """Return what earlier runs left, and what there is in these files."""
-    history, own = History(), _Own()
-    whole = files.whole()
-    for source in (whole, *whole.others()):
+def _read(files: _Files) -> tuple[History, _LocalRecords]:
+    """Return the results of earlier runs, and the records in these files."""
+    history, local = History(), _LocalRecords()
+    batch_files = files.of_batch()
+    for source in (batch_files, *batch_files.others()):
         manifest = read_manifest(source.named(".jsonl"))
         failures = read_failures(source.named(".failed.jsonl"))
         history.manifest.join(manifest)
         history.failed |= failures.why
         history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
-            own = _Own(manifest, failures.length)
-    return history, own
+            local = _LocalRecords(manifest, failures.length)
+    return history, local
 
 
 class Ledger:
-    """The records of a batch while a run holds them.
+    """The records of a batch, locked by a run.
 
     Attributes:
         history: What earlier runs left.
@@ -188,16 +188,16 @@ class Ledger:
 
     def __init__(self, files: _Files, now: int) -> None:
         self.now, self._files = now, files
-        self.history, own = _read(files)
-        # What is damaged is told once.
+        self.history, local = _read(files)
+        # Damaged lines are reported once.
         self._grown = bool(self.history.damaged)
         self._closing = ExitStack()
-        writer = ManifestWriter(files.named(".jsonl"), own.manifest)
+        writer = ManifestWriter(files.named(".jsonl"), local.manifest)
         self._writer = self._closing.enter_context(writer)
-        self._failed_length = own.failures
+        self._failed_length = local.failures
 
     def claim(self, names: Iterable[str]) -> None:
-        """Say which files are about to be written."""
+        """Record the files that are about to be written."""
         new = [name for name in names if name not in self.history.manifest.known]
         if new:
             self._writer.claim(new)
@@ -205,25 +205,25 @@ class Ledger:
             self.history.manifest.known.update(new)
 
     def add(self, record: ItemRecord) -> None:
-        """Note an item that was made."""
+        """Record a built item."""
         self._writer.add(record)
         self._grown = True
         self.history.manifest.add(record)
         self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, why: str) -> None:
-        """Note an item that failed."""
+        """Record a failed item."""
         path = self._files.named(".failed.jsonl")
         self._grown = True
         self._failed_length = add_failure(path, key, why, self._failed_length)
         self.history.failed[key] = why
 
     def close(self) -> None:
-        """Close the files, as they are."""
+        """Close the files without rewriting them."""
         self._closing.close()
 
     def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
-        """Write records of the whole anew, those of its parts taken in."""
+        """Rewrite the records of the batch, merged with those of its parts."""
         self.close()
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
@@ -235,7 +235,7 @@ class Ledger:
         known = [
             name
             for name in sorted(manifest.known | recorded)
-            if name in recorded or FileState.of(place_of(name, root)) is not None
+            if name in recorded or FileState.of(path_of_name(name, root)) is not None
         ]
         rewrite_manifest(self._files.named(".jsonl"), kept, known)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
@@ -245,23 +245,23 @@ class Ledger:
 
 
 @contextmanager
-def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Give the records of a batch, which no other run may use at the same time."""
+def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
+    """Give the records of a batch, locked against other runs."""
     files = _Files(folder, name, part)
-    with ExitStack() as held:
+    with ExitStack() as locks:
         if part:
             # Released at once: no run of the whole goes on, and of parts that have
             # items in common one comes first.
             with ExitStack() as moment:
-                _lock(moment, files.whole(), TIMEOUT)
-                _lock(held, files, 0.0)
+                _lock(moment, files.of_batch(), TIMEOUT)
+                _lock(locks, files, 0.0)
                 for other in files.others():
                     if other != files and files.overlaps(other):
                         _lock(moment, other, 0.0)
         else:
-            _lock(held, files, 0.0)
+            _lock(locks, files, 0.0)
             for other in files.others():
-                _lock(held, other, 0.0)
+                _lock(locks, other, 0.0)
         now = _sign(files)
         ledger = Ledger(files, now)
         try:
@@ -270,14 +270,14 @@ def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
             ledger.close()
 
 
-def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
+def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
     from filelock import FileLock, Timeout
 
     path = files.named(".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock: FileLock = FileLock(path)
-        held.enter_context(lock.acquire(timeout=timeout))
+        locks.enter_context(lock.acquire(timeout=timeout))
     except Timeout as error:
         message = f"another run of this batch is in progress: {_owner(files)}"
         hint = "wait until it ends, or stop it"
@@ -289,12 +289,12 @@ def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
 
 
 def _sign(files: _Files) -> int:
-    """Write down whose run it is; return when that was, by the clock of the disk."""
+    """Write the owner of a run; return the time by the clock of the disk."""
     import platform
 
     path = files.named(".owner")
     owner = json.dumps({"process": os.getpid(), "host": platform.node()})
-    # A link may lead to what is not ours, and a pipe nowhere.
+    # A link may lead to a foreign file, and a pipe nowhere.
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for name in ("O_NOFOLLOW", "O_NONBLOCK"):
         flags |= getattr(os, name, 0)
@@ -311,13 +311,13 @@ def _sign(files: _Files) -> int:
 
 
 def _owner(files: _Files) -> str:
-    """Return whose run it is, as far as that is known."""
+    """Return the owner of a run, as far as it is known."""
     import platform
 
     unknown = "of an unknown process"
     try:
         owner = json_of_file(files.named(".owner"), MAX_OWNER)
-        process, host = whole_in(owner, "process", 1, 2**31), text_in(owner, "host")
+        process, host = integer_in(owner, "process", 1, 2**31), text_in(owner, "host")
     except RecordError:
         return unknown
     if host == platform.node() and not is_running(process):

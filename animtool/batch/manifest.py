@@ -1,4 +1,4 @@
-"""What was made of what: the records of a batch, and the manifest of its outputs.
+"""Records of built items and their files: the manifest of a batch.
 
 A line each for a file that was looked at, for outputs that are about to be written, and
 for an item that was made. An item refers to files by number, and is written together
@@ -20,12 +20,12 @@ from animtool.batch.records import (
     LineReader,
     LineWriter,
     RecordError,
+    integer_in,
     list_in,
     number_in,
     object_of,
     text_in,
     texts_in,
-    whole_in,
 )
 from animtool.core.errors import Fault
 from animtool.core.files.output import replacing
@@ -41,14 +41,14 @@ CLOCK = 2**63
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """A file as it was."""
+    """The recorded state of a file."""
 
     path: str  # where it is, from the folder of all outputs if below it
     state: FileState | None  # none where there was none
     sha256: str = ""  # of its content; empty where there was none, or it is a folder
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as JSON has it."""
+        """Return it as JSON values."""
         if self.state is None:
             return {"path": self.path, "absent": True}
         return {
@@ -61,27 +61,27 @@ class FileRecord:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> FileRecord:
-        """Return what `as_dict` wrote."""
+        """Return the record of `as_dict`."""
         path = text_in(plain, "path")
         if "absent" in plain:
             if plain["absent"] is not True or "size" in plain:
                 raise RecordError("'absent' is incomplete")
             return cls(path, None)
         state = FileState(
-            whole_in(plain, "size"),
-            whole_in(plain, "changed", -CLOCK, CLOCK),
-            whole_in(plain, "inode"),
+            integer_in(plain, "size"),
+            integer_in(plain, "changed", -CLOCK, CLOCK),
+            integer_in(plain, "inode"),
         )
         return cls(path, state, text_in(plain, "sha256", MAX_DIGEST))
 
 
 @dataclass(frozen=True, slots=True)
 class ItemRecord:
-    """An item that was made."""
+    """The record of a built item."""
 
     key: str  # its output, named as files are
     how: str  # digest of everything but files that decided how
-    versions: str  # digest of the versions of what made it
+    versions: str  # digest of the versions of its builders
     inputs: tuple[FileRecord, ...]  # the files that were looked at
     outputs: tuple[FileRecord, ...]  # the files that were written
     # When, by the clock of the disk that it was written to [ns]. Files that are as
@@ -90,7 +90,7 @@ class ItemRecord:
     scores: tuple[PassScores, ...] = ()  # how well passes did
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
-        """Return it as JSON has it."""
+        """Return it as JSON values."""
         return {
             "item": self.key,
             "how": self.how,
@@ -105,7 +105,7 @@ class ItemRecord:
     def from_dict(
         cls, plain: Mapping[str, Any], files: Mapping[int, FileRecord]
     ) -> ItemRecord:
-        """Return what `as_dict` wrote."""
+        """Return the record of `as_dict`."""
         outputs = list_in(plain, "outputs")
         if not outputs:
             raise RecordError("'outputs' is empty")
@@ -116,7 +116,7 @@ class ItemRecord:
             sys.intern(text_in(plain, "versions", MAX_DIGEST)),
             tuple(_numbered(list_in(plain, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
-            whole_in(plain, "at", -CLOCK, CLOCK),
+            integer_in(plain, "at", -CLOCK, CLOCK),
             scores_in(plain, "scores"),
         )
 
@@ -124,7 +124,7 @@ class ItemRecord:
 def _numbered(
     numbers: Sequence[object], files: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
-    """Yield the files of numbers."""
+    """Yield files by number."""
     if not numbers:
         raise RecordError("'inputs' is empty")
     for number in numbers:
@@ -136,7 +136,7 @@ def _numbered(
 
 
 def digest_of(value: object) -> str:
-    """Return a digest of plain values, the same for the same values.
+    """Return a digest of plain values; equal for equal values.
 
     >>> digest_of({"a": 1, "b": None}) == digest_of({"b": None, "a": 1})
     True
@@ -146,7 +146,7 @@ def digest_of(value: object) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's content; empty of a folder, a device or a pipe."""
+    """Return the SHA-256 of a file; empty for a folder, device or pipe."""
     if path.exists() and not path.is_file():
         return ""
     with open_input(path, None, recorded=False) as file:
@@ -156,7 +156,7 @@ def file_digest(path: Path) -> str:
 
 
 def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
-    """Return the record of a file whose state is known, its content read."""
+    """Return the record of a file with a known state, after reading it."""
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 
@@ -168,7 +168,7 @@ CLAIMED = 100
 
 @dataclass(slots=True)
 class Manifest:
-    """What has been made."""
+    """Records of built items."""
 
     items: dict[str, ItemRecord] = field(default_factory=dict)  # by key
     # Names of files that were made, or begun, by a run of the batch.
@@ -176,19 +176,19 @@ class Manifest:
     # The distinct files that items refer to, with their numbers.
     files: dict[FileRecord, int] = field(default_factory=dict)
     next: int = 0  # the number of the next of them
-    length: int = 0  # of what could be read [bytes]
+    length: int = 0  # length of the readable part [bytes]
     # Warnings of lines that cannot be used.
     damaged: list[Fault] = field(default_factory=list)
 
     def add(self, record: ItemRecord) -> None:
-        """Note an item that was made; of two of one key the younger counts."""
+        """Add a built item; the newer of two with one key counts."""
         before = self.items.get(record.key)
         if before is None or before.at <= record.at:
             self.items[record.key] = record
         self.known.update(output.path for output in record.outputs)
 
     def join(self, other: Manifest) -> None:
-        """Note what another manifest says."""
+        """Add the records of another manifest."""
         for record in other.items.values():
             self.add(record)
         self.known |= other.known
@@ -196,9 +196,9 @@ class Manifest:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Return what a manifest says; an empty one where there is none.
+    """Return a manifest; an empty one without a file.
 
-    A line that cannot be used is left out, and `Manifest.damaged` says so.
+    Unusable lines are skipped and listed in `Manifest.damaged`.
     """
     manifest, reader = Manifest(), LineReader(path, HEAD)
     lines = _Lines(manifest)
@@ -214,18 +214,20 @@ def read_manifest(path: Path) -> Manifest:
 
 
 class _Lines:
-    """Takes the lines of a manifest, one after another."""
+    """Parses the lines of a manifest."""
 
     def __init__(self, manifest: Manifest) -> None:
         self.manifest = manifest
         self.files: dict[int, FileRecord] = {}
 
     def take(self, line: Mapping[str, Any]) -> None:
-        """Note what a line says."""
+        """Add the record of a line."""
         if "known" in line:
             self.manifest.known.update(texts_in(line, "known"))
         elif "file" in line:
-            self._file(whole_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line))
+            self._file(
+                integer_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line)
+            )
         elif "item" in line:
             self.manifest.add(ItemRecord.from_dict(line, self.files))
         else:
@@ -242,7 +244,7 @@ class _Lines:
 
 
 class ManifestWriter(LineWriter):
-    """A manifest that items are added to."""
+    """A manifest that items are appended to."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         """Open a manifest."""
@@ -250,18 +252,18 @@ class ManifestWriter(LineWriter):
         super().__init__(path, HEAD, manifest.length)
 
     def claim(self, names: Iterable[str]) -> None:
-        """Say which files are about to be written."""
+        """Record the files that are about to be written."""
         known = list(names)
         some = (known[i : i + CLAIMED] for i in range(0, len(known), CLAIMED))
         self.write({"known": part} for part in some)
 
     def add(self, record: ItemRecord) -> None:
-        """Add an item."""
+        """Append an item."""
         new = list(self._numbered(record.inputs))
         self.write([*new, record.as_dict(self._files)])
 
     def _numbered(self, records: Iterable[FileRecord]) -> Iterator[dict[str, object]]:
-        """Give files numbers, and yield the lines of those that had none."""
+        """Number files, and yield lines for new ones."""
         for record in records:
             if record not in self._files:
                 number = self._files[record] = self._next
@@ -272,7 +274,7 @@ class ManifestWriter(LineWriter):
 def rewrite_manifest(
     path: Path, items: Iterable[ItemRecord], known: Iterable[str]
 ) -> None:
-    """Write a manifest anew, whole or not at all."""
+    """Rewrite a manifest atomically."""
     with (
         replacing(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
@@ -283,7 +285,7 @@ def rewrite_manifest(
 
 
 def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
-    """Return the scores that a record has; none without the key."""
+    """Return the scores of a record; none without the key."""
     if key not in record:
         return ()
     return tuple(_pass_scores(object_of(one)) for one in list_in(record, key))
@@ -310,9 +312,9 @@ def _score(plain: Mapping[str, Any]) -> Score:
     unit = text_in(plain, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")
-    value, usual, ideal = (
+    value, typical, ideal = (
         number_in(plain, key, -math.inf) for key in ("value", "usual", "ideal")
     )
-    if usual <= ideal:
+    if typical <= ideal:
         raise RecordError("'usual' is not above 'ideal'")
-    return Score(text_in(plain, "name"), value, ScoreUnit(unit), usual, ideal)
+    return Score(text_in(plain, "name"), value, ScoreUnit(unit), typical, ideal)

@@ -1,4 +1,4 @@
-"""Other values of variables for some inputs of a batch, chosen by patterns."""
+"""Variables that a batch overrides for some inputs, by patterns."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import MatchedFile, Places, files_meant
+from animtool.core.files.reading import MatchedFile, PathResolver, matching_files
 from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """Values of variables for some inputs.
+    """Variables of the inputs that match some patterns.
 
     Attributes:
         inputs: Files, folders and globs, seen from the folder of the batch.
@@ -25,14 +25,14 @@ class Override:
     variables: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, names: Collection[str]) -> Override:
-        """Return it without values of some names."""
+        """Return a copy without values of some names."""
         left = {k: v for k, v in self.variables.items() if k not in names}
         return replace(self, variables=left)
 
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """What the overrides of a batch are for the files that it found."""
+    """Overridden variables of the inputs of a batch."""
 
     values: Mapping[Path, Mapping[str, str]]  # by path of the file
     notices: tuple[Fault, ...]  # warnings of overrides that no input matches
@@ -45,7 +45,7 @@ def overridden(
     suffixes: Sequence[str],
     path: Path | None,
 ) -> Overridden:
-    """Return the values of the variables of inputs; of several the last one counts.
+    """Return the overridden variables of inputs; the last match counts.
 
     Args:
         overrides: In order.
@@ -54,19 +54,19 @@ def overridden(
         suffixes: How names of inputs end.
         path: The batch file.
     """
-    place = Places()
-    places = {place(file.path): file.path for file in files}
+    resolve = PathResolver()
+    by_location = {resolve(file.path): file.path for file in files}
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(overrides):
         meant = {
-            place(file.path)
+            resolve(file.path)
             for text in override.inputs
-            for file in files_meant(os.fspath(folder / text), suffixes)
+            for file in matching_files(os.fspath(folder / text), suffixes)
         }
-        matched = [places[where] for where in meant if where in places]
-        for own in matched:
-            values.setdefault(own, {}).update(override.variables)
+        matched = [by_location[where] for where in meant if where in by_location]
+        for input_path in matched:
+            values.setdefault(input_path, {}).update(override.variables)
         if not matched:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"

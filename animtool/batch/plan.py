@@ -1,4 +1,4 @@
-"""Which items are to be made, and why; outputs that cannot or must not be written."""
+"""The plan of a batch: items to build and why, and outputs that are refused."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.batch.discover import Batch
-from animtool.batch.item import Item
+from animtool.batch.item import Item, input_names
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
-from animtool.batch.spec import made_by, named_from, place_of
+from animtool.batch.spec import package_versions, path_of_name, relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
-from animtool.core.files.reading import FileState, Places
+from animtool.core.files.reading import FileState, PathResolver
 from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores
 
 
-class Reason(StrEnum):
-    """Why an item is made, or not."""
+class BuildReason(StrEnum):
+    """Why an item is built or skipped."""
 
     NEW = "new"
     INPUT = "input changed"
@@ -37,24 +37,24 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What becomes of an item."""
+    """What to do with an item."""
 
     item: Item  # the item
-    reason: Reason  # why
-    detail: str = ""  # the file that changed, or what happened last time
+    reason: BuildReason  # why
+    detail: str = ""  # the changed file, or the last failure
     # The item's record with what files are now, where they were touched and are still
     # the same.
     refreshed: ItemRecord | None = None
-    scores: tuple[PassScores, ...] = ()  # of what is up to date
+    scores: tuple[PassScores, ...] = ()  # record of an up-to-date item
 
     @property
     def due(self) -> bool:
-        """Whether it is to be made."""
-        return self.reason is not Reason.UP_TO_DATE
+        """Whether to build it."""
+        return self.reason is not BuildReason.UP_TO_DATE
 
 
 class Planner:
-    """Decides by what earlier runs left, and by what files are now.
+    """Decides by records of earlier runs and the current files.
 
     A file is read only where its size, time or inode is another one, or where it is as
     young as the record: then it may have changed since without a sign.
@@ -69,7 +69,7 @@ class Planner:
         verify: bool = False,
         force: bool = False,
     ) -> None:
-        """Take what decisions are made by: ``now`` [ns]."""
+        """Take the records, and the current time ``now`` [ns]."""
         self._batch, self._history, self._now = batch, history, now
         self._verify, self._force = verify, force
         self._states: dict[str, FileState | None] = {}
@@ -77,71 +77,71 @@ class Planner:
 
     def key(self, item: Item) -> str:
         """Return the key of an item's record."""
-        return named_from(item.output, self._batch.root)
+        return relative_name(item.output, self._batch.root)
 
     def how(self, item: Item) -> str:
-        """Return a digest of everything but files that decides how an item is made."""
+        """Return a digest of all settings that affect how an item is built."""
         return digest_of(self._batch.item_task.described(item, self._batch.root))
 
     @cached_property
     def versions(self) -> str:
-        """Digest of the versions of what makes items."""
-        return digest_of(made_by())
+        """Digest of the versions of the packages that build items."""
+        return digest_of(package_versions())
 
     def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
-        """Yield what becomes of each item, in order."""
+        """Yield the decision for each item, in order."""
         for item in items:
             yield self.decide(item)
 
     def decide(self, item: Item) -> Decision:
-        """Return what becomes of an item."""
+        """Return the decision for an item."""
         key = self.key(item)
         record = self._history.manifest.items.get(key)
         failed = self._history.failed.get(key)
         if self._force:
-            return Decision(item, Reason.FORCED)
+            return Decision(item, BuildReason.FORCED)
         if record is None:
             if failed is not None:
-                return Decision(item, Reason.FAILED, failed)
-            return Decision(item, Reason.NEW)
+                return Decision(item, BuildReason.FAILED, failed)
+            return Decision(item, BuildReason.NEW)
         decision = self._compared(item, record)
         if decision.due and failed is not None:
-            return Decision(item, Reason.FAILED, failed)
+            return Decision(item, BuildReason.FAILED, failed)
         return decision
 
     def _compared(self, item: Item, record: ItemRecord) -> Decision:
         if record.how != self.how(item):
-            return Decision(item, Reason.OPTIONS)
+            return Decision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
-            return Decision(item, Reason.VERSION)
+            return Decision(item, BuildReason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []
         for reason, files, now in (
-            (Reason.INPUT, record.inputs, inputs),
-            (Reason.OUTPUT, record.outputs, outputs),
+            (BuildReason.INPUT, record.inputs, inputs),
+            (BuildReason.OUTPUT, record.outputs, outputs),
         ):
             for file in files:
                 # What is as young may have changed after the record without a sign.
-                state = file.state if reason is Reason.INPUT else None
+                state = file.state if reason is BuildReason.INPUT else None
                 young = state is not None and state.changed >= record.at
                 same = self._same(file, young=young)
                 if same is None:
                     return Decision(item, reason, file.path)
                 now.append(same)
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
-            return Decision(item, Reason.UP_TO_DATE, scores=record.scores)
+            return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
             record, inputs=tuple(inputs), outputs=tuple(outputs), at=self._now
         )
         return Decision(
-            item, Reason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
+            item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
         )
 
     def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:
-        """Return the record of a file as it is now; None where it is another one."""
+        """Return the current record of a file; None if its content differs."""
         if file.path not in self._states:
             self._states[file.path] = FileState.of(
-                place_of(file.path, self._batch.root)
+                path_of_name(file.path, self._batch.root)
             )
         state = self._states[file.path]
         if state is None or file.state is None:
@@ -155,7 +155,7 @@ class Planner:
     def _digest(self, path: str) -> str:
         if path not in self._digests:
             try:
-                self._digests[path] = file_digest(place_of(path, self._batch.root))
+                self._digests[path] = file_digest(path_of_name(path, self._batch.root))
             except FormatError:
                 # Whoever makes the item says why it cannot be read.
                 self._digests[path] = "unreadable"
@@ -165,29 +165,29 @@ class Planner:
 MAX_FAULTS = 50
 
 
-def check_places(batch: Batch) -> None:
-    """Refuse outputs that are one file (OUT007), inputs, or in no folder to write.
+def check_output_files(batch: Batch) -> None:
+    """Refuse outputs that are equal (OUT007), inputs, or not writable.
 
     Files are one on some disks where names differ only in case or in how accents are
     encoded.
     """
-    place = Places()
-    inputs = {place(item.file.path) for item in batch.items}
-    inputs |= {place(path) for path in batch.named}
-    faults = list(_clashes(batch, place, inputs))
+    resolve = PathResolver()
+    inputs = {resolve(item.file.path) for item in batch.items}
+    inputs |= {resolve(path) for path in batch.named}
+    faults = list(_clashes(batch, resolve, inputs))
     _refuse(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
     _refuse(list(_closed(folders)), OutputError)
 
 
 def _clashes(
-    batch: Batch, place: Callable[[Path], Path], inputs: set[Path]
+    batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
     taken: dict[str, Item] = {}
     for item in batch.items:
-        own: set[str] = set()
+        item_names: set[str] = set()
         for path in batch.outputs(item):
-            where = place(path)
+            where = resolve(path)
             if where in inputs:
                 message = "is an input of this batch"
                 hint = f"choose another {argument('output')}"
@@ -196,39 +196,38 @@ def _clashes(
             other = taken.setdefault(name, item)
             if other is not item:
                 message = f"would be written for both {other.label} and {item.label}"
-                hint = _apart(item, other)
+                hint = _separating_hint(item, other)
                 yield Fault("OUT007", message, str(path), (), hint)
-            elif name in own:
+            elif name in item_names:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
-            own.add(name)
+            item_names.add(name)
 
 
-def _apart(item: Item, other: Item) -> str:
-    """Return what keeps the outputs of two items apart."""
+def _separating_hint(item: Item, other: Item) -> str:
+    """Return a hint at the name that separates the outputs of two items."""
     if item.shot is not None and item.shot != other.shot:
-        return f"use {{shot}} in {argument('output')} to keep the shots separate"
+        return "use {shot} in the output to keep the shots separate"
     if item.file != other.file:
-        return (
-            f"use {{parent}} in {argument('output')} to keep the input folders separate"
-        )
+        names, others = input_names(item.file), input_names(other.file)
+        for name in ("stem", "parent", "name"):
+            if names[name] != others[name]:
+                return f"use {{{name}}} in the output to keep the inputs separate"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
         return "these values appear twice: remove one"
     name = differing[0]
-    return f"use {{{name}}} in -o, or ${{{name}}} in the scene's output, " + (
-        "to keep the variants separate"
-    )
+    return f"use {{{name}}} in the output to keep the variants separate"
 
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
-    """Yield what is wrong with folders that are there, or with those around them."""
-    seen: set[Path] = set()
+    """Yield faults of folders that cannot be written to."""
+    checked: set[Path] = set()
     for folder in folders:
         there = next((f for f in (folder, *folder.parents) if f.exists()), Path())
-        if there in seen:
+        if there in checked:
             continue
-        seen.add(there)
+        checked.add(there)
         if not there.is_dir():
             yield Fault(
                 "OUT002", "cannot be written to: it is not a folder", str(there)
@@ -240,7 +239,7 @@ def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
 def check_overwrites(
     batch: Batch, items: Iterable[Item], known: Callable[[Path], bool]
 ) -> None:
-    """Refuse to replace files that no run of the batch made."""
+    """Refuse to overwrite files that no run of the batch wrote."""
     faults = [
         Fault(
             "OUT001",

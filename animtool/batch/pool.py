@@ -1,4 +1,4 @@
-"""Processes that make items: warm, watched, and each replaced when it is lost.
+"""A pool of processes that build items; lost ones are replaced.
 
 A process takes one item at a time, so that one that dies, hangs or takes too much
 memory costs that item and no other.
@@ -24,10 +24,10 @@ from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
     READY,
+    FileBeingRead,
     ItemBuilder,
-    Outcome,
-    Reading,
-    Status,
+    ItemOutcome,
+    ItemStatus,
     needed_modules,
     serve,
 )
@@ -72,7 +72,7 @@ _HINTS = {
 
 @dataclass(slots=True, eq=False)
 class _Worker:
-    """A process, the way to it, and what it is at."""
+    """A process, its pipe and its current item."""
 
     process: BaseProcess
     connection: Connection
@@ -86,12 +86,12 @@ class _Worker:
 
     def give(self, item: Item) -> None:
         self.item, self.began = item, time.perf_counter()
-        # Where it is gone already, its sentinel says so.
+        # If it has ended, its sentinel shows that.
         with contextlib.suppress(OSError):
             self.connection.send(item)
 
     def received(self) -> object:
-        """Return what it sent; None where it is gone, or sent what makes no sense.
+        """Return its message; None if it ended or sent an invalid one.
 
         What it reads is kept: where that ends it, nothing else is sent.
         """
@@ -99,7 +99,7 @@ class _Worker:
         try:
             while self.connection.poll():
                 sent = self.connection.recv()
-                if not isinstance(sent, Reading):
+                if not isinstance(sent, FileBeingRead):
                     return sent
                 self.path = sent.path
         except Exception:
@@ -124,10 +124,12 @@ class _Worker:
 class _Pool:
     """The processes of a run."""
 
-    builder: ItemBuilder  # what makes items
-    items: Iterator[Item]  # what is to be made
-    limits: Limits  # what each may take
-    ahead: bool  # whether the next item is begun before it is told how the last ended
+    builder: ItemBuilder  # builds the items
+    items: Iterator[Item]  # items to build
+    limits: Limits  # limits of each item
+    queue_next: (
+        bool  # whether to send the next item before the last outcome is received
+    )
     left: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # those that live
     failed_starts: int = 0  # how many in a row ended before they could take an item
@@ -146,15 +148,15 @@ class _Pool:
         self.workers.append(_Worker(process, here))
 
     def feed(self, worker: _Worker) -> None:
-        """Give a process an item, if it waits for one and there is one."""
+        """Give an idle process the next item."""
         if self.left and worker.waits_for_item():
             item = next(self.items, None)
             self.left = item is not None
             if item is not None:
                 worker.give(item)
 
-    def outcomes(self) -> Iterator[Outcome]:
-        """Wait until something happens; yield what became of items."""
+    def outcomes(self) -> Iterator[ItemOutcome]:
+        """Wait for events; yield outcomes of items."""
         watched = {
             key: worker
             for worker in self.workers
@@ -162,22 +164,22 @@ class _Pool:
         }
         ready = wait(list(watched), self._time_left())
         for worker in dict.fromkeys(watched[cast(Any, key)] for key in ready):
-            yield from self._heard(worker)
+            yield from self._handle_message(worker)
         for worker in list(self.workers):
             waited = time.perf_counter() - worker.began
             if not worker.ready and waited > LONGEST_START:
                 self._failed_to_start(worker)
-            fault = self._beyond(worker)
+            fault = self._exceeded_limit(worker)
             if fault is not None:
                 yield self._lost(worker, fault)
 
-    def _heard(self, worker: _Worker) -> Iterator[Outcome]:
+    def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
         sent = worker.received()
         if sent == READY:
             worker.ready, self.failed_starts = True, 0
-        elif isinstance(sent, Reading):
+        elif isinstance(sent, FileBeingRead):
             pass
-        elif isinstance(sent, Outcome) and sent.number == _number(worker):
+        elif isinstance(sent, ItemOutcome) and sent.number == _number(worker):
             yield from self._ended(worker, sent)
         elif not worker.ready:
             self._failed_to_start(worker)
@@ -187,7 +189,7 @@ class _Pool:
         else:
             worker.process.join(TIMEOUT)
             code = worker.process.exitcode or 0
-            # Who is killed from outside was not ended by the file that it read.
+            # A process killed from outside was not crashed by the file it read.
             if worker.path and -code in CRASHES and code != -9:
                 yield self._lost(worker, crash_fault(worker.path, -code))
                 return
@@ -198,7 +200,7 @@ class _Pool:
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
-        """End a process that takes no item."""
+        """End a process that does not accept an item."""
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
@@ -208,19 +210,19 @@ class _Pool:
         if self.failed_starts == MAX_FAILED_STARTS:
             raise _unstartable(f"the last {why}")
 
-    def _ended(self, worker: _Worker, outcome: Outcome) -> Iterator[Outcome]:
+    def _ended(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
-        retired = outcome.retired or self._swollen(worker)
+        retired = outcome.retired or self._leaks_memory(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
-        if self.ahead and outcome.status is Status.DONE and not retired:
+        if self.queue_next and outcome.status is ItemStatus.DONE and not retired:
             self.feed(worker)
         yield outcome
         if retired:
             self.workers.remove(worker)
             worker.end(kill=False)
 
-    def _beyond(self, worker: _Worker) -> Fault | None:
-        """Return by what an item exceeds its limits."""
+    def _exceeded_limit(self, worker: _Worker) -> Fault | None:
+        """Return by how much an item exceeds its limits."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
@@ -238,30 +240,30 @@ class _Pool:
             )
         return None
 
-    def _lost(self, worker: _Worker, fault: Fault) -> Outcome:
-        """End a process, and return that its item failed."""
+    def _lost(self, worker: _Worker, fault: Fault) -> ItemOutcome:
+        """End a process, and return the failure of its item."""
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
         path = fault.path or str(item.file.path)
         named = Fault(fault.code, fault.message, path, hint=fault.hint)
-        return Outcome.failed(item, named, seconds=seconds)
+        return ItemOutcome.failed(item, named, seconds=seconds)
 
     def drop(self, worker: _Worker) -> None:
-        """End a process at once, and remove what it began to write."""
+        """Kill a process, and remove its temporary files."""
         self.workers.remove(worker)
         worker.end(kill=True)
         if worker.item is not None:
             folders = [folder.resolve() for folder in worker.item.folders]
             remove_leftovers(folders, worker.process.pid)
 
-    def _swollen(self, worker: _Worker) -> bool:
-        """Return whether what items left behind takes half of what one may have."""
+    def _leaks_memory(self, worker: _Worker) -> bool:
+        """Return whether leftovers of items use half of the memory limit."""
         limit = self.limits.memory
         return limit is not None and _used_bytes(worker.process) > limit / 2
 
     def _time_left(self) -> float | None:
-        """Return how long nothing but a message or an end need be looked for [s]."""
+        """Return the time until the next limit must be checked [s]."""
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
             return POLL_INTERVAL
@@ -284,7 +286,7 @@ class _Pool:
 
 
 def preload(item_task: ItemTask) -> None:
-    """Begin to import what processes need, beside what this one does meanwhile."""
+    """Start to import what processes need, in the background."""
     context = _context(item_task)
     if isinstance(context, SpawnContext):
         return
@@ -300,13 +302,13 @@ def run_processes(
     limits: Limits,
     jobs: int,
     *,
-    ahead: bool = True,
-) -> Iterator[Outcome]:
-    """Yield what becomes of items, as each ends, made by several processes.
+    queue_next: bool = True,
+) -> Iterator[ItemOutcome]:
+    """Yield outcomes of items built by several processes, as each ends.
 
     An item is taken only when a process can make it. Closing the iterator ends them.
     """
-    pool, well = _Pool(builder, items, limits, ahead), False
+    pool, well = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
             while pool.left and len(pool.workers) < jobs:
@@ -322,7 +324,7 @@ def run_processes(
 
 
 def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
-    """Return how processes are started: forked from a warm one where that is sound.
+    """Return the start method: forked from a preloaded process if safe.
 
     Where it is warm already, by another batch of this very process, they import the
     rest themselves.
@@ -336,7 +338,7 @@ def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 @contextlib.contextmanager
 def _environment() -> Iterator[None]:
-    """Let processes that are started now see `ENVIRONMENT`."""
+    """Set `ENVIRONMENT` for processes that start now."""
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
@@ -378,7 +380,7 @@ def _how_it_ended(process: BaseProcess) -> str:
 
 
 def _used_bytes(process: BaseProcess) -> int:
-    """Return how much memory a process has [bytes]; 0 where nothing says it."""
+    """Return the memory of a process [bytes]; 0 where unknown."""
     try:
         pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")

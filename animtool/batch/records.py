@@ -1,4 +1,4 @@
-"""Plain values and files of JSON lines that another program may have written.
+"""Plain values and files of JSON lines, validated as untrusted input.
 
 Each line but the first ends with a checksum of the rest of it, so that one which was
 damaged is known as such. Lines of older versions have none, and come first.
@@ -35,7 +35,7 @@ MAX_INTEGER = 2**64
 
 
 class RecordError(ValueError):
-    """Plain values are not what they should be; the message says how."""
+    """A plain value has the wrong type or range; the message says which."""
 
 
 def _refused(name: str) -> NoReturn:
@@ -102,7 +102,7 @@ def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
     return [_text(value, key) for value in list_in(record, key)]
 
 
-def whole_in(
+def integer_in(
     record: Mapping[str, Any], key: str, low: int = 0, high: int = MAX_INTEGER
 ) -> int:
     """Return the whole number of a key."""
@@ -144,7 +144,7 @@ _SUM_LENGTH = len(_SUM) + len('01234567"}\n')
 
 
 class LineReader:
-    """Reads such a file.
+    """Reads a file of JSON lines.
 
     Attributes:
         length: Of the whole lines that were read so far [bytes].
@@ -153,14 +153,14 @@ class LineReader:
     """
 
     def __init__(self, path: Path, head: Line) -> None:
-        """Take a file that need not be there."""
+        """Take a file that may be missing."""
         self.path, self.head = path, head
         self.length = self.number = 0
         self.damaged: dict[int, str] = {}
         self._summed = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
-        """Yield every line but the first; a last one that a crash tore is left out.
+        """Yield every line but the first; an incomplete last one is skipped.
 
         Lines that are no JSON, or not what was written, are `damaged`; whoever takes
         a line adds what is wrong with its content.
@@ -197,7 +197,7 @@ class LineReader:
                 yield record
 
     def _head(self, file: IO[bytes]) -> None:
-        """Read the first line; of a file that has none, nothing is read."""
+        """Read the first line; without one, nothing is read."""
         expected = _line_text(self.head).encode()
         line = file.readline(MAX_LINE)
         # What a writer was killed in the middle of; other files are not written over.
@@ -212,7 +212,7 @@ class LineReader:
         self.length, self.number = len(line), 1
 
     def _parsed(self, line: bytes, length: int) -> dict[str, Any]:
-        """Return what a line of a length says, without its checksum."""
+        """Return a parsed line of a length, without its checksum."""
         if length > MAX_LINE:
             raise RecordError(f"is longer than {MAX_LINE} bytes")
         body, end = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
@@ -225,7 +225,7 @@ class LineReader:
         return record
 
     def notice(self) -> Fault | None:
-        """Return a warning of lines that are damaged; None where none is."""
+        """Return a warning of damaged lines; None without any."""
         if not self.damaged:
             return None
         number, why = next(iter(self.damaged.items()))
@@ -262,7 +262,7 @@ def _summed(line: Line) -> bytes:
 
 
 class LineWriter:
-    """Adds lines to such a file, those of a call at once or not at all.
+    """Appends lines to a file, those of one call atomically.
 
     Attributes:
         path: The file.
@@ -270,7 +270,7 @@ class LineWriter:
     """
 
     def __init__(self, path: Path, head: Line, length: int = 0) -> None:
-        """Open a file, making it and its folder where need be: ``length`` [bytes]."""
+        """Open a file of ``length`` [bytes], creating it if missing."""
         self.path, self.length = path, length
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What became of a batch and its items, for people and programs."""
+"""Reports of a batch and its items."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import ClassVar
 
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
-from animtool.batch.plan import Reason
-from animtool.batch.work import Measured, Outcome, Status
+from animtool.batch.plan import BuildReason
+from animtool.batch.work import ItemOutcome, ItemStatus, Measured
 from animtool.core.arguments import Calling
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
@@ -24,12 +24,12 @@ NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class ItemReport:
-    """What became of an item."""
+    """Report of an item."""
 
     item: Item  # the item
-    status: Status  # what became of it
-    reason: Reason  # why it was made, or not
-    detail: str = ""  # the file that changed, or what happened last time
+    status: ItemStatus  # its status
+    reason: BuildReason  # why it was made, or not
+    detail: str = ""  # the changed file, or the last failure
     seconds: float = 0.0  # wall time of making it; 0 where it was not made
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
@@ -46,9 +46,9 @@ class ItemReport:
 
     @classmethod
     def of(
-        cls, item: Item, reason: Reason, detail: str, outcome: Outcome
+        cls, item: Item, reason: BuildReason, detail: str, outcome: ItemOutcome
     ) -> ItemReport:
-        """Return the report of an item that was made, or failed."""
+        """Return the report of an item that was built or failed."""
         return cls(
             item,
             outcome.status,
@@ -62,27 +62,27 @@ class ItemReport:
         )
 
     def worded(self, calling: Calling) -> ItemReport:
-        """Return it with arguments called as an interface calls them."""
+        """Return a copy whose texts name arguments as an interface does."""
         faults, notices = (
-            tuple(fault.worded(calling) for fault in own)
-            for own in (self.faults, self.notices)
+            tuple(fault.worded(calling) for fault in texts)
+            for texts in (self.faults, self.notices)
         )
         return replace(self, faults=faults, notices=notices)
 
     @property
     def skipped(self) -> bool:
-        """Whether it was, or would be, left as it is."""
-        return self.status is Status.SKIPPED
+        """Whether it was, or would be, skipped."""
+        return self.status is ItemStatus.SKIPPED
 
     @property
     def spent(self) -> float | None:
-        """Wall time of making it [s]; None where it was not made."""
-        made = self.status in {Status.DONE, Status.FAILED}
-        return self.seconds if made else None
+        """Wall time to build it [s]; None if it was not built."""
+        was_built = self.status in {ItemStatus.DONE, ItemStatus.FAILED}
+        return self.seconds if was_built else None
 
     @property
     def why(self) -> str:
-        """Why it failed, in a line."""
+        """Reason of its failure in one line."""
         if not self.faults:
             return ""
         more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
@@ -91,7 +91,7 @@ class ItemReport:
 
 @dataclass(frozen=True, slots=True)
 class BatchReport:
-    """What became of a batch."""
+    """Report of a batch."""
 
     batch: Batch  # the batch
     items: tuple[ItemReport, ...]  # those that were looked at, in order
@@ -106,43 +106,43 @@ class BatchReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Of how many items each became."""
-        return {str(s).replace(" ", "_"): self.count(s) for s in Status}
+        """Number of items by status."""
+        return {str(s).replace(" ", "_"): self.count(s) for s in ItemStatus}
 
-    def count(self, status: Status) -> int:
-        """Return of how many items something became."""
+    def count(self, status: ItemStatus) -> int:
+        """Return the number of items with a status."""
         return sum(report.status is status for report in self.items)
 
     @property
-    def reasons(self) -> Counter[Reason]:
-        """Return how many items there are of each reason."""
+    def reasons(self) -> Counter[BuildReason]:
+        """Return the number of items for each reason."""
         return Counter(report.reason for report in self.items)
 
     @property
     def failed(self) -> list[ItemReport]:
         """The items that failed, in order."""
-        return [report for report in self.items if report.status is Status.FAILED]
+        return [report for report in self.items if report.status is ItemStatus.FAILED]
 
     @property
     def slowest(self) -> list[ItemReport]:
-        """The items that took longest, longest first."""
-        done = [report for report in self.items if report.status is Status.DONE]
+        """The slowest items, slowest first."""
+        done = [report for report in self.items if report.status is ItemStatus.DONE]
         return sorted(done, key=lambda report: -report.seconds)[:NAMED]
 
     @property
     def worst(self) -> list[ItemReport]:
-        """The items whose files are farthest from their sources, farthest first."""
+        """The items with the largest errors, largest first."""
         measured = [report for report in self.items if _error(report) > 0]
         return sorted(measured, key=lambda report: -_error(report))[:NAMED]
 
     @property
     def scored(self) -> list[ItemReport]:
-        """The items whose passes have scores, the worst first."""
+        """The items whose passes have scores, worst first."""
         scored = [report for report in self.items if report.scores]
         return sorted(scored, key=lambda report: badness(report.scores), reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
-        """Return what is said of items, each once, with the items that it is of."""
+        """Return distinct notices, each with its items."""
         reports: dict[Fault, list[ItemReport]] = {}
         for report in self.items:
             for notice in report.notices:
@@ -151,7 +151,7 @@ class BatchReport:
 
     @property
     def warned(self) -> list[ItemReport]:
-        """Return the items about which there are warnings."""
+        """Return the items with warnings."""
         return [
             report
             for report in self.items
@@ -160,7 +160,7 @@ class BatchReport:
 
     @property
     def exit_code(self) -> ExitCode:
-        """What a process that ran the batch returns."""
+        """Exit code of a process that ran the batch."""
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
 
 
@@ -175,9 +175,9 @@ def junit_report(reports: Sequence[ItemReport]) -> str:
 
 def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
-    odd = [n for n in report.notices if n.severity is not Severity.NOTE]
-    listed_faults = "\n".join(map(str, odd))
-    if report.status is Status.FAILED:
+    warnings = [n for n in report.notices if n.severity is not Severity.NOTE]
+    listed_faults = "\n".join(map(str, warnings))
+    if report.status is ItemStatus.FAILED:
         first = report.faults[0]
         text = "\n".join(map(str, report.faults))
         return JunitCase(
@@ -189,6 +189,6 @@ def _case(report: ItemReport) -> JunitCase:
             listed_faults,
             report.seconds,
         )
-    if report.status is Status.DONE:
+    if report.status is ItemStatus.DONE:
         return JunitCase(name, output=listed_faults, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

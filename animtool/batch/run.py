@@ -1,4 +1,4 @@
-"""A run of a batch: planned, made and recorded."""
+"""A run of a batch: plan, build and record."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.item import Item
-from animtool.batch.ledger import History, Ledger, held_ledger, read_history
+from animtool.batch.ledger import History, Ledger, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord
 from animtool.batch.plan import (
     Decision,
     Planner,
+    check_output_files,
     check_overwrites,
-    check_places,
 )
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.spec import BatchSpec, named_from, place_of
-from animtool.batch.work import ItemBuilder, Outcome, Status
+from animtool.batch.spec import BatchSpec, path_of_name, relative_name
+from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.record import dataclass
@@ -30,11 +30,11 @@ EXECUTOR = "processes"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a batch is run.
+    """Options of a batch run.
 
     Attributes:
         jobs: How many items are made at a time; None is as the batch says.
-        executor: What makes them, and behind ``=`` what that is told.
+        executor: Name of the executor, with its argument after ``=``.
         numbers: First and last item to look at; None is all.
         dry_run: Make nothing; say what would be.
         force: Make every item, also what is up to date.
@@ -56,7 +56,7 @@ class RunOptions:
 
 
 class Listener:
-    """Whom a run tells what happens; this one does nothing about it.
+    """Receives the events of a run; this one ignores them.
 
     Attributes:
         shown: Warnings that were shown at once.
@@ -65,16 +65,16 @@ class Listener:
     shown: tuple[Fault, ...] = ()
 
     def planned(self, due: int, total: int) -> None:
-        """Take how many of how many items are to be made."""
+        """Receive the number of items to build, and of all items."""
 
     def began(self, item: Item) -> None:
-        """Take that an item is begun."""
+        """Receive the start of an item."""
 
     def ended(self, report: ItemReport) -> None:
-        """Take what became of an item."""
+        """Receive the outcome of an item."""
 
     def warned(self, notice: Fault) -> None:
-        """Take a warning about what builds the items."""
+        """Receive a warning about an executor."""
 
 
 def run_batch(
@@ -82,7 +82,7 @@ def run_batch(
     options: RunOptions | None = None,
     listener: Listener | None = None,
 ) -> BatchReport:
-    """Make what is not made yet of a batch, or no longer up to date.
+    """Build the items of a batch that are missing or out of date.
 
     Args:
         spec: What is asked for.
@@ -101,7 +101,7 @@ def run_batch(
     options, listener = options or RunOptions(), listener or Listener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)
     items = _chosen(batch, options)
-    check_places(batch)
+    check_output_files(batch)
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
@@ -110,8 +110,8 @@ def run_batch(
         seconds = time.perf_counter() - began
         return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
     part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
-    with held_ledger(batch.records, batch.name, part) as ledger:
-        run = _Run(batch, options, listener, ledger)
+    with locked_ledger(batch.records, batch.name, part) as ledger:
+        run = _BatchRun(batch, options, listener, ledger)
         run.plan(items)
         run.make()
         ledger.settle(run.keeps)
@@ -133,14 +133,14 @@ def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
 def _retried(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
 ) -> Sequence[Item]:
-    """Return the items that are looked at: all, or those that failed last time."""
+    """Return the items to look at: all, or those that failed last time."""
     if not options.retry_failed:
         return items
     return [item for item in items if planner.key(item) in history.failed]
 
 
 def _planned(decision: Decision) -> ItemReport:
-    status = Status.NOT_RUN if decision.due else Status.SKIPPED
+    status = ItemStatus.NOT_RUN if decision.due else ItemStatus.SKIPPED
     return ItemReport(
         decision.item,
         status,
@@ -150,8 +150,8 @@ def _planned(decision: Decision) -> ItemReport:
     )
 
 
-class _Run:
-    """One run, while its records are held."""
+class _BatchRun:
+    """A run, while its records are locked."""
 
     def __init__(
         self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
@@ -169,10 +169,10 @@ class _Run:
         self.ended: dict[int, ItemReport] = {}
         self.begun: set[int] = set()
         self.failures = 0
-        self.notices: list[Fault] = []  # warnings about what builds the items
+        self.notices: list[Fault] = []  # warnings about workers
 
     def plan(self, items: Sequence[Item]) -> None:
-        """Decide what is to be made, and check that it may be."""
+        """Decide which items to build, and check their outputs."""
         due: list[Item] = []
         chosen = _retried(items, self.options, self.planner, self.ledger.history)
         for decision in self.planner.decisions(chosen):
@@ -180,7 +180,7 @@ class _Run:
             self.decisions[item.number] = decision
             if decision.due:
                 if not due:
-                    self._executor()[0].get_ready(self.batch.item_task)
+                    self._executor()[0].prepare(self.batch.item_task)
                 due.append(item)
             if decision.refreshed is not None:
                 self.ledger.add(decision.refreshed)
@@ -190,23 +190,25 @@ class _Run:
         self.listener.planned(len(due), len(self.decisions))
 
     def _is_known(self, path: Path) -> bool:
-        """Return whether a run of the batch made a file, or began to."""
-        return named_from(path, self.batch.root) in self.ledger.history.manifest.known
+        """Return whether a run of the batch wrote a file, or began to."""
+        return (
+            relative_name(path, self.batch.root) in self.ledger.history.manifest.known
+        )
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return what makes items, and what that is told."""
+        """Return the executor of items, and its work."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
     def _tidy(self) -> None:
-        """Remove what killed runs began to write, also for items that are whole."""
+        """Remove temporary files of killed runs, also for intact items."""
         items = [decision.item for decision in self.decisions.values()]
         folders = dict.fromkeys(folder for item in items for folder in item.folders)
         folders[self.batch.records] = None
         remove_leftovers(folder.resolve() for folder in folders)
 
     def make(self) -> None:
-        """Make what is due."""
+        """Build the items that are due."""
         due = [d.item for d in self.decisions.values() if d.due]
         if not due:
             return
@@ -232,7 +234,7 @@ class _Run:
         try:
             for outcome in outcomes:
                 # Executors of plug-ins may yield anything.
-                if isinstance(outcome, Outcome):
+                if isinstance(outcome, ItemOutcome):
                     self._ended(outcome)
                 elif isinstance(outcome, Fault):
                     self.notices.append(outcome)
@@ -243,12 +245,12 @@ class _Run:
             item = self.decisions[number].item
             message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
-            self._ended(Outcome.failed(item, fault))
+            self._ended(ItemOutcome.failed(item, fault))
         # A process of a run that was killed may have lived a moment longer.
         self._tidy()
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
-        """Yield items, each when it is begun, unless too many have failed."""
+        """Yield items as each is started, until too many have failed."""
         most = self.options.max_failures
         for item in due:
             if most is not None and self.failures >= most:
@@ -260,21 +262,21 @@ class _Run:
                 try:
                     check_overwrites(self.batch, [item], self._is_known)
                 except OptionError as error:
-                    self._ended(Outcome.failed(item, *error.faults))
+                    self._ended(ItemOutcome.failed(item, *error.faults))
                     continue
-            self.ledger.claim([named_from(path, self.batch.root) for path in paths])
+            self.ledger.claim([relative_name(path, self.batch.root) for path in paths])
             self.listener.began(item)
             yield item
 
-    def _ended(self, outcome: Outcome) -> None:
+    def _ended(self, outcome: ItemOutcome) -> None:
         if outcome.number not in self.begun or outcome.number in self.ended:
-            # An executor of a plug-in said it twice, or of what it was not given.
+            # An executor of a plug-in reported it twice, or an unknown item.
             return
         decision = self.decisions[outcome.number]
         item = decision.item
         report = ItemReport.of(item, decision.reason, decision.detail, outcome)
         key = self.planner.key(item)
-        if outcome.status is Status.DONE:
+        if outcome.status is ItemStatus.DONE:
             self.ledger.add(
                 ItemRecord(
                     key,
@@ -293,13 +295,13 @@ class _Run:
         self.listener.ended(report)
 
     def keeps(self, record: ItemRecord) -> bool:
-        """Return whether a record is of interest: its output is there, or to be."""
+        """Return whether a record is kept: its output exists, or is planned."""
         return any(
-            place_of(file.path, self.batch.root).exists() for file in record.outputs
+            path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:
-        """Yield what became of every item that was looked at, in order."""
+        """Yield the report of every item that was looked at, in order."""
         for number, decision in self.decisions.items():
             yield self.ended.get(number) or _planned(decision)
 

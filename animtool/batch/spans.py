@@ -1,4 +1,4 @@
-"""What each clip of a timeline shows: nesting, trims, speeds and what is disabled."""
+"""Media of each clip of a timeline: nesting, trims, speeds, disabled items."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Window: TypeAlias = tuple[Fraction, Fraction] | None
 
 
 class UnsupportedTimeError(ValueError):
-    """How an item plays is not what a shot can have."""
+    """An item's time effect cannot be represented in a shot."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """A clip on a track, and which part of it the timeline shows.
+class ShownClip:
+    """A clip on a track, and its visible part.
 
     Attributes:
         clip: The clip.
@@ -52,7 +52,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The media that a clip shows.
+    """The media range that a clip shows.
 
     Attributes:
         begin: Earliest time of the media shown, as time codes of the clip count [s].
@@ -71,8 +71,8 @@ class Span:
     tail: bool = True
 
 
-def span_of(shown: Shown) -> Span:
-    """Return the media that a clip shows.
+def span_of(shown: ShownClip) -> Span:
+    """Return the media range that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
 
@@ -80,15 +80,15 @@ def span_of(shown: Shown) -> Span:
         ValueError: Its range is none, or it plays as no shot can
             (`UnsupportedTimeError`).
     """
-    whole = shown.clip.trimmed_range()
-    start, length = seconds_of(whole.start_time), seconds_of(whole.duration)
-    rate, own = exact_rate(whole.start_time.rate), speed_of(shown.clip)
+    trimmed = shown.clip.trimmed_range()
+    start, length = seconds_of(trimmed.start_time), seconds_of(trimmed.duration)
+    rate, speed = exact_rate(trimmed.start_time.rate), speed_of(shown.clip)
     begin, end = (Fraction(0), length) if shown.part is None else shown.part
-    before = length - end if own < 0 else begin
+    before = length - end if speed < 0 else begin
     return Span(
-        start + before * abs(own),
+        start + before * abs(speed),
         (end - begin) / shown.speed,
-        own * shown.speed,
+        speed * shown.speed,
         rate,
         begin <= 0,
         end >= length,
@@ -96,7 +96,7 @@ def span_of(shown: Shown) -> Span:
 
 
 def speed_of(item: Any) -> Fraction:
-    """Return how many times as fast as its content an item plays.
+    """Return the speed of an item relative to its content.
 
     Raises:
         ValueError: It is faster than anything, or its time runs unevenly.
@@ -119,7 +119,7 @@ def speed_of(item: Any) -> Fraction:
 
 
 def is_time_effect(effect: Any) -> bool:
-    """Return whether an effect changes times, by its kind or by its name."""
+    """Return whether an effect changes times, by its kind or name."""
     import opentimelineio as otio
 
     if isinstance(effect, otio.schema.TimeEffect):
@@ -132,8 +132,8 @@ def _effect_name(effect: Any) -> str:
     return f"effect {excerpt(str(name))}"
 
 
-def transition_sides(shown: Shown) -> tuple[Any, Any]:
-    """Return how far transitions reach beyond the cuts of a clip; None for none."""
+def transition_sides(shown: ShownClip) -> tuple[Any, Any]:
+    """Return how far transitions extend a clip; None without any."""
     import opentimelineio as otio
 
     kind = otio.schema.Transition
@@ -152,16 +152,16 @@ Noter: TypeAlias = Callable[[str, str, bool], None]
 
 @dataclass(slots=True)
 class Walk:
-    """The clips on the tracks of pictures, with what is shown of them."""
+    """Visits the clips on video tracks and their visible parts."""
 
     note: Noter  # takes a code, a message, and whether it is a warning
-    clips: list[Shown] = field(default_factory=list)  # in the order of the timeline
+    clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
     # Why clips are no shots, by their names.
     skipped: dict[str, str] = field(default_factory=dict)
 
     def timeline(self, tracks: Any) -> None:
-        """Take the clips of a timeline's tracks."""
+        """Visit the clips of a timeline's tracks."""
         if self._off(tracks, "the timeline's stack"):
             return
         try:
@@ -184,7 +184,7 @@ class Walk:
         return True
 
     def leave_out(self, item: Any, code: str, why: str, *, warn: bool = True) -> None:
-        """Say why an item gives no shot, nor what is in it."""
+        """Report why an item and its content give no shot."""
         for name in _clip_names(item):
             self.skipped.setdefault(name, why)
         self.note(code, f"{why}; it is skipped", warn)
@@ -198,7 +198,7 @@ class Walk:
         begin: Fraction,
         speed: Fraction,
     ) -> None:
-        """Take an item that begins at a time of what it is in, of which a part shows.
+        """Visit an item at a time of its parent, of which a part is visible.
 
         window: of what it is in; begin: of the item there [s]; speed: of what it is in.
         """
@@ -210,14 +210,14 @@ class Walk:
                 return
             part = max(begin, window[0]) - begin, min(end, window[1]) - begin
         if not hasattr(item, "find_children"):
-            self.clips.append(Shown(item, where, named, part, speed))
+            self.clips.append(ShownClip(item, where, named, part, speed))
             return
         try:
-            inner, own = _inside(item, part)
+            inner, inner_speed = _inside(item, part)
         except UnsupportedTimeError as error:
             self.leave_out(item, "BAT044", f"{named}: {error}")
             return
-        self._children(item, where, inner, speed * own)
+        self._children(item, where, inner, speed * inner_speed)
 
     def _children(
         self, parent: Any, where: str, window: Window, speed: Fraction
@@ -251,7 +251,7 @@ class Walk:
 
 
 def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
-    """Return which time of its content a track or stack shows, and its speed.
+    """Return the content time that a track or stack shows, and its speed.
 
     part: time since its begin that is shown; None is all.
     """
@@ -269,7 +269,7 @@ def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
 
 
 def duration_of(item: Any) -> Fraction:
-    """Return how long an item of a timeline is shown [s].
+    """Return the visible duration of an item [s].
 
     Transitions take no time of their own; at the ends of a track, what they show
     beyond it counts.

@@ -1,4 +1,4 @@
-"""What a batch is to do: inputs, outputs, limits, places and versions."""
+"""The spec of a batch: inputs, outputs, limits, paths and versions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
 
-# Beyond what anybody waits for, and within what systems can count.
+# Longer than any run, and within the range of system timers.
 MAX_SECONDS = 1e9
 MAX_BYTES = 10**18
 
@@ -28,7 +28,7 @@ _SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an item may take.
+    """Limits of an item.
 
     Attributes:
         seconds: Of wall time; None is as long as it takes.
@@ -64,7 +64,7 @@ def parse_seconds(text: str) -> float:
 
 
 def bytes_text(size: int) -> str:
-    """Return a size in words.
+    """Return a size as text.
 
     >>> bytes_text(1_500_000_000), bytes_text(20)
     ('1.5 GB', '20 B')
@@ -78,10 +78,10 @@ def bytes_text(size: int) -> str:
 UP = ".."
 
 
-def named_from(path: Path, root: Path) -> str:
-    """Return the name of a file, seen from a folder; absolute where they share none.
+def relative_name(path: Path, root: Path) -> str:
+    """Return a file's path relative to a folder; absolute without a common root.
 
-    >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
+    >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
     """
     where = path.absolute()
@@ -99,10 +99,10 @@ def named_from(path: Path, root: Path) -> str:
     return PurePosixPath(*steps, *where.parts[shared:]).as_posix()
 
 
-def place_of(name: str, root: Path) -> Path:
-    """Return the file that a name means; the inverse of `named_from`.
+def path_of_name(name: str, root: Path) -> Path:
+    """Return the file of a relative name; the inverse of `relative_name`.
 
-    >>> place_of("../takes/a.bvh", Path("/job/out")).as_posix()
+    >>> path_of_name("../takes/a.bvh", Path("/job/out")).as_posix()
     '/job/takes/a.bvh'
     """
     path = Path(name)
@@ -121,12 +121,12 @@ GROUPS = ("animtool.passes", "animtool.readers")
 
 
 @cache
-def made_by() -> dict[str, str]:
-    """Return the version of each package that decides what is made, plug-ins included.
+def package_versions() -> dict[str, str]:
+    """Return the version of each package that affects results, plug-ins too.
 
     A package whose files were changed without another version is taken for the same.
 
-    >>> sorted(made_by())[0]
+    >>> sorted(package_versions())[0]
     'animtool'
     """
     from importlib.metadata import PackageNotFoundError, version
@@ -148,7 +148,7 @@ def made_by() -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class BatchSpec:
-    """What a batch is asked to do.
+    """The spec of a batch.
 
     Attributes:
         inputs: Files, folders and globs, seen from ``folder``; a timeline among them
@@ -162,7 +162,7 @@ class BatchSpec:
         output: Pattern of the files to write; None is beside each input.
         limits: What each may take.
         jobs: How many processes; None is one for each processor.
-        path: The file that says it; None where there is none.
+        path: The batch file; None without one.
         cuts: A timeline whose clips are the items; None has one for each input.
         handles: Shot frames before and after the cuts of a timeline; None is as that
             says, else 0.

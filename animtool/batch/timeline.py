@@ -1,4 +1,4 @@
-"""Cut lists as editing systems write them, and what they say of media.
+"""Cut lists of editing systems, checked and read as timelines.
 
 The parser of OpenTimelineIO has no bound on size, and ends the process where text
 nests too deeply, or where it finds a mistake in the middle of an object.
@@ -35,7 +35,7 @@ _OTHERS = bytes(set(range(256)) - set(_BRACKETS))
 
 
 def check_text(path: Path) -> None:
-    """Refuse a timeline that is too large, nests too deeply, or is no file."""
+    """Refuse a timeline that is too large, too deeply nested, or not a file."""
     try:
         problem = _problem(path)
     except FormatError as error:
@@ -54,7 +54,7 @@ def _problem(path: Path) -> str | None:
     text = b"null"
     with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
         if kind in {".otio", ".otiod"}:
-            text = file.whole()
+            text = file.read_all()
         elif kind == ".otioz":
             try:
                 with ZipFile(file) as archive, archive.open(CONTENT) as content:
@@ -75,7 +75,7 @@ def _problem(path: Path) -> str | None:
 
 
 def nesting(text: bytes) -> int:
-    """Return how deep JSON nests.
+    """Return the nesting depth of JSON.
 
     >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
     3
@@ -108,12 +108,12 @@ def library() -> Any:
 
 
 def is_edl(path: Path) -> bool:
-    """Return whether a file is an edit decision list, by its name."""
+    """Return whether a file is an edit decision list, by its suffix."""
     return path.suffix.lower() == ".edl"
 
 
 def read_timeline(path: Path) -> Any:
-    """Return a timeline as OpenTimelineIO has it; an EDL is read by `read_edl`."""
+    """Return an OpenTimelineIO timeline; an EDL is read by `read_edl`."""
     otio = library()
     check_text(path)
     try:
@@ -135,7 +135,7 @@ def read_timeline(path: Path) -> Any:
 
 
 def media_path(url: str, folder: Path) -> Path:
-    """Return the file of a URL, or of a path seen from a folder.
+    """Return the file of a URL, or of a path relative to a folder.
 
     Of an address of another machine it is a path of that name, which is not there.
     """
@@ -162,7 +162,7 @@ def _named(path: str) -> str:
 
 
 def is_remote(clip: Any) -> bool:
-    """Return whether the media of a clip has an address that is no path."""
+    """Return whether the media of a clip has an address that is not a path."""
     url = clip.media_reference.target_url
     return "://" in url.removeprefix("file:///")
 
@@ -180,7 +180,7 @@ def seconds_of(time: Any) -> Fraction:
     if not abs(time.value) <= LONGEST * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
     exact = Fraction(time.value)
-    whole = Fraction(round(exact))
-    if abs(exact - whole) > NEAR:
-        whole = exact.limit_denominator(LARGEST_DENOMINATOR)
-    return whole / rate
+    frames = Fraction(round(exact))
+    if abs(exact - frames) > NEAR:
+        frames = exact.limit_denominator(LARGEST_DENOMINATOR)
+    return frames / rate

@@ -37,11 +37,11 @@ class Variants:
 
     # Of each variant, the value of every name, as written.
     rows: tuple[Mapping[str, str], ...]
-    path: Path | None = None  # the file that it was read from; None where there is none
+    path: Path | None = None  # the source file; None without one
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of its columns."""
+        """Names of its columns."""
         return tuple(self.rows[0])
 
 
@@ -69,24 +69,40 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     columns: dict[str, list[str]] = {}
     faults: list[Fault] = []
     names = [text.partition("=")[0].strip() for text in texts]
+    problems = dict(name_problems(names))
     hint = "write NAME=1,2,5 or NAME=1..20"
-    faults += [
-        Fault("BAT063", f"{argument('vary', texts[i])}: {message}", hint=hint)
-        for i, message in name_problems(names)
-    ]
-    for name, text in zip(names, texts, strict=True):
-        try:
-            columns[name] = values_of_text(text.partition("=")[2])
-        except ValueError as error:
-            faults.append(
-                Fault("BAT064", f"{argument('vary', text)}: {error}", hint=hint)
-            )
+    for i, (name, text) in enumerate(zip(names, texts, strict=True)):
+        marker = argument("vary", text)
+        if "=" not in text:
+            message, form = f"{marker}: the sign = is missing", _assigned(text)
+            faults.append(Fault("BAT064", message, hint=form))
+        elif i in problems:
+            faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
+        else:
+            try:
+                columns[name] = values_of_text(text.partition("=")[2])
+            except ValueError as error:
+                faults.append(Fault("BAT064", f"{marker}: {error}", hint=hint))
     if not faults:
         try:
             return columns_variants(columns)
         except ValueError as error:
             faults.append(Fault("BAT065", f"{argument('vary')}: {error}"))
     raise OptionError(faults)
+
+
+def _assigned(text: str) -> str:
+    """Return a hint at how to write a text without a sign =.
+
+    >>> _assigned("wind 1 2"), _assigned("wind")
+    ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
+    """
+    name, *values = re.split(r"[\s:,]+", text.strip())
+    if not is_variable_name(name):
+        name = "NAME"
+    if values:
+        return f"write {name}={','.join(values)}"
+    return f"write {name}=1,2,5 or {name}=1..20"
 
 
 def values_of_text(text: str) -> list[str]:
@@ -111,7 +127,7 @@ def values_of_text(text: str) -> list[str]:
 
 
 def range_values(first: str, last: str, step: str = "1") -> list[str]:
-    """Return the numbers from the first to the last, both included where steps allow.
+    """Return the numbers of a range, both ends included where steps allow.
 
     >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
@@ -142,7 +158,7 @@ def _text(value: Decimal) -> str:
 
 
 def value_problem(text: str) -> str | None:
-    """Return what is wrong with a value; None where nothing is.
+    """Return the fault of a value; None without one.
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
@@ -159,14 +175,15 @@ def value_problem(text: str) -> str | None:
 def name_problems(
     names: Sequence[str], taken: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
-    """Yield the columns whose names cannot be used, and why."""
-    seen: set[str] = set()
+    """Yield the columns with unusable names, and why."""
+    previous: set[str] = set()
     for i, name in enumerate(names):
-        twice = name in seen
-        seen.add(name)
+        twice = name in previous
+        previous.add(name)
         if not is_variable_name(name):
-            shown = excerpt(name) if name else "a column without a name"
-            yield i, f"{shown} is not a name of letters, digits and _"
+            allowed = "a name of letters, digits and _"
+            shown = f"{excerpt(name)} is not {allowed}" if name else "a name is missing"
+            yield i, shown
         elif name in taken:
             yield i, f"{name!r} is reserved here"
         elif twice:
@@ -174,7 +191,7 @@ def name_problems(
 
 
 def variant_pattern(table: Variants | None) -> str:
-    """Return the end of a pattern of files that keeps variants apart.
+    """Return the pattern suffix that separates variants.
 
     >>> variant_pattern(Variants(({"k": "1", "s": "2"},)))
     '_{k}_{s}'
@@ -183,7 +200,7 @@ def variant_pattern(table: Variants | None) -> str:
 
 
 def file_name(value: str) -> str:
-    """Return a value as a part of a file's name.
+    """Return a value as part of a file name.
 
     >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
     ('a_b_c', '_x', '-0.5')
@@ -205,12 +222,12 @@ def read_variants(path: Path) -> Variants:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
-    (_, names, places), *rows = lines
+    (_, names, columns), *rows = lines
     separate = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
         separate = "separate columns by commas, or by tabs in a .tsv file"
     faults = [
-        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=places[i])
+        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=columns[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:

@@ -1,4 +1,4 @@
-"""Making items, in this process or in one that makes them one after another."""
+"""Building items, in this process or in a worker process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.manifest import FileRecord, record_of
-from animtool.batch.spec import named_from
+from animtool.batch.spec import relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.placing import output_error
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
 
-class Status(StrEnum):
-    """What became of an item."""
+class ItemStatus(StrEnum):
+    """Status of an item."""
 
     DONE = "done"
     SKIPPED = "skipped"
@@ -42,7 +42,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a bake measured."""
+    """Measurements of a bake."""
 
     samples: int  # written
     error: float  # largest distance between a joint and where its file has it [m]
@@ -50,15 +50,15 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of an item that was to be made."""
+class ItemOutcome:
+    """Outcome of an item that was due."""
 
     number: int  # the item's
-    status: Status  # done or failed
+    status: ItemStatus  # done or failed
     seconds: float  # wall time of making it
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
-    measured: Measured | None = None  # what the bake measured
+    measured: Measured | None = None  # measurements of the bake
     scores: tuple[PassScores, ...] = ()  # how well passes did
     inputs: tuple[FileRecord, ...] = ()  # the files that were looked at
     outputs: tuple[FileRecord, ...] = ()  # the files that were written
@@ -66,25 +66,25 @@ class Outcome:
     retired: bool = False  # whether the process that made it had better make no other
 
     @classmethod
-    def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> Outcome:
-        """Return that an item failed after some time [s]."""
-        return cls(item.number, Status.FAILED, seconds, faults)
+    def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
+        """Return the outcome of an item that failed after some time [s]."""
+        return cls(item.number, ItemStatus.FAILED, seconds, faults)
 
 
 @dataclass(slots=True)
 class ItemBuilder:
-    """Makes the items of a batch, one after another."""
+    """Builds the items of a batch one after another."""
 
     item_task: ItemTask  # how
     root: Path  # folder from which records name files
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
-    def build(self, item: Item) -> Outcome:
-        """Return what became of an item; only what ends the process is raised."""
+    def build(self, item: Item) -> ItemOutcome:
+        """Return the outcome of an item; raise only to end the process."""
         began = time.perf_counter()
         retired = False
         try:
-            return self._made(item, began)
+            return self._build(item, began)
         except AnimtoolError as error:
             faults = tuple(
                 replace(fault, path=fault.path or _named(item))
@@ -107,9 +107,11 @@ class ItemBuilder:
         finally:
             _forget_layers()
         seconds = time.perf_counter() - began
-        return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
+        return ItemOutcome(
+            item.number, ItemStatus.FAILED, seconds, faults, retired=retired
+        )
 
-    def _made(self, item: Item, began: float) -> Outcome:
+    def _build(self, item: Item, began: float) -> ItemOutcome:
         from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:
@@ -124,9 +126,9 @@ class ItemBuilder:
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
         at = max(file.state.changed for file in outputs if file.state is not None)
-        return Outcome(
+        return ItemOutcome(
             item.number,
-            Status.DONE,
+            ItemStatus.DONE,
             time.perf_counter() - began,
             (),
             tuple(dict.fromkeys(n for report in reports for n in report.notices)),
@@ -138,27 +140,27 @@ class ItemBuilder:
         )
 
     def _inputs(self, inputs: Inputs, at: int) -> tuple[FileRecord, ...]:
-        """Return records of the files that were looked at, in order of their names."""
+        """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):
             known = None if state is None else self._digests.get(state)
-            name = named_from(path, self.root)
+            name = relative_name(path, self.root)
             if known is None or known.path != name:
                 known = record_of(path, name, state)
                 # Of a younger one the same state may mean another content later.
                 if state is not None and state.changed < at:
                     self._digests[state] = known
             records.append(known)
-        # What was read again for its digest is still what was read first.
+        # The file read again for its digest is unchanged.
         inputs.check()
         return tuple(records)
 
     def _output(self, path: Path) -> FileRecord:
-        return record_of(path, named_from(path, self.root), FileState.of(path))
+        return record_of(path, relative_name(path, self.root), FileState.of(path))
 
 
 def _measured(reports: Sequence[OutputReport]) -> Measured:
-    """Return what was measured of all outputs: every sample, the largest error."""
+    """Return the measurements of all outputs: total samples, largest error."""
     measured = [_one_measured(report) for report in reports]
     worst = max(measured, key=lambda one: one.error)
     return Measured(sum(one.samples for one in measured), worst.error, worst.joint)
@@ -181,14 +183,14 @@ def _named(item: Item) -> str:
 
 
 def _forget_layers() -> None:
-    """Let go of USD files that are still open, lest the next item sees old ones."""
+    """Release USD layers that are still open, which may be stale."""
     if "animtool.usd.layers.sdf" in sys.modules:
         from animtool.usd.layers.sdf import forget_layers
 
         forget_layers()
 
 
-# The last freezes what the others brought.
+# The last one freezes the imported objects.
 PRELOAD = "animtool.batch.preload"
 ALWAYS = (
     "animtool.batch.work",
@@ -220,7 +222,7 @@ SCENES = (
 
 
 def needed_modules(item_task: ItemTask) -> list[str]:
-    """Return what is imported before the first item; less is known of plug-ins.
+    """Return the modules to import before the first item.
 
     >>> from pathlib import Path
     >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
@@ -245,14 +247,14 @@ READY = "ready"
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """Names the file that USD reads in a worker; empty when it was read."""
+class FileBeingRead:
+    """Message: the file that USD reads in a worker; empty after reading."""
 
     path: str
 
 
 def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
-    """Make the items that come in, and send what became of each, until none comes.
+    """Build the items that arrive, and send their outcomes, until none arrives.
 
     ``memory`` [bytes].
     """
@@ -268,7 +270,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
         _limit_memory(memory)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         connection.send(READY)
-        report_reading(lambda path: connection.send(Reading(path)))
+        report_reading(lambda path: connection.send(FileBeingRead(path)))
         while (item := connection.recv()) is not None:
             outcome = builder.build(item)
             connection.send(outcome)
@@ -277,7 +279,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
 
 
 def _limit_memory(memory: int) -> None:
-    """Let allocations fail that lead beyond a limit, where systems can do that.
+    """Make allocations beyond a limit fail, where systems support that.
 
     What is mapped already counts twice in part: the limit errs on the large side, and
     the run watches what is really used.
@@ -297,7 +299,7 @@ def _limit_memory(memory: int) -> None:
 
 
 def mapped_bytes() -> int | None:
-    """Return how much this process has mapped [bytes]; None where nothing says it."""
+    """Return the mapped memory of this process [bytes]; None where unknown."""
     try:
         with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")

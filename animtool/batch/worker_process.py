@@ -1,4 +1,4 @@
-"""A program that makes items one after another in a process that it may lose.
+"""A program that builds items one after another in a process it may lose.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
 from stdin, and writes the outcome of each to stdout. It is for workers of others, such
@@ -19,33 +19,33 @@ from typing import IO, cast
 from animtool.batch.item import Item
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
-from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.record import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerTask:
-    """How a lane makes items."""
+    """How a worker process builds items."""
 
     builder: ItemBuilder  # makes them
-    limits: Limits  # what each may take
+    limits: Limits  # limits of each item
     folder: str  # the current folder, from which paths of items start
 
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """Such a program, and the way to it."""
+    """A worker program and its pipes."""
 
     task: WorkerTask  # how it makes items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
-    def make(self, item: Item) -> Outcome:
-        """Return what became of an item."""
+    def make(self, item: Item) -> ItemOutcome:
+        """Return the outcome of an item."""
         try:
             if self._process is None:
                 self._process = self._started()
             self._send(item)
-            return cast(Outcome, pickle.load(self._pipe(self._process.stdout)))
+            return cast(ItemOutcome, pickle.load(self._pipe(self._process.stdout)))
         except OSError:
             raise
         except Exception as error:
@@ -53,7 +53,7 @@ class WorkerProcess:
             raise ConnectionError("the worker process ended") from error
 
     def end(self) -> None:
-        """End the program, and what it is at."""
+        """Stop the program and its work."""
         if self._process is not None:
             self._process.kill()
             self._process.communicate()
@@ -78,13 +78,15 @@ class WorkerProcess:
 
 
 def main() -> None:
-    """Make the items on stdin until it ends."""
+    """Build the items on stdin until it ends."""
     # What anything prints must not come between outcomes.
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)
         task: WorkerTask = pickle.load(sys.stdin.buffer)
-        # Whoever sends an item waits for what became of it before it sends the next.
-        outcomes = run_processes(task.builder, _items(), task.limits, 1, ahead=False)
+        # The sender waits for an outcome before it sends the next item.
+        outcomes = run_processes(
+            task.builder, _items(), task.limits, 1, queue_next=False
+        )
         for outcome in outcomes:
             pickle.dump(outcome, results)
             results.flush()

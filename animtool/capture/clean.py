@@ -14,6 +14,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from animtool.capture.options import CleanOptions
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
@@ -104,11 +105,16 @@ class _Cleaner:
         return replace(channel, values=values).compact()
 
     def _cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
-        if self.options.keep_noise:
+        if self.options.keep_noise or beyond_nyquist(self.options, self.rate):
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
         return best_cutoff(signal, self.rate, rotation=rotation)
+
+
+def beyond_nyquist(options: CleanOptions, rate: float) -> bool:
+    """Return whether a cut-off is at or above half the frame rate."""
+    return options.cutoff is not None and options.cutoff >= rate / 2
 
 
 def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArray:
@@ -247,22 +253,32 @@ def notices(
         and options.cutoff is None
     ):
         message = (
-            f"{counted(take.clock.count, 'frame')} are too few to tell noise from "
-            "motion; nothing is filtered"
+            f"a take of {counted(take.clock.count, 'frame')} is too short to tell "
+            "noise from motion; nothing is filtered"
         )
         return [Fault("CAP102", message, severity=Severity.WARNING)]
     spiky = sorted({s.joint for s in signals if s.spikes})
     filtered = [s for s in signals if s.cutoff is not None]
-    parts = []
+    faults, parts, rate = [], [], float(take.clock.rate)
+    if beyond_nyquist(options, rate) and not options.keep_noise:
+        message = (
+            f"a cut-off of {options.cutoff:g} Hz removes nothing from a take at "
+            f"{rate:g} fps, whose highest frequency is {rate / 2:g} Hz; nothing is "
+            "filtered"
+        )
+        hint = (
+            f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body motion"
+        )
+        faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
     if spiky:
         frames = sum(len(s.spikes) for s in signals)
         names = listed(spiky, MAX_NAMED)
         parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
     if filtered:
         parts.append(_filtered(filtered, len(signals)))
-    if not parts:
-        return []
-    return [Fault("CAP101", "; ".join(parts), severity=Severity.NOTE)]
+    if parts:
+        faults.append(Fault("CAP101", "; ".join(parts), severity=Severity.NOTE))
+    return faults
 
 
 def _filtered(signals: list[CleanedSignal], count: int) -> str:

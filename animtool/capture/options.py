@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from animtool.core.options import described, option, or_more
+from animtool.core.options import inherits_docs, option, or_more
 from animtool.core.record import dataclass
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
     """Options of cleaning.
@@ -42,7 +42,7 @@ class CleanOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class TriangulateOptions:
     """Options of triangulation.
@@ -81,7 +81,7 @@ class TriangulateOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class FaceOptions:
     """Options of a face solve."""
@@ -108,7 +108,7 @@ class FaceOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class FillOptions:
     """Which repairs to make.
@@ -149,7 +149,7 @@ class FillOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SolveOptions:
     """Options of a marker solve.

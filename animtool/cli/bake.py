@@ -182,9 +182,9 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
     from animtool.cli.summary import PLAN
-    from animtool.scene.bake.steps import Steps, bake_steps
+    from animtool.scene.bake.steps import PlanSteps, bake_steps
 
-    console.report(params["report_format"], Steps(bake_steps(outline)), PLAN)
+    console.report(params["report_format"], PlanSteps(bake_steps(outline)), PLAN)
 
 
 def _bake(
@@ -194,7 +194,7 @@ def _bake(
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
-    several = any(entry.place is not None for entry in outline.outputs) and (
+    several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
     named = files[0] if several else outline.outputs[0].path
@@ -221,13 +221,13 @@ def _print_reports(
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped
-    from animtool.scene.bake.progress import Stats
+    from animtool.scene.bake.progress import BakeStats
 
     notices = [notice for report in reports for notice in report.notices]
     # Notices of sources and passes are in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
-    costs = Stats([*stages, *(report.cost for report in reports)])
+    costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
         payload = {"bake": VERSION, "written": reports} if several else reports[0]
         stats = plain_value(costs) if params["stats"] else {}

@@ -23,8 +23,8 @@ from animtool.cli.options import (
     stacked,
 )
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.reading import is_there
-from animtool.core.names import check_given, is_named
+from animtool.core.files.reading import exists
+from animtool.core.names import check_unused, is_named
 from animtool.core.options import options_of
 from animtool.scene.bake.options import BakeOptions
 
@@ -40,7 +40,7 @@ def opened_sources(
     opened: list[Path | Scene] = []
     used: set[str] = set()
     for source in sources:
-        if is_there(source) and source.is_dir():
+        if exists(source) and source.is_dir():
             hint = "animtool batch FOLDER -o out/ bakes the files in it"
             message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
@@ -53,7 +53,7 @@ def opened_sources(
         used |= scene.variables
         opened.append(scene)
     if variables:
-        check_given(variables, used)
+        check_unused(variables, used)
     return opened
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 MAX_ROWS = 20  # of takes in a table
 
 
-def _counts(report: BatchReport, unmade: str = str(Status.NOT_RUN)) -> str:
-    counts = ((report.count(status), status) for status in Status)
-    words = {Status.NOT_RUN: unmade}
+def _counts(report: BatchReport, unmade: str = str(ItemStatus.NOT_RUN)) -> str:
+    counts = ((report.count(status), status) for status in ItemStatus)
+    words = {ItemStatus.NOT_RUN: unmade}
     return ", ".join(f"{count} {words.get(s, s)}" for count, s in counts if count)
 
 
@@ -48,7 +48,7 @@ def _error_text(entry: ItemReport) -> str:
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of a finished item."""
     head = f"[{number}/{total}] {entry.status} {_item(entry)}"
-    if entry.status is Status.FAILED:
+    if entry.status is ItemStatus.FAILED:
         return f"{head}: {entry.why}"
     return f"{head} ({entry.reason}) {entry.seconds:.2f} s"
 
@@ -59,7 +59,7 @@ def report_json(
     """Return the report as plain values."""
     items = [
         plain_value(entry)
-        | ({"again": command(entry)} if entry.status is Status.FAILED else {})
+        | ({"again": command(entry)} if entry.status is ItemStatus.FAILED else {})
         for entry in report.items
     ]
     return {**report.summary, "items": items}
@@ -89,7 +89,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             """Print the progress and failures."""
             self.ended_items += 1
             output, count = report.item.output, f"{self.ended_items} of {self.total}"
-            if report.status is Status.FAILED:
+            if report.status is ItemStatus.FAILED:
                 self.failed += 1
                 why = report.worded(calling).why
                 _say("fail", f"{self.failed} failed, the last is {output}: {why}")

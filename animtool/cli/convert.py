@@ -98,12 +98,12 @@ def convert(
         and _every_take(source, output, params)
     ):
         return
-    from animtool.core.readers import is_still
+    from animtool.core.readers import is_rig_only
     from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
-    of_rig = of_rig or (is_still(source) and holds_rig(output))
+    of_rig = of_rig or (is_rig_only(source) and holds_rig(output))
     outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:
         from animtool.scene.convert.rigs import rig_outputs

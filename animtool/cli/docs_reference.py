@@ -8,7 +8,7 @@ from itertools import groupby
 
 import click
 
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 
 
 def commands_markdown(name: str | None = None) -> str:
@@ -63,7 +63,7 @@ def _command(
 
 def codes_markdown() -> str:
     """Return the list of all codes, by family, as Markdown."""
-    rules = own_rules()
+    rules = builtin_rules()
     parts = [
         "# Codes",
         "Each fault, warning and note has a code; `animtool explain CODE` prints it.",

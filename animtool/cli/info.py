@@ -21,7 +21,7 @@ from animtool.cli.options import (
     stage_option,
 )
 from animtool.core.errors import counted, listed, percent
-from animtool.core.names import check_given, is_named
+from animtool.core.names import check_unused, is_named
 from animtool.core.quantities import plain
 from animtool.core.values import VERSION
 from animtool.report.text import Each, Line, Template
@@ -293,13 +293,13 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)
     if params["variables"] and not code:
-        check_given(dict(params["variables"]), used)
+        check_unused(dict(params["variables"]), used)
     click.get_current_context().exit(code)
 
 
 def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
     """Describe a file."""
-    from animtool.core.readers import is_still
+    from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
 
@@ -310,7 +310,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
         return describe_markers(path, read_marker_file(path, params))
     if is_named(path, "scene"):
         return _scene(path, params, used)
-    if is_named(path, "rig") or is_still(path):
+    if is_named(path, "rig") or is_rig_only(path):
         return _rig(path)
     if is_named(path, "targets"):
         from animtool.report.describe_rig import describe_targets

@@ -91,14 +91,14 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     )
     from animtool.batch.discover import find_batch
     from animtool.batch.file import load_batch
-    from animtool.batch.plan import check_places
+    from animtool.batch.plan import check_output_files
 
     if not is_named(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is not a batch file: use *.batch.yaml.")
     spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
     resolved_batch = find_batch(with_cuts(spec, params))
     console.faults(resolved_batch.notices)
-    check_places(resolved_batch)
+    check_output_files(resolved_batch)
     costs = params["costs"]
     seconds = None if costs is None else mean_seconds(costs)
     count = len(resolved_batch.items)

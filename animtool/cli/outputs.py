@@ -19,7 +19,7 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.core.files.output import once_named, together
+from animtool.core.files.output import after_commit, atomic_outputs
 from animtool.core.process.signals import outlast_signals
 from animtool.scene.bake.options import BakeOptions
 
@@ -79,8 +79,8 @@ def atomic_command() -> Iterator[None]:
     What is left is to tell what was written: a command that ends with 130 or 143 has
     written nothing.
     """
-    with together():
-        once_named(outlast_signals)
+    with atomic_outputs():
+        after_commit(outlast_signals)
         yield
 
 

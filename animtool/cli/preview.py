@@ -21,7 +21,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.core.options import given_options
+from animtool.core.options import chosen_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _OF_SOURCES = ("rig", "take", "positions", "remap", "dropped", "template", "cameras")
@@ -74,7 +74,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     chosen = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
     pictured = output is not None and picture_kind(output) is not None
-    if not pictured and (picture_flags := given_options(pictures)):
+    if not pictured and (picture_flags := chosen_options(pictures)):
         words = (
             f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
         )

@@ -17,7 +17,7 @@ from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, WatchedPage, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
 from animtool.report.text import Each, Template
-from animtool.scene.bake.steps import Steps
+from animtool.scene.bake.steps import PlanSteps
 
 
 def plan(
@@ -33,7 +33,7 @@ def plan(
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
-    console.report("json" if as_json else "text", Steps(steps), PLAN)
+    console.report("json" if as_json else "text", PlanSteps(steps), PLAN)
 
 
 # What a page shows, how exactly, and what it does not show.

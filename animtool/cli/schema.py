@@ -44,7 +44,7 @@ MODELS = {
     "markers": "animtool.capture.templates.file:MarkersModel",
     "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",
-    "scene": "animtool.scene.file.schema:whole_model",
+    "scene": "animtool.scene.file.schema:full_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
 # What commands print as JSON, likewise.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from animtool.core.errors import Fault
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
-    from animtool.scene.bake.steps import Step
+    from animtool.scene.bake.steps import PlanStep
     from animtool.usd.takes.splines import CurveReport
 
 # Errors of channels that are not worth a line, in their units.
@@ -275,14 +275,14 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
     return _OUTPUTS[type(report).__name__]
 
 
-def _others(step: Step, name: str) -> str:
+def _others(step: PlanStep, name: str) -> str:
     """Return the other prims that a step reads or writes."""
     entries = getattr(step, name)
     return "" if entries == (step.name,) else ", ".join(entries)
 
 
 PLAN = Template(
-    "animtool.scene.bake.steps:Steps",
+    "animtool.scene.bake.steps:PlanSteps",
     (
         Each(
             "steps",
@@ -298,7 +298,7 @@ PLAN = Template(
     is_result=True,
 )
 STATS = Template(
-    "animtool.scene.bake.progress:Stats",
+    "animtool.scene.bake.progress:BakeStats",
     (
         Table(
             "stats",

@@ -16,7 +16,7 @@ from animtool.clip.suspicions import warn_of_numbers
 from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
@@ -96,7 +96,7 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         OptionError: The clip names no rig (CLIP011).
     """
     named = file.needed_rig() if path is None else path
-    if path is None and not is_there(named):
+    if path is None and not exists(named):
         _note_missing(file)
     try:
         return Rig.load(named)

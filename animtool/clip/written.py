@@ -11,7 +11,7 @@ from animtool.clip.keyed_take import keyed_take
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import seen_from
+from animtool.core.files.reading import path_from_folder
 from animtool.core.units import parse_length
 from animtool.core.writers import CLIP, output_stem
 from animtool.motion.take import Take
@@ -47,7 +47,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         contents[rig_path] = [rig_text(rig).encode()]
     kept = _kept_keys(take, options)
     if kept is not None:
-        text = clip_text(kept, rig, seen_from(rig_path, path.parent))
+        text = clip_text(kept, rig, path_from_folder(rig_path, path.parent))
         contents[path] = [text.encode()]
         span = FrameSpan(kept.first, kept.last, kept.fps)
         notices = [*left_out, *kept.notices]
@@ -61,7 +61,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         joint_tolerances=options.joint_tolerances,
         base=below,
     )
-    text = clip_text(keyed.clip, rig, seen_from(rig_path, path.parent))
+    text = clip_text(keyed.clip, rig, path_from_folder(rig_path, path.parent))
     contents[path] = [text.encode()]
     return TakeFiles(
         contents,

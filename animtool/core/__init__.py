@@ -1,1 +1,1 @@
-"""What every part stands on: errors, codes, units, rates, options and plug-ins."""
+"""Shared base: errors, codes, units, rates, options, files and plug-ins."""

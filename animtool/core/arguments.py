@@ -1,4 +1,4 @@
-"""Arguments that texts name, called as whoever prints a text calls them.
+"""Argument names in texts, worded for Python, the command line or a file.
 
 A text of the library names an argument by `argument`; what prints it says what that is
 called there: ``fps`` in Python, ``--fps`` on the command line, ``fps:`` in a file::
@@ -27,7 +27,7 @@ _CLAUSE = re.compile(f"{_OPEN}([^{_OPEN}{_CLOSE}]*){_CLOSE}")
 class Argument:
     """An argument that a text names."""
 
-    name: str  # of the field; `source.fps` of what is read
+    name: str  # dotted name of the field, such as `source.fps`
     value: str | None = None  # as files write it, where the text states one
 
     @property
@@ -37,13 +37,13 @@ class Argument:
 
     @property
     def switch(self) -> bool | None:
-        """What it states where that is yes or no, else None."""
+        """Value that it states for a boolean, else None."""
         return {"true": True, "false": False}.get(self.value or "")
 
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """What is left out where the arguments that it names are none."""
+    """Part of a text that is omitted if its arguments have no names."""
 
     parts: tuple[Part, ...]
 
@@ -54,7 +54,7 @@ Calling: TypeAlias = Callable[[Argument], str | None]
 
 
 def in_python(argument: Argument) -> str | None:
-    """Return an argument as calls of functions have it.
+    """Return the name of an argument in a Python call.
 
     >>> in_python(Argument("source.fps")), in_python(Argument("form", "layer"))
     ('fps', 'form="layer"')
@@ -84,7 +84,7 @@ KEYS = {
 
 
 def in_file(argument: Argument) -> str:
-    """Return an argument as scenes and batches have it.
+    """Return the name of an argument in scene and batch files.
 
     >>> in_file(Argument("source.fps")), in_file(Argument("form", "layer"))
     ('fps:', 'as: layer')
@@ -94,7 +94,7 @@ def in_file(argument: Argument) -> str:
 
 
 class Text(str):
-    """A text that names arguments: in Python as it is, elsewhere by `worded`.
+    """A text that names arguments: as Python names them, or by `worded`.
 
     Attributes:
         parts: What it is joined of.
@@ -104,26 +104,26 @@ class Text(str):
     parts: tuple[Part, ...]
 
     def __new__(cls, parts: tuple[Part, ...]) -> Text:
-        """Join parts, arguments as Python calls them."""
+        """Join parts, with arguments as Python names them."""
         text = super().__new__(cls, _joined(parts, in_python))
         text.parts = parts
         return text
 
     def __reduce__(self) -> tuple[type[Text], tuple[tuple[Part, ...]]]:
-        """Keep the parts from process to process."""
+        """Keep the parts when pickled."""
         return Text, (self.parts,)
 
     def __add__(self, other: str) -> Text:
-        """Return both, what they name included."""
+        """Return both texts, with the arguments they name."""
         return Text((*self.parts, *_parts(other)))
 
     def __radd__(self, other: str) -> Text:
-        """Return both, what they name included."""
+        """Return both texts, with the arguments they name."""
         return Text((*_parts(other), *self.parts))
 
 
 def argument(name: str, value: object = None) -> str:
-    """Return what stands for an argument in a text, until that is a `Text`.
+    """Return the marker of an argument in a text, for a `Text` to resolve.
 
     Args:
         name: Of the field; of what is read with ``source.`` before it.
@@ -136,7 +136,7 @@ def argument(name: str, value: object = None) -> str:
 
 
 def clause(text: str) -> str:
-    """Return a part of a text, left out where an argument that it names is none.
+    """Return a part of a text that is omitted if an argument in it has no name.
 
     >>> marked("at night" + clause(f", not {argument('command.quiet')}"))
     'at night'
@@ -145,7 +145,7 @@ def clause(text: str) -> str:
 
 
 def flag(name: str, value: str = "") -> str:
-    """Return an option as a text has it that quotes a whole command.
+    """Return an option for a text that quotes a full command.
 
     >>> flag("shot", "NAME")
     '--shot NAME'
@@ -154,7 +154,7 @@ def flag(name: str, value: str = "") -> str:
 
 
 def marked(text: str) -> str:
-    """Return a text in which `argument` may stand as one that can be worded.
+    """Return a text with `argument` markers as a `Text`.
 
     >>> marked(f"{argument('keep_samples', True)} keeps them")
     'keep_samples=True keeps them'
@@ -165,7 +165,7 @@ def marked(text: str) -> str:
 
 
 def worded(text: str, calling: Calling) -> str:
-    """Return a text whose arguments are called as an interface calls them.
+    """Return a text whose arguments are named as an interface names them.
 
     >>> worded(marked(f"{argument('up', 'Z')} says it"), in_file)
     'up: Z says it'
@@ -182,7 +182,11 @@ def _worded(part: Part, calling: Calling) -> str:
     if isinstance(part, Argument):
         return calling(part) or in_file(part)
     if isinstance(part, Clause):
-        named = [own for own in part.parts if isinstance(own, Argument)]
+        named = [
+            argument_part
+            for argument_part in part.parts
+            if isinstance(argument_part, Argument)
+        ]
         return _joined(part.parts, calling) if all(map(calling, named)) else ""
     return part
 
@@ -192,17 +196,17 @@ def _parts(text: str) -> tuple[Part, ...]:
         return text.parts
     parts: list[Part] = []
     end = 0
-    for found in _CLAUSE.finditer(text):
-        parts += [*_arguments(text[end : found.start()]), Clause(_arguments(found[1]))]
-        end = found.end()
+    for match in _CLAUSE.finditer(text):
+        parts += [*_arguments(text[end : match.start()]), Clause(_arguments(match[1]))]
+        end = match.end()
     return (*parts, *_arguments(text[end:]))
 
 
 def _arguments(text: str) -> tuple[Part, ...]:
-    """Return what a text without clauses is joined of."""
+    """Return the parts of a text without clauses."""
     parts: list[Part] = []
     end = 0
-    for found in _MARK.finditer(text):
-        parts += [text[end : found.start()], Argument(found[1], found[2])]
-        end = found.end()
+    for match in _MARK.finditer(text):
+        parts += [text[end : match.start()], Argument(match[1], match[2])]
+        end = match.end()
     return tuple(part for part in (*parts, text[end:]) if part)

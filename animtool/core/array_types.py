@@ -1,4 +1,4 @@
-"""Array types and the check of arrays at a public boundary."""
+"""Array types, and the check of arrays at public functions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
 
     Args:
         values: Anything that numpy turns into floats.
-        shape: One entry an axis: a length, or a letter that stands for any.
+        shape: One entry an axis: a length, or a letter for any length.
         name: What to call the array in the message.
 
     Raises:

@@ -1,4 +1,4 @@
-"""When the frames of a take are, exactly."""
+"""Exact frame times of a take."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
 
 
 def time_fraction(time: float) -> Fraction:
-    """Return the fraction that a time code of a file stands for.
+    """Return a time code of a file as an exact fraction.
 
     >>> time_fraction(1001.2)
     Fraction(5006, 5)
@@ -48,7 +48,7 @@ def time_fraction(time: float) -> Fraction:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """When the frames of a take are.
+    """Frame times of a take.
 
     Attributes:
         fps: Time codes a second.
@@ -69,7 +69,7 @@ class Clock:
     count: int
 
     def __post_init__(self) -> None:
-        """Check that times are exact; whole numbers become fractions."""
+        """Check that times are exact; convert integers to fractions."""
         faults = []
         for name in ("fps", "start", "step"):
             value = getattr(self, name)
@@ -96,7 +96,7 @@ class Clock:
 
     @property
     def duration(self) -> Fraction:
-        """From the first frame to the last [s]."""
+        """Time from the first frame to the last [s]."""
         return self.step * max(0, self.count - 1) / self.fps
 
     @property
@@ -108,14 +108,14 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class FrameSpan:
-    """First and last frame, as reports print them."""
+    """First and last frame, formatted for reports."""
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
     fps: Fraction  # time codes a second
 
     def __str__(self) -> str:
-        """Return the span as people read it.
+        """Return the span as text.
 
         >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
         'frames 1001 to 1008.5 at 24 fps'
@@ -124,13 +124,13 @@ class FrameSpan:
 
     @property
     def ends(self) -> str:
-        """The first and the last frame, as people read them."""
+        """First and last frame as text."""
         ends = dict.fromkeys(map(frame_label, (self.first, self.last)))
         return f"{'frames' if len(ends) > 1 else 'frame'} {' to '.join(ends)}"
 
 
 def span_label(first: Fraction | float, last: Fraction | float) -> str:
-    """Return the first and the last of a range of time codes.
+    """Return the first and the last of a range of time codes as text.
 
     >>> span_label(1001.0, 1024.0)
     '1001 to 1024'
@@ -139,7 +139,7 @@ def span_label(first: Fraction | float, last: Fraction | float) -> str:
 
 
 def frame_label(frame: Fraction | float) -> str:
-    """Return a time code as people read it: all digits of the frame, no exponent.
+    """Return a time code as text: all digits of the frame, no exponent.
 
     >>> frame_label(Fraction(1001)), frame_label(Fraction(5, 3)), frame_label(2073600.5)
     ('1001', '1.66667', '2073600.5')

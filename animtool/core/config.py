@@ -25,16 +25,16 @@ _LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
+    """Return the tables of TOML text.
 
     Raises:
         ValueError: It is malformed, or nested deeper than 50.
     """
     import tomllib
 
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        raise _too_deep(f" (at line {text.count(chr(10), 0, found.start()) + 1})")
+    long_key = _LONG_KEY.search(text)
+    if long_key is not None:
+        raise _too_deep(f" (at line {text.count(chr(10), 0, long_key.start()) + 1})")
     try:
         tables = tomllib.loads(text)
     except RecursionError as error:
@@ -47,12 +47,12 @@ def parse_toml(text: str) -> dict[str, Any]:
     raise _too_deep()
 
 
-def _too_deep(place: str = "") -> ValueError:
-    return ValueError(f"it is nested deeper than {MAX_DEPTH}{place}")
+def _too_deep(position: str = "") -> ValueError:
+    return ValueError(f"it is nested deeper than {MAX_DEPTH}{position}")
 
 
 def _inside(value: Any) -> Iterable[Any]:
-    """Return the values in a table or a list."""
+    """Return the values of a table or a list."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
@@ -68,7 +68,7 @@ MAX_ARRAY_MB = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class TimelineConfig:
-    """What a project sets for timelines that do not state it."""
+    """Project settings for timelines that do not state them."""
 
     fps: Fraction | None = None  # rate of the shots, and of an EDL's time codes
     cut_start: int | None = None  # first frame of each cut; None begins shots at start
@@ -77,31 +77,31 @@ class TimelineConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """What a project sets for every command."""
+    """Project settings for every command."""
 
     # Time code of the first frame, often 1001; None leaves it at 1.
     start: Fraction | None = None
     # Folders that files of the project may refer into: the one that the settings are
     # in, and those they name.
     roots: tuple[Path, ...] = ()
-    # What `animtool validate` makes of it, as written.
+    # Options of `animtool validate`, unparsed.
     validate: Mapping[str, Any] = field(default_factory=dict)
     # The most that is read of one archive of arrays [MB]; None is 1000.
     max_array_mb: int | None = None
-    path: Path | None = None  # the file that says so; None where there is none
+    path: Path | None = None  # the settings file; None without one
     timeline: TimelineConfig = TimelineConfig()
 
 
 def find_config(path: Path) -> Config:
-    """Return the settings of the nearest folder above a file that has some.
+    """Return the settings of the nearest enclosing folder that has some.
 
     ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
     """
     for folder in path.resolve().parents:
-        own, project = folder / "animtool.toml", folder / "pyproject.toml"
-        note_input(own)
-        if own.is_file():
-            return _config(own, _table(own))
+        config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
+        note_input(config_file)
+        if config_file.is_file():
+            return _config(config_file, _table(config_file))
         note_input(project)
         if project.is_file():
             tools = _table(project).get("tool", {})
@@ -139,7 +139,7 @@ def _lowered(text: str) -> str:
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> dict[str, Any]:
-    """Return what a text of TOML says; files of a project share their settings."""
+    """Return parsed TOML, cached for files of one project."""
     return parse_toml(text)
 
 
@@ -171,8 +171,8 @@ def _config(path: Path, table: Any) -> Config:
         message = f"validate is {validate!r}, not a table of settings"
         raise OptionError(Fault("CFG003", message, str(path)))
     most = table.get("max_array_mb")
-    whole = isinstance(most, int) and not isinstance(most, bool)
-    if most is not None and not (whole and 0 < most <= MAX_ARRAY_MB):
+    is_integer = isinstance(most, int) and not isinstance(most, bool)
+    if most is not None and not (is_integer and 0 < most <= MAX_ARRAY_MB):
         message = f"max_array_mb is {most!r}, not a whole number from 1 to "
         raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
     begin = None if start is None else Fraction(start)
@@ -193,14 +193,14 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
         shown = f"timeline.{name} is {excerpt(str(value))}, not "
-        whole = isinstance(value, int) and not isinstance(value, bool)
+        is_integer = isinstance(value, int) and not isinstance(value, bool)
         if name == "fps":
             try:
                 values[name] = parse_rate(value)
             except ValueError as error:
                 message = f"timeline.fps: {error}"
                 raise OptionError(Fault("CFG003", message, str(path))) from error
-        elif name == "cut_start" and not (whole and abs(value) <= LARGEST_FRAME):
+        elif name == "cut_start" and not (is_integer and abs(value) <= LARGEST_FRAME):
             message = f"{shown}a whole number from {-LARGEST_FRAME} to {LARGEST_FRAME}"
             raise OptionError(Fault("CFG003", message, str(path)))
         elif name == "first_timecode" and not is_timecode(value):
@@ -211,7 +211,7 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:
-    """Return the folders that a file may refer into.
+    """Return the folders that a file may refer to.
 
     They are those of its project's settings; without settings, the nearest folder above
     it that is under version control; else its own folder.
@@ -221,7 +221,7 @@ def project_roots(path: Path) -> tuple[Path, ...]:
 
 
 def _checkout(folder: Path) -> Path | None:
-    """Return the nearest folder under version control; None where there is none.
+    """Return the nearest folder under version control; None without one.
 
     A home or the top of a disk under version control is no project: files below it
     come from anywhere.
@@ -235,7 +235,7 @@ def _checkout(folder: Path) -> Path | None:
 
 
 def project_around(folder: Path, target: Path) -> Path | None:
-    """Return the innermost folder with two paths in it; None where it is no project."""
+    """Return the innermost project with both paths in it; None without one."""
     above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
     project = next(above, None)
     return project if project is not None and _may_be_project(project) else None

@@ -1,4 +1,4 @@
-"""Faults, errors and exit codes, shared by every part of animtool."""
+"""Faults, errors and exit codes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_NAMED = 12
 
 
 class ExitCode(IntEnum):
-    """What the process returns, the same for every command."""
+    """Exit codes of every command."""
 
     OK = 0
     FINDINGS = 1
@@ -32,7 +32,7 @@ class ExitCode(IntEnum):
 
 
 class Severity(StrEnum):
-    """How bad a fault is: an error stops the work, a warning only under strict."""
+    """Severity of a fault: an error stops the work, a warning only under strict."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -41,7 +41,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that is wrong, and where.
+    """A fault and its location.
 
     Attributes:
         code: Stable identifier, such as ``BVH010``.
@@ -73,14 +73,14 @@ class Fault:
     )
 
     def __post_init__(self) -> None:
-        """Keep what the texts name as arguments."""
+        """Keep the arguments that the texts name."""
         for name in ("message", "hint", "brief"):
             text = getattr(self, name)
             if text:
                 object.__setattr__(self, name, marked(text))
 
     def worded(self, calling: Calling) -> Fault:
-        """Return it with its arguments called as an interface calls them."""
+        """Return a copy whose texts name arguments as an interface does."""
         message, brief = (worded(text, calling) for text in (self.message, self.brief))
         hint = self.hint and worded(self.hint, calling)
         return replace(self, message=message, hint=hint, brief=brief)
@@ -88,17 +88,17 @@ class Fault:
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
-        What is no error is said by its name, before the code. It is one line, with
+        Severities other than error precede the code. It is one line, with
         escapes as `escaped` writes them, and calls arguments as Python does.
         """
-        place = ""
+        prefix = ""
         if self.path is not None:
             spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
-            place = ":".join(map(str, [self.path, *spots])) + ": "
+            prefix = ":".join(map(str, [self.path, *spots])) + ": "
         where = f"{self.where}: " if self.where else ""
         hint = f"; {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return escaped(f"{place}{kind}{self.code} {where}{self.message}{hint}")
+        return escaped(f"{prefix}{kind}{self.code} {where}{self.message}{hint}")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
@@ -113,7 +113,7 @@ def warning(
 
 
 class AnimtoolError(Exception):
-    """Base of every error that animtool raises on purpose.
+    """Base of every animtool error.
 
     Attributes:
         faults: What is wrong, at least one, in the order found.
@@ -129,7 +129,7 @@ class AnimtoolError(Exception):
         super().__init__("\n".join(map(str, self.faults)))
 
     def __reduce__(self) -> tuple[type[AnimtoolError], tuple[tuple[Fault, ...]]]:
-        """Let an error come back from another process with its faults."""
+        """Keep the faults when the error is pickled."""
         return type(self), (self.faults,)
 
     @property
@@ -151,13 +151,13 @@ class OutputError(AnimtoolError):
 
 
 class LockedError(OutputError):
-    """Another run holds the lock of what this one would write."""
+    """Another run holds the lock of this output."""
 
     exit_code = ExitCode.MALFORMED
 
 
 class OptionError(AnimtoolError):
-    """An option, or a combination of options, makes no sense."""
+    """An option, or a combination of options, is invalid."""
 
     exit_code = ExitCode.USAGE
 
@@ -165,16 +165,16 @@ class OptionError(AnimtoolError):
 def refuse(
     code: str, message: str, where: str | None = None, hint: str | None = None
 ) -> NoReturn:
-    """Raise what of an option makes no sense, with the parts of its `Fault`."""
+    """Raise the fault of an invalid option."""
     raise OptionError(Fault(code, message, where=where, hint=hint))
 
 
-# What is wrong, the key that it is at, and a hint.
+# Message, key, and hint of a fault.
 Problem: TypeAlias = tuple[str, str | None, str | None]
 
 
 class Refusals:
-    """Collects what independent checks refuse, so that all is reported at once.
+    """Collects the refusals of independent checks and raises them together.
 
     Attributes:
         faults: Those of the checks so far, in their order.
@@ -192,13 +192,13 @@ class Refusals:
             self.faults += error.faults
 
     def check(self) -> None:
-        """Raise `OptionError` with every fault, each once, where there are any."""
+        """Raise `OptionError` with every distinct fault, if any."""
         if self.faults:
             raise OptionError(list(dict.fromkeys(self.faults)))
 
 
 def refuse_all(code: str, problems: Iterable[Problem]) -> None:
-    """Raise `OptionError` with a fault for every problem, where there are any."""
+    """Raise `OptionError` with a fault for every problem, if any."""
     faults = [
         Fault(code, message, where=where, hint=hint)
         for message, where, hint in problems
@@ -207,26 +207,26 @@ def refuse_all(code: str, problems: Iterable[Problem]) -> None:
         raise OptionError(faults)
 
 
-class NothingFoundError(AnimtoolError):
-    """What was named means no file."""
+class NoMatchError(AnimtoolError):
+    """No file matches the given names."""
 
     exit_code = ExitCode.NOTHING_MATCHED
 
 
 class StrictError(AnimtoolError):
-    """There were warnings and the caller asked for none."""
+    """There are warnings, and the caller allows none."""
 
     exit_code = ExitCode.FINDINGS
 
 
 class ToleranceError(AnimtoolError):
-    """A solve missed its tolerance and the caller asked for none that does."""
+    """A solve missed its tolerance, and the caller does not allow that."""
 
     exit_code = ExitCode.TOLERANCE
 
 
 def listed(items: Sequence[object], most: int = 5) -> str:
-    """Return the first items, separated by commas, with a sign that there are more.
+    """Return the first items, separated by commas, with an ellipsis for more.
 
     >>> listed(["a", "b"]), listed(range(9), most=2)
     ('a, b', '0, 1 …')
@@ -242,17 +242,17 @@ def naming(
     hint: str | None = None,
     severity: Severity = Severity.ERROR,
 ) -> Fault:
-    """Return a fault whose message ends with names: all, or in brief the first.
+    """Return a fault whose message ends with all names, or in brief the first.
 
     >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
     """
-    whole, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
-    return Fault(code, whole, path, (), hint, severity, brief=brief)
+    full, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
+    return Fault(code, full, path, (), hint, severity, brief=brief)
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a number of things; the plural of most has an s.
+    """Return a number with its noun; most plurals take an s.
 
     >>> counted(1, "joint"), counted(3, "joint"), counted(2, "mesh", "meshes")
     ('1 joint', '3 joints', '2 meshes')
@@ -261,7 +261,7 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 
 
 def circle(names: Sequence[str]) -> str:
-    """Return names that lead back to the first one, which is the last too.
+    """Return the names of a cycle; the first one is also the last.
 
     >>> circle(["a", "b", "a"])
     'a → b → a'
@@ -276,25 +276,25 @@ def circle(names: Sequence[str]) -> str:
     return " → ".join(shown)
 
 
-def percent(share: float) -> str:
-    """Return a share in per cent, to two digits that count.
+def percent(fraction: float) -> str:
+    """Return a fraction in percent, to two significant digits.
 
     >>> percent(0.0123), percent(5.4973), percent(2e-12)
     ('1.2%', '550%', '0%')
     """
-    value = float(f"{100 * share:.2g}")
+    value = float(f"{100 * fraction:.2g}")
     return f"{value:.12g}%" if value >= 1e-4 else "0%"
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
-    """Raise `StrictError` where there are warnings and none are wanted."""
+    """Raise `StrictError` for warnings under strict."""
     warnings = [n for n in notices if n.severity is Severity.WARNING]
     if strict and warnings:
         raise StrictError(warnings)
 
 
 def excerpt(text: str, limit: int = 40) -> str:
-    """Return text quoted for a message, cut to a length that a line can hold.
+    """Return quoted text for a message, shortened to fit a line.
 
     >>> excerpt("12x")
     "'12x'"

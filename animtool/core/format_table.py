@@ -1,4 +1,4 @@
-"""Tables of what reads or writes files, by suffix, with those of plug-ins."""
+"""Tables of readers and writers by suffix, plug-ins included."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ class ListedFormat:
 
     suffix: str  # of the files
     source: str  # ``animtool``, or the object that an entry point names
-    can: tuple[str, ...]  # what it does with them; empty where it cannot be loaded
-    about: str  # what they are, or why it cannot be loaded
+    can: tuple[str, ...]  # its operations; empty if it cannot be loaded
+    about: str  # its description, or why it cannot be loaded
 
 
 @dataclass(frozen=True)
 class FormatTable(Generic[Entry]):
-    """animtool's own entries come before those of plug-ins."""
+    """A table whose built-in entries precede those of plug-ins."""
 
-    own: Mapping[str, Entry]  # by suffix, with its dot
+    builtin: Mapping[str, Entry]  # by suffix, with its dot
     group: str  # of the entry points
     kind: type[Entry]
 
     def find(self, path: Path) -> Entry | None:
-        """Return the entry of a file by its suffix; None where none has it.
+        """Return the entry of a file's suffix; None without one.
 
         Raises:
             OptionError: The plug-in that has it cannot be loaded (IO003).
         """
         suffix = path.suffix.lower()
-        if suffix in self.own:
-            return self.own[suffix]
+        if suffix in self.builtin:
+            return self.builtin[suffix]
         points = plugin_points(self.group) if suffix else {}
         point = points.get(suffix.removeprefix("."))
         return None if point is None else load_plugin(point, self.kind)
 
     def plugin_suffixes(self) -> list[str]:
-        """Return the suffixes that plug-ins alone have."""
+        """Return the suffixes that only plug-ins have."""
         names = sorted(plugin_points(self.group))
-        return [f".{name}" for name in names if f".{name}" not in self.own]
+        return [f".{name}" for name in names if f".{name}" not in self.builtin]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
     ) -> list[ListedFormat]:
-        """Return every entry, animtool's own first, those of plug-ins loaded."""
+        """Return every entry, built-in ones first, plug-ins loaded."""
         rows = [
             ListedFormat(suffix, "animtool", uses(entry), about(entry))
-            for suffix, entry in self.own.items()
+            for suffix, entry in self.builtin.items()
         ]
         points = plugin_points(self.group)
         for suffix in self.plugin_suffixes():
@@ -71,7 +71,7 @@ class FormatTable(Generic[Entry]):
 
 
 def suffix_text(path: Path) -> str:
-    """Return what a message calls the suffix of a file.
+    """Return the name of a file's suffix for messages.
 
     >>> suffix_text(Path("walk.txt")), suffix_text(Path("walk"))
     ("suffix '.txt'", 'a name without suffix')

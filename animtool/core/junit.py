@@ -1,4 +1,4 @@
-"""Reports as JUnit XML, as Jenkins's ``junit-10.xsd`` has it, which others read."""
+"""Reports as JUnit XML by Jenkins's ``junit-10.xsd``."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:
-    """One test case: a file."""
+    """A test case: a file."""
 
     name: str  # the file
-    # What became of it.
+    # Its result.
     outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
-    code: str = ""  # of what is wrong
-    message: str = ""  # what is wrong, in a line
-    text: str = ""  # all of it
-    output: str = ""  # what there is to say beside that
-    seconds: float | None = None  # how long it took; None says nothing of it
+    code: str = ""  # fault codes
+    message: str = ""  # the fault in a line
+    text: str = ""  # the complete text
+    output: str = ""  # further output
+    seconds: float | None = None  # duration; None if unknown
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
-    """Return one suite of cases; the classname of each is the folder of its file."""
+    """Return a suite of cases; the classname of each is the file's folder."""
     from xml.etree import ElementTree  # other reports go without it
 
     suite = ElementTree.Element("testsuite", name=name)

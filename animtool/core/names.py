@@ -1,4 +1,4 @@
-"""Names, numbers and texts that people write and read."""
+"""Names, numbers and texts in files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.quantities import CONTROL
 from animtool.core.similar import by_likeness, similar
 
-# What stands in for a name that is missing, and is none.
+# Placeholder of a missing name.
 UNKNOWN = "?"
 # Valid names that a hint is looked for among.
 MAX_NAMES = 2000
@@ -36,22 +36,22 @@ KINDS = (
 )
 
 
-def file_suffixes(kind: str) -> tuple[str, ...]:
-    """Return what the name of a file of a kind ends in, in lower case."""
+def kind_suffixes(kind: str) -> tuple[str, ...]:
+    """Return the file suffixes of a kind, in lower case."""
     return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
 
 
 def is_named(path: Path, kind: str) -> bool:
-    """Return whether a path has the name of a rig, scene, batch or targets file.
+    """Return whether a path has the suffix of a rig, scene, batch or targets file.
 
     >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
     (True, False)
     """
-    return path.name.lower().endswith(file_suffixes(kind))
+    return path.name.lower().endswith(kind_suffixes(kind))
 
 
 def is_variable_name(text: str) -> bool:
-    """Return whether a variable may have a name.
+    """Return whether a name is valid for a variable.
 
     >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
     (True, False)
@@ -60,7 +60,7 @@ def is_variable_name(text: str) -> bool:
 
 
 def check_known(name: str, names: Iterable[str], what: str, code: str) -> None:
-    """Raise where a name is none of some, with the nearest one.
+    """Raise for an unknown name, with the nearest known one.
 
     >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
     Traceback (most recent call last):
@@ -74,7 +74,7 @@ mean 'rk4'?
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return a hint that names the nearest valid name, or all, the nearest first.
+    """Return a hint at the nearest valid name, or at all of them.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
@@ -94,32 +94,35 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(ordered[:MAX_ALLOWED])}{rest}"
 
 
-def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
-    """Refuse variables that are given and that nothing uses.
+def check_unused(stated: Iterable[str], used: Iterable[str]) -> None:
+    """Refuse variables that nothing uses.
 
     Raises:
         OptionError: With a fault for each (SCN031).
 
-    >>> check_given(["shot"], ["shot", "rate"])
+    >>> check_unused(["shot"], ["shot", "rate"])
     """
     names = sorted(used)
     faults = [
-        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
+        Fault("SCN031", f"no scene uses a variable {name!r}", hint=hint)
         for name in stated
         if name not in names
+        for hint in [
+            nearest(name, names) if names else f"write ${{{name}}} for it in a scene"
+        ]
     ]
     if faults:
         raise OptionError(faults)
 
 
 # Digits that a float64 needs at most, and those that most need.
-MAX_DIGITS, USUAL_DIGITS = 17, 15
+MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 # What a text may hold of controls: ends of lines, and tabs.
 _UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
 def number(value: float) -> str:
-    """Return the shortest decimal that reads back as a float; zero has no sign.
+    """Return the shortest decimal of a float; zero has no sign.
 
     >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
     ('0.1', '2', '1e-20', '0')
@@ -129,7 +132,7 @@ def number(value: float) -> str:
 
 
 def scaled(value: float, unit: float) -> str:
-    """Return the shortest decimal that, times a unit, is a float again.
+    """Return the shortest decimal that, times a unit, gives a float.
 
     Where none is, as a product skips some floats, the nearest is taken.
 
@@ -139,7 +142,7 @@ def scaled(value: float, unit: float) -> str:
     if unit == 1.0:
         return number(value)
     quotient = value / unit
-    for digits in range(USUAL_DIGITS, MAX_DIGITS + 1):
+    for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
         near = float(f"{quotient:.{digits}g}")
         for candidate in (
             near,
@@ -152,7 +155,7 @@ def scaled(value: float, unit: float) -> str:
 
 
 def text(value: str) -> str:
-    """Return text as YAML reads it back as text.
+    """Return text quoted for YAML.
 
     Raises:
         FormatError: It holds a control character, with which no file is read (DOC023).
@@ -178,7 +181,7 @@ def text(value: str) -> str:
 
 
 def unreadable(value: str) -> str:
-    r"""Return the first control character that no text of a file may hold; else none.
+    r"""Return the first control character that files must not contain, if any.
 
     >>> unreadable("a\x1bb"), unreadable("a\n")
     ('\x1b', '')

@@ -1,4 +1,4 @@
-"""Old names of modules, which plug-ins and scripts may still import."""
+"""Old module names, which plug-ins and scripts may still import."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ OLD_NAMES = {
 
 
 def new_name(name: str) -> str | None:
-    """Return what a module of an old name, or below one, is called; None of others."""
+    """Return the new name of an old module or of one below it; None of others."""
     above, _, rest = name.rpartition(".")
     if name in OLD_NAMES or not above:
         return OLD_NAMES.get(name)
-    found = new_name(above)
-    return found and f"{found}.{rest}"
+    parent = new_name(above)
+    return parent and f"{parent}.{rest}"
 
 
 class _OldNames:
-    """Finds a module that was moved by its old name.
+    """Finds moved modules by their old names.
 
     It has what `importlib.abc` asks of a finder and a loader, which loads 40 modules.
     """
 
     def create_module(self, _: ModuleSpec) -> None:
-        """Leave it to Python to make a module."""
+        """Leave the creation of modules to Python."""
 
     def find_spec(
         self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
@@ -58,13 +58,13 @@ class _OldNames:
         """Return the spec of an old name; None for any other."""
         if not new_name(name):
             return None
-        # From now on before others, which would find what is below the new name.
+        # From now on first: later finders would find modules below the new name.
         sys.meta_path.remove(cast(Any, self))
         sys.meta_path.insert(0, cast(Any, self))
         return ModuleSpec(name, cast(Any, self))
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the module of the new name in the place of one of the old name."""
+        """Replace the module of the old name by that of the new one."""
         new = new_name(module.__name__)
         assert new is not None
         text = f"{module.__name__} is now called {new}"

@@ -30,7 +30,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
 # What a value is, and so how files and the command line write it.
-Kind: TypeAlias = Literal[
+OptionKind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
     "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
     "name", "names", "angle", "amount", "seed", "codes", "severities", "processes",
@@ -40,7 +40,7 @@ Kind: TypeAlias = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """How a kind of file documents an option that it has a key for."""
+    """How a kind of file documents the key of an option."""
 
     description: str
     example: Any
@@ -50,7 +50,7 @@ class Key:
 
 
 def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
-    """Return the field of a key, of a record that the model of a file is made of.
+    """Return the dataclass field of a key.
 
     Args:
         text: What it is.
@@ -61,68 +61,70 @@ def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
     return field(default=default, metadata={"key": Key(text, example, **said)})
 
 
-class _Described:
-    """A docstring with the keyed fields, put together when it is asked for."""
+class _DocOfKeys:
+    """A docstring with the keyed fields, built on access."""
 
-    def __init__(self, own: str) -> None:
-        self.own = own
+    def __init__(self, docstring: str) -> None:
+        self.docstring = docstring
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
-        head, _, listed = self.own.partition("    Attributes:\n")
+        head, _, listed = self.docstring.partition("    Attributes:\n")
         _, blank, rest = listed.partition("\n\n")
-        told = {
+        texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
-            for text, name in re.findall(_ATTRIBUTE, _own_text(base), re.M)
+            for text, name in re.findall(_ATTRIBUTE, _plain_docstring(base), re.M)
         }
         about = {name: each.about for name, each in options_of(owner).items()}
         about |= {name: key.description for name, key in keys_of(owner).items()}
         for name, text in about.items():
             if text:
-                told.setdefault(name, f"        {name}: {text}\n")
-        if not told:
-            return self.own
+                texts_by_name.setdefault(name, f"        {name}: {text}\n")
+        if not texts_by_name:
+            return self.docstring
         names = [each.name for each in fields(owner)]
-        texts = [told[name] for name in names if name in told]
+        texts = [texts_by_name[name] for name in names if name in texts_by_name]
         listed = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
         return f"{head.rstrip()}\n\n{listed}{rest or '    '}"
 
 
-# One of a docstring, with the lines that it goes on in.
+# An attribute of a docstring, with its continuation lines.
 _ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
-def _own_text(owner: type[Any]) -> str:
+def _plain_docstring(owner: type[Any]) -> str:
     text = vars(owner).get("__doc__") or ""
-    return text.own if isinstance(text, _Described) else text
+    return text.docstring if isinstance(text, _DocOfKeys) else text
 
 
 Described = TypeVar("Described")
 
 
-def described(record: type[Described]) -> type[Described]:
-    """Return a dataclass whose docstring tells of what has a `Key`, or is inherited."""
-    record.__doc__ = cast(str, _Described(record.__doc__ or ""))
+def inherits_docs(record: type[Described]) -> type[Described]:
+    """Return a dataclass whose docstring lists its keys and inherited fields."""
+    record.__doc__ = cast(str, _DocOfKeys(record.__doc__ or ""))
     return record
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What an option is, and where it applies."""
+    """Declaration of an option and where it applies."""
 
-    kind: Kind
+    kind: OptionKind
     flag: str = ""  # word of the command line, where it is not the name of the field
     label: str = ""  # as refusals name it in a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
     over_layer: str = ""  # why an animation layer refuses it; empty where it does not
-    # Other options that it excludes, and how a refusal says so, if not the usual way.
+    # Options that it excludes, with the refusal's message if not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
-    goes_with: str = ""  # another option that it wants, or none
-    lacking: str = ""  # how a refusal says that it lacks that, if not the usual way
+    goes_with: str = ""  # another option that it needs, or none
+    lacking: str = ""  # the refusal's message where that is missing, if not the default
     scene: Key | None = None
     batch: Key | None = None
     help: str = ""  # of the command line; empty where commands have another such option
-    metavar: str | None = None  # what help calls the value; None is as its kind is
+    metavar: str | None = (
+        None  # placeholder of the value in help; None is that of its kind
+    )
     choices: tuple[str, ...] = ()  # on the command line; of a switch, off and on
     least: int = 0  # of a count
     reason: str = ""  # why a source may not take it
@@ -132,7 +134,7 @@ class Option:
 
     @property
     def about(self) -> str:
-        """What documents it in Python: as files do, else as the command line.
+        """Its documentation in Python: that of files, else the help.
 
         Nothing, where its words on the command line are no values in Python.
         """
@@ -144,18 +146,18 @@ class Option:
 
 
 # Of numbers that files and the command line write with a unit.
-_UNITS: dict[Kind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
+_UNITS: dict[OptionKind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
 
 
 def option(
     default: Any,
-    kind: Kind,
+    kind: OptionKind,
     *,
     default_factory: Any = MISSING,
     both: Key | None = None,
     **said: Any,
 ) -> Any:
-    """Return the field of an option.
+    """Return the dataclass field of an option.
 
     Args:
         default: As `dataclasses.field` takes it, or ``MISSING``.
@@ -164,16 +166,16 @@ def option(
         both: The key of scenes and batches.
         said: What else `Option` has.
     """
-    described = Option(kind, **{"scene": both, "batch": both, **said})
+    inherits_docs = Option(kind, **{"scene": both, "batch": both, **said})
     return field(
         default=default,
         default_factory=default_factory,
-        metadata={"option": described},
+        metadata={"option": inherits_docs},
     )
 
 
 def options_of(record: Any) -> dict[str, Option]:
-    """Return the options of a record or its class by name, in its order."""
+    """Return the options of a record or its class by name, in order."""
     return {
         entry.name: entry.metadata["option"]
         for entry in fields(record)
@@ -181,17 +183,17 @@ def options_of(record: Any) -> dict[str, Option]:
     }
 
 
-Place: TypeAlias = Literal["scene", "batch"]
+FileKind: TypeAlias = Literal["scene", "batch"]
 
 
-def keys_of(record: Any, place: Place | None = None) -> Mapping[str, Key]:
-    """Return the keys that a kind of file has for a record, by name of the field.
+def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
+    """Return the keys of a record in a kind of file, by field.
 
     Without a kind those of `key` and of annotations, which any file may have.
     """
-    if place is None:
+    if file_kind is None:
         return _keys(record)
-    keys = {name: getattr(o, place) for name, o in options_of(record).items()}
+    keys = {name: getattr(o, file_kind) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
 
 
@@ -207,72 +209,83 @@ def _keys(record: Any) -> Mapping[str, Key]:
 
 Record = TypeVar("Record")
 # What files write for a value of some kinds: a length as text, an angle in degrees.
-_WRITTEN: dict[Kind, type] = {"length": str, "angle": float}
+_WRITTEN: dict[OptionKind, type] = {"length": str, "angle": float}
 
 
-def with_written(
+def with_text_values(
     record: type[Any], *first: str
 ) -> Callable[[type[Record]], type[Record]]:
-    """Give a frozen dataclass the options of a record, as files write them.
+    """Give a frozen dataclass the options of a record with text values.
 
     first: Names of options that come before the others.
     """
 
-    def add(own: type[Record]) -> type[Record]:
+    def add(record_type: type[Record]) -> type[Record]:
         hints, options = get_type_hints(record), options_of(record)
         more = []
         for name in dict.fromkeys((*first, *options)):
             written = _WRITTEN.get(options[name].kind)
-            usual = record.__dataclass_fields__[name].default
-            default = usual if written is None else options[name].written
+            default_value = record.__dataclass_fields__[name].default
+            default = default_value if written is None else options[name].written
             more.append((name, written or hints[name], default))
-        described = {"__module__": own.__module__, "__doc__": own.__doc__}
+        inherits_docs = {
+            "__module__": record_type.__module__,
+            "__doc__": record_type.__doc__,
+        }
         written_record: type[Record] = make_dataclass(
-            own.__name__, more, bases=(own,), namespace=described, frozen=True
+            record_type.__name__,
+            more,
+            bases=(record_type,),
+            namespace=inherits_docs,
+            frozen=True,
         )
         return written_record
 
     return add
 
 
-def given_options(record: Any) -> dict[str, Option]:
-    """Return the options that are not the defaults; of an answer, one that is no."""
+def chosen_options(record: Any) -> dict[str, Option]:
+    """Return the options that differ from their defaults."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
-        name: described
-        for name, described in options_of(record).items()
+        name: inherits_docs
+        for name, inherits_docs in options_of(record).items()
         if (value := getattr(record, name)) != defaults[name]
-        and not (described.kind == "answer" and value)
+        and not (inherits_docs.kind == "answer" and value)
     }
 
 
-def called(name: str, described: Option) -> str:
-    """Return what stands in a text for an option that is given."""
-    return argument(name, {"switch": True, "answer": False}.get(described.kind))
+def option_marker(name: str, inherits_docs: Option) -> str:
+    """Return the marker of an option in a text."""
+    return argument(name, {"switch": True, "answer": False}.get(inherits_docs.kind))
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
-    """Return the options that are not for a use, of those that are given.
+    """Return the chosen options that a use refuses, by their markers.
 
-    By what stands for each in a text.
+    By the marker of each in a text.
     """
-    given = given_options(record).items()
-    return {called(name, own): own for name, own in given if use in own.not_for}
+    chosen = chosen_options(record).items()
+    return {
+        option_marker(name, option): option
+        for name, option in chosen
+        if use in option.not_for
+    }
 
 
 def clashes(record: Any) -> list[str]:
-    """Return how options that are given exclude each other, or want another one."""
-    options, given = options_of(record), given_options(record)
-    names = {name: called(name, own) for name, own in options.items()}
+    """Return messages of chosen options that exclude or lack one another."""
+    options, chosen = options_of(record), chosen_options(record)
+    names = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
-    for name, one in given.items():
+    for name, one in chosen.items():
         for other, message in one.excludes.items():
-            if other in given:
-                usual = f"{names[name]} and {names[other]} exclude each other"
-                messages.append(message or usual)
-        if one.goes_with and one.goes_with not in given:
-            usual = f"{names[name]} needs {names[one.goes_with]}"
-            messages.append(one.lacking or usual)
+            if other in chosen:
+                default_message = f"{names[name]} and {names[other]} exclude each other"
+                messages.append(message or default_message)
+        if one.goes_with and one.goes_with not in chosen:
+            default_message = f"{names[name]} needs {names[one.goes_with]}"
+            messages.append(one.lacking or default_message)
     return messages
 
 
@@ -286,7 +299,7 @@ OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a number, or each of a vector, may be. None is in range; NaN never is."""
+    """Allowed values of a number or a vector's components; NaN is never allowed."""
 
     bound: str  # in words, as in "must be above 0"
     code: str
@@ -321,14 +334,14 @@ def above(least: float, code: str, *, finite: bool = False) -> Range:
 
 
 def or_more(least: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range from a number on, as in "0 or more"."""
+    """Return a range with a lower bound, worded "0 or more"."""
     return Range(
         _bound(f"{least:g} or more", finite=finite), code, least, finite=finite
     )
 
 
 def at_least(least: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range from a number on, as in "at least 1e-06"."""
+    """Return a range with a lower bound, worded "at least 1e-06"."""
     bound = _bound(f"at least {least:g}", finite=finite)
     return Range(bound, code, least, finite=finite)
 
@@ -352,7 +365,7 @@ def _bound(text: str, *, finite: bool) -> str:
 
 @cache
 def ranges_of(record: type[Any]) -> Mapping[str, Range]:
-    """Return the ranges that a record declares, by the name of the field.
+    """Return the declared ranges of a record, by field.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> ranges_of(SpringOptions)["longest"].bound
@@ -372,7 +385,7 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
 
 
 def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
-    """Return a fault of each number of a record that is out of its range.
+    """Return a fault for each number of a record out of its range.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
@@ -391,16 +404,16 @@ must be above 1, not 1']
 
 
 class Checked:
-    """A record of an entry that says what of it makes no sense."""
+    """A record of an entry that reports its invalid values."""
 
     __slots__ = ()
     code: ClassVar[str]
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
+        """Return the invalid options, each with the reason."""
         faults = range_faults(self, OF_ENTRY)
         return [(str(fault.where), fault.message) for fault in faults]
 
     def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense, as faults of one code."""
+        """Return the invalid options as faults of one code."""
         return [Fault(self.code, why, where=where) for _, why in self.problems()]

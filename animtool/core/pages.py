@@ -1,4 +1,4 @@
-"""The pages of the documentation: Markdown that is part of animtool."""
+"""The documentation pages, shipped as Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.names import nearest
 from animtool.core.record import dataclass
 
 _DOCS = resources.files("animtool") / "docs"
-# Folders of pages, and what the pages in them are.
+# Folders of pages, and the kind of their pages.
 KINDS = {
     "tutorials": "Tutorials",
     "howto": "How-to guides",
@@ -30,7 +30,7 @@ MAX_MENTIONED = 5
 
 @dataclass(frozen=True, slots=True)
 class PageEntry:
-    """A page of the documentation.
+    """A documentation page.
 
     Attributes:
         name: Its path below ``docs``, without suffix, such as ``howto/ci``.
@@ -42,14 +42,14 @@ class PageEntry:
 
     @property
     def kind(self) -> str:
-        """What it is: one of the values of `KINDS`."""
+        """Its kind: one of the values of `KINDS`."""
         folder = self.name.partition("/")[0] if "/" in self.name else ""
         return KINDS.get(folder, KINDS[""])
 
 
 @cache
 def all_pages() -> tuple[PageEntry, ...]:
-    """Return every page but those of codes, by kind and name."""
+    """Return every page except rule pages, by kind and name."""
     docs = cast(Path, _DOCS)
     order = list(KINDS.values())
     entries = [
@@ -66,7 +66,7 @@ def page_markdown(page: PageEntry) -> str:
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page of a topic: its name, the last part of it, or a word of that.
+    """Return the page of a topic: its name, the last part or a word of it.
 
     Args:
         topic: Such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -77,34 +77,34 @@ def find_page(topic: str) -> PageEntry:
     >>> find_page("Desk-Lamp").name
     'tutorials/desk-lamp'
     """
-    wanted = topic.lower().removesuffix(".md").strip("/")
-    wanted = MOVED.get(wanted, wanted)
+    name = topic.lower().removesuffix(".md").strip("/")
+    name = MOVED.get(name, name)
     pages = all_pages()
-    found = [page for page in pages if page.name == wanted]
-    found = found or [page for page in pages if page.name.split("/")[-1] == wanted]
-    among = [page for page in pages if wanted in page.name.split("/")[-1].split("-")]
-    if len(found) == 1 or (not found and len(among) == 1):
-        return (found or among)[0]
-    if found:
+    matches = [page for page in pages if page.name == name]
+    matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
+    among = [page for page in pages if name in page.name.split("/")[-1].split("-")]
+    if len(matches) == 1 or (not matches and len(among) == 1):
+        return (matches or among)[0]
+    if matches:
         message = f"{topic!r} names several pages"
-        hint = f"write one of {', '.join(page.name for page in found)}"
+        hint = f"write one of {', '.join(page.name for page in matches)}"
     else:
-        message, hint = f"unknown page {topic!r}", _hint(wanted)
+        message, hint = f"unknown page {topic!r}", _hint(name)
     raise OptionError(Fault("CLI009", message, hint=hint))
 
 
-def _hint(wanted: str) -> str:
-    """Return which page was meant, by its name or by what its headings mention."""
+def _hint(topic: str) -> str:
+    """Return the nearest page, by its name or its headings."""
     stems = [page.name.split("/")[-1] for page in all_pages()]
-    hint = nearest(wanted, stems)
+    hint = nearest(topic, stems)
     if not hint.startswith("allowed"):
         return hint
     mentioned = [
         page.name
         for page in all_pages()
-        if wanted and any(wanted in line.lower() for line in _headings(page))
+        if topic and any(topic in line.lower() for line in _headings(page))
     ]
-    counts = {page.name: _mentions(page, wanted) for page in all_pages()}
+    counts = {page.name: _mentions(page, topic) for page in all_pages()}
     most = max(counts, key=lambda name: counts[name])
     mentioned = mentioned or ([most] if counts[most] else [])
     if mentioned:
@@ -113,7 +113,7 @@ def _hint(wanted: str) -> str:
 
 
 def _mentions(page: PageEntry, word: str) -> int:
-    """Return how often a page has a word."""
+    """Return the number of times a page contains a word."""
     if not word:
         return 0
     return len(re.findall(rf"\b{re.escape(word)}\b", page_markdown(page).lower()))

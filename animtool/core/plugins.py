@@ -1,4 +1,4 @@
-"""Public names, and objects by name: imported when they are first used."""
+"""Lazy imports of public names and of objects by name; entry points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def lazy_names(
-    package: str, places: Mapping[str, str]
+    package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
 
@@ -30,15 +30,15 @@ def lazy_names(
 
     def get(name: str) -> object:
         """Import a public name when it is first used."""
-        if name not in places:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(places[name])
-        is_module = places[name] == f"{package}.{name}"
+        module = importlib.import_module(modules[name])
+        is_module = modules[name] == f"{package}.{name}"
         names[name] = module if is_module else getattr(module, name)
         return names[name]
 
     def listed() -> list[str]:
-        return sorted(places)
+        return sorted(modules)
 
     return get, listed
 
@@ -46,13 +46,13 @@ def lazy_names(
 Kind = TypeVar("Kind")
 
 
-def load_object(place: str) -> object:
-    """Return the object that ``module:object`` names, its module imported now.
+def load_object(path: str) -> object:
+    """Return the object named ``module:object``, importing its module.
 
     >>> load_object("fractions:Fraction")
     <class 'fractions.Fraction'>
     """
-    module, _, attribute = place.partition(":")
+    module, _, attribute = path.partition(":")
     value: object = attrgetter(attribute)(importlib.import_module(module))
     return value
 
@@ -71,7 +71,7 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
 
 
 def may_have(group: str) -> bool:
-    """Return whether a package has entry points of a group, by their lists.
+    """Return whether a package has entry points of a group, without loading it.
 
     Where packages may be anywhere else than in folders, they may.
     """
@@ -93,7 +93,7 @@ def may_have(group: str) -> bool:
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
-    """Return what an entry point names, of a kind; else IO003."""
+    """Return the object of an entry point, of a type (else IO003)."""
     try:
         loaded: object = point.load()
     except Exception as error:

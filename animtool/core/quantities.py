@@ -1,4 +1,4 @@
-"""Numbers, lengths, durations and texts as reports print them.
+"""Numbers, lengths, durations and texts formatted for reports.
 
 What names, paths and messages hold may come from anyone. Control characters move the
 cursor or set a title, bidirectional marks show a name backwards, and a line that
@@ -16,7 +16,7 @@ import json
 import math
 import re
 
-# A class of a regular expression: what no name has a use for.
+# A class of a regular expression: characters that names never need.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Controls, what ends a line, what has no width, what turns the direction of text, and
 # joiners, save between letters that are joined.
@@ -32,7 +32,7 @@ _SHORT = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def escaped(text: str) -> str:
-    r"""Return text as a line prints it, with escapes for what is not shown as it is.
+    r"""Return text with escapes for characters that must not be printed.
 
     Text without such characters comes back as it is, and so does what was escaped.
 
@@ -45,7 +45,7 @@ def escaped(text: str) -> str:
 
 
 def escaped_lines(text: str) -> str:
-    r"""Return text of several lines, each as `escaped` returns it.
+    r"""Return text of several lines, each escaped by `escaped`.
 
     >>> escaped_lines("one\n::two\n")
     'one\n\\x3a:two\n'
@@ -56,7 +56,7 @@ def escaped_lines(text: str) -> str:
 def json_printed(
     value: object, *, indent: int | None = None, ascii_only: bool = False
 ) -> str:
-    r"""Return a value as JSON in UTF-8, which has escapes where `escaped` has some.
+    r"""Return a value as UTF-8 JSON with the escapes of `escaped`.
 
     >>> json_printed("\x9b\udcff##[error]")
     '"\\u009b\\udcff\\u0023#[error]"'
@@ -90,16 +90,16 @@ _LENGTHS = (
 )
 # Of a number that is printed without an exponent.
 MAX_ZEROS = 15
-# Shorter lengths are what rounding in float64 leaves [m].
+# Shorter lengths are rounding errors of float64 [m].
 MIN_LENGTH = 1e-12
-# Smaller angles are what rounding in float64 leaves [deg].
+# Smaller angles are rounding errors of float64 [deg].
 MIN_ANGLE = 1e-6
 _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
 
 def floored(value: float) -> float:
-    """Return the largest number of two digits that is not above one over 0.
+    """Return the largest number of two digits that is not above a positive one.
 
     >>> floored(0.00128), floored(0.0349)
     (0.0012, 0.034)
@@ -109,7 +109,7 @@ def floored(value: float) -> float:
 
 
 def plain(value: float, digits: int = 3) -> str:
-    """Return a number of so many significant digits, without an exponent.
+    """Return a number with some significant digits and no exponent.
 
     Beyond some fifteen zeros it has one: they are no easier to read.
 
@@ -130,7 +130,7 @@ def plain(value: float, digits: int = 3) -> str:
 
 
 def length_text(meters: float, digits: int = 3) -> str:
-    """Return a length in metres, or in millimetres or less where it is shorter.
+    """Return a length in metres, or in smaller units if it is short.
 
     >>> length_text(26.2), length_text(0.00012), length_text(4.1e-8), length_text(0)
     ('26.2 m', '0.12 mm', '0.041 µm', '0 mm')

@@ -1,4 +1,4 @@
-"""Frame rates as exact fractions, read from what files and people write."""
+"""Frame rates as exact fractions, parsed from files and options."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
 MAX_DIGITS = 100
-USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
+COMMON_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
 # A rate or frame as people write it: 24, 23.976, "24000/1001", Fraction(24000, 1001).
 FractionLike: TypeAlias = int | float | str | Fraction
 
 
 class OptionalFraction:
-    """Type of a record's field that takes a number or text and holds a fraction.
+    """Field type: accepts a number or text and stores a fraction.
 
     Type checkers alone know it as a descriptor; `__post_init__` of the record makes
     the fraction.
@@ -50,13 +50,13 @@ NO_FRACTION: Any = None  # the default of such a field
 
 
 class RateError(ValueError):
-    """What should be a frame rate is none."""
+    """A value is not a frame rate."""
 
     code = "SCN022"
 
 
 class RateKind(StrEnum):
-    """How a rate was found."""
+    """How a rate was determined."""
 
     REPRINTED = "reprinted"
     NEAREST = "nearest"
@@ -75,7 +75,7 @@ class RateChoice:
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
-    """Return the rate that a printed frame time [s] stands for.
+    """Return the rate of a printed frame time [s].
 
     An integer whose reciprocal, rounded to the digits printed, is the printed
     value (of several, the exact one, else a usual one, else the nearest); else the
@@ -104,8 +104,8 @@ def rate_from_frame_time(text: str) -> RateChoice:
 
     fitting = _integers_that_print(Fraction(printed), digits)
     if fitting:
-        usual = [] if exact in fitting else [n for n in fitting if n in USUAL_RATES]
-        best = min(usual or fitting, key=lambda n: abs(n - exact))
+        common = [] if exact in fitting else [n for n in fitting if n in COMMON_RATES]
+        best = min(common or fitting, key=lambda n: abs(n - exact))
         rivals = () if best == exact else tuple(n for n in fitting if n != best)
         return RateChoice(Fraction(best), RateKind.REPRINTED, rivals)
 
@@ -136,7 +136,7 @@ def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
 
 
 def rate_from_float(fps: float) -> Fraction:
-    """Return the rate that a float in file metadata stands for.
+    """Return the exact rate of a float in file metadata.
 
     An integer or N·1000/1001 where the float is one of them to 5e-6, or the
     decimal that is usually written for one; else the float's exact value rounded to
@@ -151,9 +151,9 @@ def rate_from_float(fps: float) -> Fraction:
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
     exact = Fraction(fps)
-    usual = _BROADCAST.get(f"{fps:g}")
-    if usual is not None:
-        return usual
+    fixed = _BROADCAST.get(f"{fps:g}")
+    if fixed is not None:
+        return fixed
     integer, broadcast = round(exact), round(exact * 1001 / 1000)
     nearest = min(
         (Fraction(integer), Fraction(broadcast * 1000, 1001)),
@@ -177,7 +177,7 @@ _BROADCAST = {
 
 
 def exact_number(text: FractionLike) -> Fraction:
-    """Return the number that a person wrote: ``24``, ``23.976``, ``24000/1001``.
+    """Return an exact number from ``24``, ``23.976`` or ``24000/1001``.
 
     Raises:
         ValueError: It is none, or has more digits than a number that anybody writes.
@@ -194,7 +194,7 @@ def exact_number(text: FractionLike) -> Fraction:
 
 
 def parse_rate(text: FractionLike) -> Fraction:
-    """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
+    """Return a rate from ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is taken as it is.
 
@@ -222,7 +222,7 @@ def parse_rate(text: FractionLike) -> Fraction:
 
 
 def _digits(number: object) -> str:
-    """Return a number as text that `Fraction` reads; of anything else what it is."""
+    """Return a number as text for `Fraction`; anything else unchanged."""
     if isinstance(number, float):
         return f"{number:.12g}"
     is_rate = isinstance(number, Rational) and not isinstance(number, bool)
@@ -230,7 +230,7 @@ def _digits(number: object) -> str:
 
 
 def rate_option(fps: FractionLike) -> Fraction:
-    """Return the rate of the option ``fps``, see `parse_rate` (none: SCN022).
+    """Return the rate of the option ``fps``, see `parse_rate` (else SCN022).
 
     >>> rate_option("29.97")
     Fraction(30000, 1001)
@@ -242,7 +242,7 @@ def rate_option(fps: FractionLike) -> Fraction:
 
 
 def rate_label(fps: Fraction) -> str:
-    """Return a rate as people read it.
+    """Return a rate as text.
 
     >>> rate_label(Fraction(24000, 1001)), rate_label(Fraction(30))
     ('24000/1001 (23.976) fps', '30 fps')

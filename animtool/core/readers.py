@@ -1,4 +1,4 @@
-"""What opens a file, by its suffix: as a rig, and as a source of motion.
+"""The table of readers by suffix: of rigs and of motion.
 
 The table holds the readers; what they open a file with is imported when used.
 """
@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.files.reading import open_input, unreadable, why_no_file
+from animtool.core.files.reading import not_a_file_reason, open_input, unreadable
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
@@ -22,7 +22,7 @@ PLUGIN_GROUP = "animtool.readers"
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One entry of the table of readers.
+    """An entry of the table of readers.
 
     Attributes:
         about: What such files are, one line.
@@ -55,29 +55,29 @@ class Reader:
     still: bool = False
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
-        """Return what opens a file as a rig; see `source_opener`."""
+        """Return the function that opens a rig; see `source_opener`."""
         return _opener(self.rig, "rig", path)
 
     def source_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens a file as a source (none: IO002; broken: IO003)."""
+        """Return the function that opens a source (none: IO002; broken: IO003)."""
         return _opener(self.source, "motion", path)
 
     def prim_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens an object of a file; see `source_opener`."""
+        """Return the function that opens an object; see `source_opener`."""
         return _opener(self.prim, "prim", path)
 
     def take_names(self, path: Path) -> list[str]:
-        """Return the names of the takes of a file, where it may hold several."""
+        """Return the names of a file's takes, where it may have several."""
         if not self.takes:
             return []
         return list(_opener(self.takes, "takes", path)(path))
 
     def markers_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens a file as marker trajectories; see `source_opener`."""
+        """Return the function that opens markers; see `source_opener`."""
         return _opener(self.markers, "markers", path)
 
 
-# A zip file of a stage and all that it refers to.
+# A zip file of a stage and its dependencies.
 PACKAGE = ".usdz"
 
 BVH = Reader(
@@ -207,7 +207,7 @@ TIMELINE_SUFFIXES = (
 )
 
 
-# Files of tools, and what of them is read once they export it.
+# Files of applications, and the formats to export them to.
 EXPORTS: dict[str, tuple[str, str]] = {
     ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
@@ -255,18 +255,18 @@ _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
 
 
 def xml_root(path: Path) -> str:
-    """Return the root element of an XML file; empty where it has none, or is none."""
+    """Return the root element of an XML file; empty if it has none."""
     try:
         with open_input(path, None, recorded=False) as file:
             head = file.read(HEAD_BYTES)
     except FormatError:
         return ""
-    found = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
-    return found[1].decode("utf-8", "replace") if found else ""
+    match = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
+    return match[1].decode("utf-8", "replace") if match else ""
 
 
 def is_timeline(path: Path) -> bool:
-    """Return whether a path is that of a timeline; one named .xml by its root element.
+    """Return whether a path is a timeline; ``.xml`` by its root element.
 
     >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
     (True, False)
@@ -278,7 +278,7 @@ def is_timeline(path: Path) -> bool:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader of a file by its suffix; None where none has it.
+    """Return the reader of a file by its suffix; None without one.
 
     A timeline named .xml has none.
 
@@ -291,10 +291,10 @@ def reader_of(path: Path) -> Reader | None:
     return None if is_timeline(path) else _TABLE.find(path)
 
 
-def is_still(path: Path) -> bool:
+def is_rig_only(path: Path) -> bool:
     """Return whether files of a path's suffix hold a rig and no motion.
 
-    >>> is_still(Path("arm.urdf")), is_still(Path("walk.bvh"))
+    >>> is_rig_only(Path("arm.urdf")), is_rig_only(Path("walk.bvh"))
     (True, False)
     """
     reader = reader_of(path)
@@ -302,12 +302,12 @@ def is_still(path: Path) -> bool:
 
 
 def readable_suffixes() -> list[str]:
-    """Return the suffixes of files that are read, those of plug-ins last."""
+    """Return the readable suffixes, those of plug-ins last."""
     return [*READERS, *_TABLE.plugin_suffixes()]
 
 
 def find_reader(path: Path) -> Reader:
-    """Return the reader of a file by its suffix, those of plug-ins included.
+    """Return the reader of a file by its suffix, plug-ins included.
 
     Raises:
         FormatError: None has its suffix, and there is no such file (IO001).
@@ -320,7 +320,7 @@ def find_reader(path: Path) -> Reader:
     reader = reader_of(path)
     if reader is not None:
         return reader
-    reason = why_no_file(path)
+    reason = not_a_file_reason(path)
     if reason is not None:
         raise unreadable(path, reason)
     if path.suffix.lower() in EXPORTS:
@@ -337,26 +337,26 @@ def find_reader(path: Path) -> Reader:
 
 
 def export_fault(path: Path) -> Fault:
-    """Return the fault of a file that a tool can export as one that is read (IO002)."""
+    """Return the fault of a file to export to a readable format (IO002)."""
     about, hint = EXPORTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)
 
 
-def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
-    if not place:
+def _opener(target: str, what: str, path: Path) -> Callable[..., Any]:
+    if not target:
         message = f"{path.suffix} files hold no {what}"
         raise OptionError(Fault("IO002", message, str(path)))
     try:
-        return cast(Callable[..., Any], load_object(place))
+        return cast(Callable[..., Any], load_object(target))
     except (ImportError, AttributeError) as error:
-        message = f"the reader {place} cannot be loaded: {error}"
+        message = f"the reader {target} cannot be loaded: {error}"
         hint = "repair or remove the plug-in"
         raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
 
 
 def listed_readers() -> list[ListedFormat]:
-    """Return every reader, animtool's own first, those of plug-ins loaded.
+    """Return every reader, built-in ones first, plug-ins loaded.
 
     >>> listed_readers()[0].suffix
     '.bvh'
@@ -366,4 +366,4 @@ def listed_readers() -> list[ListedFormat]:
 
 def _opens(reader: Reader) -> tuple[str, ...]:
     named = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
-    return tuple(name for name, place in named.items() if place)
+    return tuple(name for name, target in named.items() if target)

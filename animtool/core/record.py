@@ -1,4 +1,4 @@
-"""The decorator of records: `dataclasses.dataclass`, without code made at import.
+"""A record decorator like `dataclasses.dataclass`, without generated code.
 
 The one of the standard library writes the methods of each class as text and compiles
 it, about 0.4 ms a class; a command loads some hundred. These methods are closures over
@@ -16,17 +16,17 @@ from types import FunctionType, MemberDescriptorType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin
 
 if TYPE_CHECKING:
-    # Type checkers know what that one does to a class; this one does the same.
+    # Type checkers know the effect of that decorator; this one has the same.
     from dataclasses import dataclass as dataclass  # noqa: PLC0414  # exports it
 else:
 
     def dataclass(
         cls=None, /, *, frozen=False, slots=False, eq=True, repr=True, kw_only=False
     ):
-        """Return a class as a record of its annotated fields, or what makes it one.
+        """Return a class as a record of its annotated fields, or the decorator.
 
         Args:
-            cls: The class, where nothing else is said.
+            cls: The class, when used without arguments.
             frozen: Whether instances are read-only; then they have a hash, if equal.
             slots: Whether they have no ``__dict__``.
             eq: Whether two with equal fields are equal.
@@ -58,14 +58,16 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
         declared.update(getattr(base, "__dataclass_fields__", {}))
     for name, type_ in inspect.get_annotations(cls).items():
         if not _is_class_variable(type_):
-            declared[name] = _own_field(cls, name, type_, flags.kw_only)
+            declared[name] = _declared_field(cls, name, type_, flags.kw_only)
     methods = _methods(declared, flags, hasattr(cls, "__post_init__"))
-    own = vars(cls)
-    if flags.eq and "__hash__" not in own:
+    attributes = vars(cls)
+    if flags.eq and "__hash__" not in attributes:
         methods["__hash__"] = methods["__hash__"] if flags.frozen else None
-    elif not flags.eq or own["__hash__"] is not None or "__eq__" not in own:
+    elif (
+        not flags.eq or attributes["__hash__"] is not None or "__eq__" not in attributes
+    ):
         methods.pop("__hash__", None)
-    added = {name: each for name, each in methods.items() if name not in own}
+    added = {name: each for name, each in methods.items() if name not in attributes}
     if "__hash__" in methods:
         added["__hash__"] = methods["__hash__"]
     for name, each in added.items():
@@ -87,8 +89,8 @@ def _is_class_variable(type_: Any) -> bool:
     return type_ is ClassVar or get_origin(type_) is ClassVar
 
 
-def _own_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
-    """Return the field of an annotation; its default stays on the class, if it has."""
+def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
+    """Return the field of an annotation; a default stays on the class."""
     default = getattr(cls, name, MISSING)
     if isinstance(default, Field):
         entry: Any = default
@@ -111,7 +113,7 @@ def _own_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
 
 
 def _mark_of_fields() -> Any:
-    """Return what `dataclasses` marks a field with that is no class variable."""
+    """Return the marker of `dataclasses` for instance fields."""
     import dataclasses
 
     return vars(dataclasses)["_FIELD"]
@@ -127,8 +129,8 @@ def _methods(
 
     finished: Whether it has a ``__post_init__``.
     """
-    given = [each for each in declared.values() if each.init]
-    placed = tuple(each.name for each in given if not each.kw_only)
+    initialized = [each for each in declared.values() if each.init]
+    placed = tuple(each.name for each in initialized if not each.kw_only)
     compared = [each for each in declared.values() if each.compare]
     hashed = [e for e in declared.values() if (e.compare if e.hash is None else e.hash)]
     methods: dict[str, Any] = {
@@ -154,35 +156,38 @@ def _initializer(
     frozen: bool,
     finished: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` of fields, those ``placed`` by position too."""
+    """Return the ``__init__`` of fields, ``placed`` ones by position too."""
     declared = list(declared)
     defaults = {e.name: e.default for e in declared if e.default is not MISSING}
-    made = [
+    factories = [
         (each.name, each.default_factory)
         for each in declared
         if each.default_factory is not MISSING
     ]
     valued = {each.name for each in declared if each.init or each.name in defaults}
-    valued.update(name for name, _ in made)
+    valued.update(name for name, _ in factories)
     never = [each.name for each in declared if not each.init]
     most = len(placed) if valued == set(placed) else -1  # where they can be all
     put: Callable[[Any, str, Any], None] = object.__setattr__ if frozen else setattr
 
-    def __init__(self: Any, /, *given: Any, **named: Any) -> None:  # noqa: N807
-        if len(given) == most and not named:
-            for name, value in zip(placed, given, strict=True):
+    def __init__(self: Any, /, *positional: Any, **named: Any) -> None:  # noqa: N807
+        if len(positional) == most and not named:
+            for name, value in zip(placed, positional, strict=True):
                 put(self, name, value)
         else:
-            values = defaults | dict(zip(placed, given, strict=False)) | named
-            for name, make in made:
+            values = defaults | dict(zip(placed, positional, strict=False)) | named
+            for name, make in factories:
                 if name not in values:
                     values[name] = make()
             if (
-                len(given) > len(placed)
+                len(positional) > len(placed)
                 or values.keys() != valued
-                or ((given or never) and _taken(named, placed[: len(given)], never))
+                or (
+                    (positional or never)
+                    and _taken(named, placed[: len(positional)], never)
+                )
             ):
-                _refuse(self, given, named)
+                _refuse(self, positional, named)
             for name, value in values.items():
                 put(self, name, value)
         if finished:
@@ -192,15 +197,15 @@ def _initializer(
 
 
 def _taken(named: Mapping[str, Any], *others: Iterable[str]) -> bool:
-    """Return whether an argument is given twice, or is none."""
+    """Return whether an argument is repeated or unknown."""
     return any(name in named for names in others for name in names)
 
 
-def _refuse(record: Any, given: tuple[Any, ...], named: Mapping[str, Any]) -> None:
-    """Raise what Python says of arguments that do not fit."""
+def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
+    """Raise Python's error of arguments that do not fit."""
     kind = type(record)
     try:
-        _signature(kind).bind(*given, **named)
+        _signature(kind).bind(*positional, **named)
     except TypeError as error:
         raise TypeError(f"{kind.__qualname__}.__init__(): {error}") from None
 
@@ -213,7 +218,7 @@ def _signature(kind: type[Any]) -> inspect.Signature:
             if each.default is not MISSING:
                 default = each.default
             elif each.default_factory is not MISSING:
-                default = _Made()
+                default = _FactoryDefault()
             parameter = inspect.Parameter(
                 each.name,
                 inspect.Parameter.KEYWORD_ONLY
@@ -227,15 +232,15 @@ def _signature(kind: type[Any]) -> inspect.Signature:
     return inspect.Signature(parameters, return_annotation=None)
 
 
-class _Made:
-    """A default that each instance has one of its own of."""
+class _FactoryDefault:
+    """Shown default of a field with a factory."""
 
     def __repr__(self) -> str:
         return "<factory>"
 
 
 class _Signature:
-    """The signature of a record, put together when it is asked for."""
+    """The signature of a record, built on access."""
 
     def __get__(self, instance: object, owner: type[Any]) -> inspect.Signature:
         if instance is not None:
@@ -244,7 +249,7 @@ class _Signature:
 
 
 def _getter(names: list[str]) -> Callable[[Any], Any]:
-    """Return what returns the values of fields, as one that can be compared."""
+    """Return a function that returns field values as a comparable value."""
     if names:
         return attrgetter(*names)
     return lambda _: ()
@@ -256,7 +261,7 @@ def _comparer(names: list[str]) -> Callable[[Any, Any], Any]:
     def __eq__(self: Any, other: object) -> Any:  # noqa: N807
         if other.__class__ is not self.__class__:
             return NotImplemented
-        # In a tuple what is the same is equal, as a NaN is to itself.
+        # In a tuple an identical object is equal, as a NaN is to itself.
         return (values(self),) == (values(other),)
 
     return __eq__
@@ -293,7 +298,7 @@ _SHOWN: set[int] = set()
 def _locks(
     names: frozenset[str],
 ) -> tuple[Callable[[Any, str, Any], None], Callable[[Any, str], None]]:
-    """Return what refuses to set and to delete fields; what a subclass adds is free."""
+    """Return methods that refuse to set and delete fields; subclasses may add some."""
 
     def __setattr__(self: Any, name: str, value: Any) -> None:  # noqa: N807
         if name in names or not hasattr(self, "__dict__"):
@@ -311,7 +316,7 @@ def _locks(
 def _pickled(
     names: tuple[str, ...],
 ) -> tuple[Callable[[Any], list[Any]], Callable[[Any, list[Any]], None]]:
-    """Return what gives and takes the state of a frozen record with slots."""
+    """Return the pickle methods of a frozen record with slots."""
 
     def __getstate__(self: Any) -> list[Any]:  # noqa: N807
         return [getattr(self, name) for name in names]
@@ -326,14 +331,14 @@ def _pickled(
 def _slotted(
     cls: type[Any], declared: Iterable[str], added: Mapping[str, Any]
 ) -> type[Any]:
-    """Return a class with slots for the fields that its bases have none for."""
-    held = {
+    """Return a class with slots for fields that its bases have no slots for."""
+    inherited = {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }
     body = {**vars(cls), **added}
     for name in (*declared, "__dict__", "__weakref__"):
         body.pop(name, None)
-    body["__slots__"] = tuple(name for name in declared if name not in held)
+    body["__slots__"] = tuple(name for name in declared if name not in inherited)
     metaclass: Any = type(cls)
     rebuilt: type[Any] = metaclass(cls.__name__, cls.__bases__, body)
     rebuilt.__qualname__ = cls.__qualname__

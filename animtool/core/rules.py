@@ -1,4 +1,4 @@
-"""The codes that animtool says: each is a page, whose front matter declares it.
+"""The codes of faults: each is a page whose front matter declares it.
 
 ``docs/rules/CODE.md``; rules of plug-ins declare themselves.
 """
@@ -29,7 +29,7 @@ _CODE = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
 class Kind(StrEnum):
-    """What a file is."""
+    """Kind of a file."""
 
     BATCH = "batch"
     RIG = "rig"
@@ -55,7 +55,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One code.
+    """A code and its check.
 
     Attributes:
         code: Family and three digits, such as ``RIG201``.
@@ -82,13 +82,13 @@ class Rule:
 
     @property
     def kinds(self) -> frozenset[Kind]:
-        """Kinds of the files that the rule looks at, none for one without a check."""
+        """Kinds of the files that the rule checks; none without a check."""
         if self.kind is None:
             return frozenset()
         return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind
 
     def load(self) -> Check:
-        """Return the function of a rule that has one."""
+        """Return the function of a rule that has a check."""
         return cast(Check, load_object(self.check))
 
 
@@ -97,27 +97,27 @@ class ListedRule:
     """A rule of a plug-in as `animtool plugins` lists it."""
 
     code: str  # the entry point's name
-    source: str  # the object that it names
-    kind: str  # of the files that it looks at; empty where it cannot be loaded
+    source: str  # the object it names
+    kind: str  # kinds of the files it checks; empty if it cannot be loaded
     about: str  # its title, or why it cannot be loaded
     json_keys: ClassVar[str] = "rule=code source kind about"
 
 
 def read_page(code: str) -> tuple[Rule, str] | None:
-    """Return a code and the text of its page, Markdown; None where there is none."""
+    """Return a code and the Markdown of its page; None without one."""
     file = _PAGES / f"{code}.md"
     return _parsed(file.read_text("utf-8")) if file.is_file() else None
 
 
 def page_text(code: str) -> str | None:
-    """Return the text of a code's page, Markdown; None where it has none."""
+    """Return the Markdown of a code's page; None without one."""
     page = read_page(code)
     return None if page is None else page[1]
 
 
 @cache
-def own_rules() -> Mapping[str, Rule]:
-    """Return animtool's own rules by code, in order: one a page."""
+def builtin_rules() -> Mapping[str, Rule]:
+    """Return animtool's own rules by code, in order."""
     rules = []
     for file in _PAGES.iterdir():
         # Of 800 files, the buffers and decoders of text would take half of the time.
@@ -128,9 +128,9 @@ def own_rules() -> Mapping[str, Rule]:
 
 @cache
 def replaced_codes() -> Mapping[str, tuple[str, ...]]:
-    """Return the codes of earlier versions, and those that say the same now."""
+    """Return the codes of earlier versions and those that replace them."""
     current: dict[str, tuple[str, ...]] = {}
-    for rule in own_rules().values():
+    for rule in builtin_rules().values():
         for old in rule.replaces:
             current[old] = (*current.get(old, ()), rule.code)
     return current
@@ -139,11 +139,11 @@ def replaced_codes() -> Mapping[str, tuple[str, ...]]:
 def finding(
     code: str, where: object, message: str, severity: Severity | None = None
 ) -> Fault:
-    """Return the fault of a code at a prim or property, as its page declares it.
+    """Return a fault at a prim or property, with the severity of its page.
 
     A severity that is given counts for more than that of the page.
     """
-    rule = _own_rule(code)
+    rule = _builtin_rule(code)
     return Fault(
         code,
         message,
@@ -154,7 +154,7 @@ def finding(
 
 
 @cache
-def _own_rule(code: str) -> Rule:
+def _builtin_rule(code: str) -> Rule:
     page = read_page(code)
     assert page is not None, code
     return page[0]
@@ -188,11 +188,11 @@ def _list(value: str) -> tuple[str, ...]:
 
 @cache
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
-    """Return every rule by code, those of plug-ins included, and broken plug-ins.
+    """Return every rule by code, plug-ins included, and the broken plug-ins.
 
     An entry point's name is the code of the rule that it leads to.
     """
-    rules = dict(own_rules())
+    rules = dict(builtin_rules())
     broken: list[Fault] = []
     for point in _points():
         loaded = _loaded(point)
@@ -217,7 +217,7 @@ def listed_rules() -> list[ListedRule]:
 
 
 def current_codes(code: str) -> tuple[str, ...]:
-    """Return the codes that a code of an earlier version became, or the code itself.
+    """Return the codes that replace an earlier one, or the code itself.
 
     >>> current_codes('BVH203'), current_codes('RIG')
     (('MOT202', 'MOT203'), ('RIG',))
@@ -226,15 +226,15 @@ def current_codes(code: str) -> tuple[str, ...]:
 
 
 def find_rule(code: str) -> Rule:
-    """Return the rule of a code, in any case (unknown: VAL005).
+    """Return the rule of a code, ignoring case (unknown: VAL005).
 
     >>> find_rule("rig001").title
     'duplicate joint'
     """
     name = code.upper()
-    own = read_page(name) if _CODE.fullmatch(name) else None
-    if own is not None:
-        return own[0]
+    page = read_page(name) if _CODE.fullmatch(name) else None
+    if page is not None:
+        return page[0]
     name = current_codes(name)[0]
     rules, _ = all_rules()
     if name not in rules:
@@ -257,7 +257,7 @@ def _points() -> list[EntryPoint]:
 
 
 def _loaded(point: EntryPoint) -> Rule | Fault:
-    """Return the rule of a plug-in, or what is wrong with it."""
+    """Return the rule of a plug-in, or its fault."""
     what = f"the plug-in rule {point.name!r} ({point.value})"
     try:
         rule = load_plugin(point, Rule)
@@ -274,9 +274,9 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
 
 
 def _wrong(name: str, rule: Rule) -> str:
-    """Return what is wrong with a rule of a plug-in, or nothing."""
+    """Return the fault of a plug-in's rule, or nothing."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
-    if name in own_rules() or name in replaced_codes():
+    if name in builtin_rules() or name in replaced_codes():
         return "uses a code of animtool's"
     return "" if rule.kinds else "names no kind of file to check"

@@ -1,4 +1,4 @@
-"""A shot: which frames it has, at which rate, and the time of the media it shows.
+"""A shot: its frames, its rate and the times of its media.
 
 A shot counts **shot frames**: whole numbers at the shot's rate. Every command, file and
 report that names a frame of a shot means this number.
@@ -25,7 +25,7 @@ ON_FRAME = Fraction(1, 10_000)
 
 @dataclass(frozen=True, slots=True)
 class MediaTimecode:
-    """How a timeline counts time codes of a shot's media.
+    """Time codes of a shot's media as a timeline counts them.
 
     Attributes:
         rate: Labels count frames at this rate.
@@ -38,7 +38,7 @@ class MediaTimecode:
     drop: bool = False
 
     def label(self, seconds: Fraction) -> str:
-        """Return the time code of a time of the media [s]; without labels the seconds.
+        """Return the time code of a media time [s]; without labels the seconds.
 
         >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
         '01:00:00:12'
@@ -88,33 +88,33 @@ class Shot:
     timecode: MediaTimecode | None = None
 
     def __post_init__(self) -> None:
-        """Take the rate as it is written; timelines may have any fraction."""
+        """Convert the rate from a number or text."""
         fps: Any = self.fps
         if not isinstance(fps, Fraction | None):
             object.__setattr__(self, "fps", rate_option(fps))
 
     @property
     def start(self) -> int:
-        """The first frame, that of the head handle."""
+        """First frame, including the head handle."""
         return self.cut_in - self.head
 
     @property
     def end(self) -> int:
-        """The last frame, that of the tail handle."""
+        """Last frame, including the tail handle."""
         return self.cut_out + self.tail
 
     @property
     def places_media(self) -> bool:
-        """Whether the shot says which time of its media each frame shows."""
+        """Whether the shot states the media time of its frames."""
         return self.media_in is not None
 
     def seconds_at(self, frame: Fraction | int) -> Fraction:
-        """Return the time of the media that a frame shows [s]."""
+        """Return the media time of a frame [s]."""
         fps, media_in = self._timing()
         return media_in + (frame - self.cut_in) * self.speed / fps
 
     def frame_at(self, seconds: Fraction | int) -> Fraction:
-        """Return the frame, or part of one, that shows a time of the media [s].
+        """Return the frame, possibly fractional, of a media time [s].
 
         A shot that holds a pose has no such frame.
 
@@ -131,7 +131,7 @@ class Shot:
         return self.fps, self.media_in
 
     def recut(self, cut_in: int, cut_out: int, head: int, tail: int) -> Shot:
-        """Return the shot with another cut; its frames show the same media.
+        """Return the shot with another cut; frames keep their media times.
 
         Args:
             cut_in: First frame of the cut.
@@ -155,7 +155,7 @@ class Shot:
 
     @property
     def label(self) -> str:
-        """The shot in a line of a report.
+        """The shot as a line of a report.
 
         >>> Shot(1009, 1056, 8, 4, "sh010", Fraction(24)).label
         'shot sh010: cut 1009 to 1056, handles 8 and 4, 24 fps'
@@ -172,7 +172,7 @@ class Shot:
 
     @property
     def media_times(self) -> dict[str, float]:
-        """The times of its media and their speed; nothing where it places none."""
+        """Media times and speed; empty without placed media."""
         if not self.places_media:
             return {}
         first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
@@ -184,7 +184,7 @@ class Shot:
     )
 
     def names(self) -> dict[str, str]:
-        """Return the shot's frames and times by the names that scenes use.
+        """Return the frames and times by the names that scenes use.
 
         >>> names = Shot(1009, 1056, 8, 8, fps=Fraction(24)).names()
         >>> names["begin"], names["first"], names["last"], names["end"]
@@ -209,7 +209,7 @@ class Shot:
 
 
 def frames_within(seconds: Fraction, fps: Fraction) -> int:
-    """Return how many frames begin within a time, at least one.
+    """Return the number of frames that begin within a time, at least one.
 
     >>> fps = Fraction(24)
     >>> frames_within(Fraction(3), fps), frames_within(Fraction(0), fps)
@@ -219,7 +219,7 @@ def frames_within(seconds: Fraction, fps: Fraction) -> int:
 
 
 def frame_spans(frames: Iterable[int], step: int = 1) -> str:
-    """Return frames as people write them, those that follow each other as a span.
+    """Return frames as text, consecutive ones as spans.
 
     >>> frame_spans([1, 2, 3, 9, 11, 12])
     '1 to 3, 9, 11 to 12'
@@ -244,7 +244,7 @@ class FrameRange:
 
     @staticmethod
     def of(frames: FrameRangeLike) -> FrameRange:
-        """Return a range of its first and last frame, and its step if there is one.
+        """Return a range from its first and last frame and an optional step.
 
         Raises:
             ValueError: It is none.
@@ -255,18 +255,18 @@ class FrameRange:
         if isinstance(frames, FrameRange):
             return frames
         numbers: tuple[Any, ...] = tuple(frames)
-        whole = all(isinstance(one, Integral) for one in numbers)
-        if len(numbers) not in {2, 3} or not whole:
+        are_integers = all(isinstance(one, Integral) for one in numbers)
+        if len(numbers) not in {2, 3} or not are_integers:
             raise ValueError(f"{frames!r} is not a range such as (1, 40) or (1, 40, 2)")
-        found = FrameRange(*map(int, numbers))
-        if found.last < found.first or found.step < 1:
+        frame_range = FrameRange(*map(int, numbers))
+        if frame_range.last < frame_range.first or frame_range.step < 1:
             raise ValueError(f"{frames!r} contains no frame")
-        return found
+        return frame_range
 
 
 @dataclass(frozen=True, slots=True)
 class FrameList(FrameRange):
-    """Some frames, in any order, as the range that holds them."""
+    """Frames in any order, with the range that contains them."""
 
     frames: tuple[int, ...] = ()
 
@@ -286,7 +286,7 @@ FrameRangeLike: TypeAlias = FrameRange | tuple[int, int] | tuple[int, int, int] 
 
 
 class OptionalRange:
-    """Type of a record's field that takes a range or its numbers and holds a range.
+    """Field type: accepts a range or its numbers and stores a range.
 
     As `animtool.core.rates.OptionalFraction`, a descriptor to type checkers alone.
     """

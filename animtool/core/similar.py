@@ -1,4 +1,4 @@
-"""Names that are nearly or wholly alike, told apart in a time that grows with them."""
+"""Similar and duplicate names, in linear time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LONGEST = 120
 
 
 def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | None:
-    """Return the name most like another, from a cutoff 0 to 1 on; None without one.
+    """Return the name most similar to another, above a cutoff 0 to 1, or None.
 
     Of many names the first 2000 are looked at, and of these the 40 that share most
     pairs of letters. One of more than 120 letters is like no other.
@@ -35,7 +35,7 @@ def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | No
 
 
 def by_likeness(name: str, names: Iterable[str]) -> list[str]:
-    """Return names, first those that share most pairs of letters with another.
+    """Return names, sorted by the letter pairs they share with another.
 
     >>> by_likeness("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
@@ -43,14 +43,14 @@ def by_likeness(name: str, names: Iterable[str]) -> list[str]:
     pairs = _pairs(name.lower())
 
     def unlike(known: str) -> float:
-        own = _pairs(known.lower())
-        return -2 * len(pairs & own) / max(len(pairs) + len(own), 1)
+        known_pairs = _pairs(known.lower())
+        return -2 * len(pairs & known_pairs) / max(len(pairs) + len(known_pairs), 1)
 
     return sorted(names, key=unlike)
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names of which no two are the same: later ones get a number behind them.
+    """Return distinct names: later duplicates get a numeric suffix.
 
     >>> distinct(["a", "b", "a", "a_2", "a"])
     ['a', 'b', 'a_2', 'a_2_2', 'a_3']

@@ -1,4 +1,4 @@
-"""SMPTE time codes: labels of frames, drop-frame ones too."""
+"""SMPTE time codes, drop-frame included."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
 def is_timecode(text: object) -> bool:
-    """Return whether a text is a label of some rate.
+    """Return whether a text is a time code at some rate.
 
     >>> is_timecode("01:00:00;02"), is_timecode("1 h")
     (True, False)
@@ -20,7 +20,7 @@ def is_timecode(text: object) -> bool:
 
 
 def count_rate(rate: Fraction) -> int:
-    """Return how many labels a second has: the rate, or what is 1001/1000 of it.
+    """Return the number of labels a second: the rate, or 1001/1000 of it.
 
     >>> count_rate(Fraction(24000, 1001)), count_rate(Fraction(25))
     (24, 25)
@@ -33,7 +33,7 @@ def count_rate(rate: Fraction) -> int:
 
 
 def day_frames(rate: Fraction, *, drop: bool = False) -> int:
-    """Return the labels from one midnight to the next.
+    """Return the number of labels in a day.
 
     >>> day_frames(Fraction(30000, 1001), drop=True)
     2589408
@@ -67,9 +67,13 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
         first = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
         message = f"drop-frame has no {text!r}: this minute starts at {first}"
         raise ValueError(message)
-    whole = 60 * hours + minutes
-    labels = count * (60 * whole + seconds) + frames
-    return labels - left_out * (whole - whole // 10) + Fraction(match[6] or 0)
+    total_minutes = 60 * hours + minutes
+    labels = count * (60 * total_minutes + seconds) + frames
+    return (
+        labels
+        - left_out * (total_minutes - total_minutes // 10)
+        + Fraction(match[6] or 0)
+    )
 
 
 def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
@@ -98,7 +102,7 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
 def seconds_between(
     first: str, first_rate: Fraction, other: str, other_rate: Fraction
 ) -> Fraction:
-    """Return by how much one label is later than another, over midnight too [s].
+    """Return the time from one label to another, over midnight too [s].
 
     Each is counted from midnight at its own rate; of two ways around the clock it is
     the shorter.
@@ -106,14 +110,14 @@ def seconds_between(
     >>> seconds_between("23:59:59:00", Fraction(25), "00:00:01:05", Fraction(25))
     Fraction(11, 5)
     """
-    apart = parse_timecode(other, other_rate) / other_rate
-    apart -= parse_timecode(first, first_rate) / first_rate
+    gap = parse_timecode(other, other_rate) / other_rate
+    gap -= parse_timecode(first, first_rate) / first_rate
     day = day_frames(first_rate, drop=";" in first) / first_rate
-    return (apart + day / 2) % day - day / 2
+    return (gap + day / 2) % day - day / 2
 
 
 def _dropped(rate: Fraction) -> int:
-    """Return how many labels a minute of a drop-frame rate leaves out."""
+    """Return how many labels a minute of a drop-frame rate skips."""
     if rate not in _DROPPED:
         message = f"drop-frame (;) does not apply to {float(rate):g} frames per second"
         raise ValueError(f"{message}, only to 30000/1001 and 60000/1001")

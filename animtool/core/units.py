@@ -1,4 +1,4 @@
-"""Length units and up axes of files, and the way between them and metres."""
+"""Length units and up axes of files, and their conversion to metres."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class LengthUnit(StrEnum):
-    """A unit that a file may be declared to be in."""
+    """A length unit that a file may declare."""
 
     M = "m"
     CM = "cm"
@@ -22,19 +22,19 @@ class LengthUnit(StrEnum):
 
 
 class UpAxis(StrEnum):
-    """The axis that points away from the ground."""
+    """Up axis."""
 
     Y = "Y"
     Z = "Z"
 
     @property
     def vector(self) -> tuple[float, float, float]:
-        """Unit vector away from the ground."""
+        """Unit vector of the up axis."""
         return (0.0, 0.0, 1.0) if self is UpAxis.Z else (0.0, 1.0, 0.0)
 
 
 def unit_name(meters: float) -> str:
-    """Return what a unit of this length is called.
+    """Return the name of a length unit.
 
     >>> unit_name(0.01), unit_name(0.3048)
     ('cm', '0.3048 m')
@@ -72,7 +72,7 @@ def parse_length(text: str) -> float:
 def up_from_up(
     target: UpAxis, source: UpAxis
 ) -> tuple[float, float, float, float] | None:
-    """Return the rotation (x, y, z, w) that stands a source-up world target-up.
+    """Return the rotation (x, y, z, w) from a source's up axis to a target's.
 
     A quarter turn about X; None where both are the same.
 

@@ -1,4 +1,4 @@
-"""The one way from a record to plain values of a JSON report: its fields.
+"""Plain JSON values of records, by their fields or a template of keys.
 
 A record whose report has other keys says them in ``json_keys``, a template of names of
 fields, or of properties, in the order of the report::
@@ -30,7 +30,7 @@ VERSION = "animtool/1"
 
 
 def plain_value(value: Any) -> Any:
-    """Return a value as JSON has it: records as their fields, null for no number.
+    """Return a value as JSON values: records as their fields, NaN as null.
 
     >>> from fractions import Fraction
     >>> plain_value({"fps": Fraction(24), "error": math.inf, "names": ("a",)})
@@ -46,7 +46,7 @@ def plain_value(value: Any) -> Any:
 
 
 def _plain_parts(value: Any) -> Any:
-    """Return what holds others as plain values."""
+    """Return containers as plain values."""
     keys = getattr(value, "json_keys", None)
     if isinstance(keys, str):
         return picked(value, keys)
@@ -55,12 +55,14 @@ def _plain_parts(value: Any) -> Any:
     if hasattr(value, "tolist"):  # an array, or a number of one
         return plain_value(value.tolist())
     if isinstance(value, Mapping):
-        return {str(key): plain_value(own) for key, own in value.items()}
-    return [plain_value(own) for own in value]
+        return {str(key): plain_value(part) for key, part in value.items()}
+    return [plain_value(part) for part in value]
 
 
 def _fields_of(record: Any) -> dict[str, Any]:
-    return {own.name: plain_value(getattr(record, own.name)) for own in fields(record)}
+    return {
+        entry.name: plain_value(getattr(record, entry.name)) for entry in fields(record)
+    }
 
 
 def picked(record: Any, keys: str) -> dict[str, Any]:
@@ -74,7 +76,7 @@ def picked(record: Any, keys: str) -> dict[str, Any]:
 
 
 def at_path(value: Any, path: str) -> Any:
-    """Return a field of fields, or a value of a mapping; None below None.
+    """Return a nested field or mapping value; None below None.
 
     >>> at_path({"a": 3.5}, "a.real")
     3.5
@@ -181,5 +183,5 @@ def _keyed(value: Any, key: JsonKey) -> Any:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _rounded(own) for name, own in value.items()}
+        return {name: _rounded(part) for name, part in value.items()}
     return round(value, 6)

@@ -1,4 +1,4 @@
-"""What writes a file, by its suffix: the motion of a take, and markers.
+"""The table of writers by suffix: of takes, rigs and markers.
 
 The table holds the writers; what they write a file with is imported when used.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.names import KINDS, is_named
 from animtool.core.plugins import load_object
@@ -22,7 +22,7 @@ PLUGIN_GROUP = "animtool.writers"
 
 @dataclass(frozen=True, slots=True)
 class Writer:
-    """One entry of the table of writers.
+    """An entry of the table of writers.
 
     Attributes:
         name: What reports call the format, such as ``bvh``.
@@ -64,11 +64,11 @@ class Writer:
 
     @property
     def holds_motion(self) -> bool:
-        """Whether a take can be written."""
+        """Whether the format can hold a take."""
         return self.stage or bool(self.take or self.text)
 
     def files(self, path: Path) -> list[Path]:
-        """Return the files of an output, it last.
+        """Return the files of an output, the main file last.
 
         Those that not every take has are left out.
 
@@ -80,12 +80,12 @@ class Writer:
 
 
 def output_stem(path: Path) -> str:
-    """Return the name of a file without its suffix, nor that of a clip."""
+    """Return a file's name without its suffix or that of a clip."""
     return path.name.removesuffix(path.suffix).removesuffix(".clip")
 
 
 USD = Writer("usd", "USD", stage=True, rig="animtool.scene.convert.rigs:rig_to_usd")
-# An archive is made of what is complete: no layer goes over it.
+# Archives hold complete stages: no layer goes over one.
 USDZ = replace(USD, rig="")
 RIG = Writer(
     "rig",
@@ -165,7 +165,7 @@ _TABLE = FormatTable(WRITERS, PLUGIN_GROUP, Writer)
 
 
 def writer_of(path: Path) -> Writer | None:
-    """Return the writer of a file by its suffix; None where none has it.
+    """Return the writer of a file by its suffix; None without one.
 
     Raises:
         OptionError: The plug-in that has it cannot be loaded (IO003).
@@ -198,7 +198,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if writer is None and path.suffix.lower() in _READ_ONLY:
         message, hint = _read_only(path)
-    if not path.suffix and path.name and is_there(path) and path.is_dir():
+    if not path.suffix and path.name and exists(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
     elif not path.suffix:
@@ -209,7 +209,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
 _OF_ROBOTS = (
     "write .rig.yaml or USD of the robot, and USD, .mot or .clip.yaml of its motion"
 )
-# Formats that are read, and what is written in place of them, by suffix.
+# Formats that are only read, and their replacements for writing, by suffix.
 _READ_ONLY = {
     ".fbx": (
         "FBX",
@@ -223,13 +223,13 @@ _READ_ONLY = {
 
 
 def _read_only(path: Path) -> tuple[str, str]:
-    """Return the message and hint of a format that is read only."""
+    """Return the message and hint of a read-only format."""
     name, hint = _READ_ONLY[path.suffix.lower()]
     return f"{name} is read, and not written", hint
 
 
 def holds_rig(path: Path) -> bool:
-    """Return whether a file of a path's name can hold a rig alone.
+    """Return whether a file name has the suffix of a rig format.
 
     >>> holds_rig(Path("arm.usda")), holds_rig(Path("arm.bvh"))
     (True, False)
@@ -239,7 +239,7 @@ def holds_rig(path: Path) -> bool:
 
 
 def marker_writer(path: Path) -> Callable[..., list[Fault]]:
-    """Return what writes markers to a file; OUT004 where nothing does."""
+    """Return the function that writes markers to a file (else OUT004)."""
     writer = writer_of(path)
     if writer is None or not writer.markers:
         message = f"{suffix_text(path)} is not a format for markers"
@@ -250,12 +250,12 @@ def marker_writer(path: Path) -> Callable[..., list[Fault]]:
 
 
 def rig_writer(path: Path) -> Callable[..., Any]:
-    """Return what writes a rig to a file; OUT004 where nothing does."""
+    """Return the function that writes a rig to a file (else OUT004)."""
     writer = RIG if is_named(path, "rig") else writer_of(path)
     if writer is None or not writer.rig:
         message = f"suffix {path.suffix!r} cannot hold a rig"
-        own = [suffix for suffix, one in WRITERS.items() if one.rig]
-        hint = f"allowed: {', '.join(sorted(own))}"
+        suffixes = [suffix for suffix, one in WRITERS.items() if one.rig]
+        hint = f"allowed: {', '.join(sorted(suffixes))}"
         if path.suffix.lower() in _READ_ONLY:
             message, hint = _read_only(path)
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
@@ -263,13 +263,13 @@ def rig_writer(path: Path) -> Callable[..., Any]:
 
 
 def writes_stage(path: Path) -> bool:
-    """Return whether a path is that of a USD file to write."""
+    """Return whether an output path is a USD file."""
     writer = WRITERS.get(path.suffix.lower())
     return writer is not None and writer.stage
 
 
 def file_suffixes() -> list[str]:
-    """Return the suffixes that takes are written to beside USD, without plug-ins.
+    """Return the suffixes of takes besides USD, without plug-ins.
 
     >>> file_suffixes()[:2]
     ['.bvh', '.clip.yaml']
@@ -282,13 +282,13 @@ def file_suffixes() -> list[str]:
 
 
 def _motion_suffixes() -> list[str]:
-    """Return the suffixes that takes are written to, those of plug-ins included."""
+    """Return the suffixes of takes, plug-ins included."""
     stages = [suffix for suffix, writer in WRITERS.items() if writer.stage]
     return [*sorted([*stages, *file_suffixes()]), *_TABLE.plugin_suffixes()]
 
 
 def listed_writers() -> list[ListedFormat]:
-    """Return every writer, animtool's own first, those of plug-ins loaded.
+    """Return every writer, built-in ones first, plug-ins loaded.
 
     >>> listed_writers()[0].suffix
     '.bvh'

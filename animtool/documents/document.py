@@ -10,6 +10,7 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
+from animtool.core.files.signatures import DOCUMENT, expects
 from animtool.core.names import KINDS
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
@@ -223,6 +224,7 @@ def location_of(where: str) -> Location:
     return tuple(int(number) if number else name for number, name in steps)
 
 
+@expects("DOC007", DOCUMENT, "write the name of a file that ends in .yaml or .json")
 def read_document(path: Path) -> Document:
     """Read a YAML or JSON file.
 
@@ -274,7 +276,7 @@ def read_text(path: Path) -> str:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
             hint = "put arrays in npz files"
             raise FormatError(Fault("DOC006", message, str(path), (), hint))
-        data = file.whole()
+        data = file.read_all()
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

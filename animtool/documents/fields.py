@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import BeforeValidator, Field, create_model
 from pydantic_core import PydanticUndefined
 
-from animtool.core.options import Key, Kind, Place, Range, keys_of, options_of
+from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
 from animtool.documents.check import FileModel
 from animtool.documents.other_words import AXES
 
@@ -144,7 +144,7 @@ _TYPES: dict[Any, Any] = {
     Sequence[tuple[float, int]]: list[Pair],
 }
 # Type of a key by kind of option; None is the default of optional ones.
-_WRITTEN: dict[Kind, Any] = {
+_WRITTEN: dict[OptionKind, Any] = {
     "switch": bool,
     "answer": bool | None,
     "text": str | None,
@@ -159,14 +159,14 @@ _WRITTEN: dict[Kind, Any] = {
     "lengths": dict[str, str],
     "count": Annotated[Integer, Ge(1)] | None,
 }
-_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
+_DEFAULTS: dict[OptionKind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 Ranges: TypeAlias = Literal["record", "model", "schema"]
 
 
 def with_fields(
     record: Any,
     *names: str,
-    file_kind: Place | None = None,
+    file_kind: FileKind | None = None,
     order: Sequence[str] = (),
     before: str = "",
     ranges: Ranges = "record",

@@ -19,7 +19,7 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
 from animtool.core.record import dataclass
 from animtool.documents.document import (
     Document,
@@ -181,7 +181,7 @@ def migrate(
             [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]
         )
     check_outputs([plan.path for plan in needed], [], overwrite=True)
-    with together():
+    with atomic_outputs():
         for plan in needed:
             write_parts(plan.path, [plan.after.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import find_config, project_around
-from animtool.core.files.reading import is_there, nearest_file, seen_from
+from animtool.core.files.reading import exists, nearest_file, path_from_folder
 from animtool.documents.document import Document, Location
 
 
@@ -65,7 +65,7 @@ def _outside_hint(path: Path, name: str, written: bool) -> str:
         target = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return "use a file inside the project"
-    if not (written or is_there(target)):
+    if not (written or exists(target)):
         return (
             f"nor does it exist: copy {target.name}, and the files it refers to, "
             f"into {folder}, and write its name here"
@@ -73,7 +73,9 @@ def _outside_hint(path: Path, name: str, written: bool) -> str:
     settings = find_config(path).path
     if settings is None and (around := project_around(folder, target)) is not None:
         return f"an empty {around / 'animtool.toml'} makes that folder the project"
-    root = seen_from(target.parent, folder if settings is None else settings.parent)
+    root = path_from_folder(
+        target.parent, folder if settings is None else settings.parent
+    )
     line = f'roots = ["{root}"]'
     table = ""
     if settings is None:
@@ -103,7 +105,7 @@ def referred_input(
         roots: Folders that references may lead into.
     """
     path = referred(document, location, name, roots)
-    if path is not None and not is_there(path):
+    if path is not None and not exists(path):
         message = f"{name!r} does not exist"
         document.add("DOC015", location, message, missing_hint(document, name))
         return None

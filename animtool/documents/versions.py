@@ -6,7 +6,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from animtool.core.errors import excerpt
+from animtool.core.errors import FormatError, excerpt
+from animtool.core.files.signatures import DOCUMENT, other_format
 from animtool.core.names import KINDS
 from animtool.documents.document import Document, Location, kind_named
 
@@ -94,6 +95,9 @@ def version_of(
     named = [name for name in KINDS if name in document.value]
     named_kind = kind or next((name for name in named if name in table), "")
     if named_kind not in named or _of_another_kind(document, named_kind, named[0]):
+        other = other_format("DOC009", document.path, DOCUMENT)
+        if other is not None:
+            raise FormatError(other)
         message = "the first line is missing"
         first = kind_named(document.path, kind or "rig")
         hint = f"write `{first}: animtool/1` above line 1"

@@ -13,6 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
@@ -97,7 +98,10 @@ def find_cycle(
         message = f"of {shortest:g} to {longest:g} s in a take of {seconds:.3g} s"
         if shortest > longest:
             message = f"of at least {shortest:g} s and at most {longest:g} s"
-        raise _none(message)
+        hint = f"use a longer take, or lower {argument('shortest')}"
+        if len(frames) == 1:
+            hint = "a cycle needs several frames: choose another take"
+        raise _none(message, hint)
     eye = _PoseView.of(take)
     best = _best(eye.see(frames), least, most, eye.static_extent)
     if best is None:
@@ -138,8 +142,8 @@ def _length(seconds: float, option: str) -> float:
     return seconds
 
 
-def _none(message: str) -> OptionError:
-    return OptionError(Fault("SCN018", f"no cycle can be found {message}"))
+def _none(message: str, hint: str | None = None) -> OptionError:
+    return OptionError(Fault("SCN018", f"no cycle can be found {message}", hint=hint))
 
 
 def _cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycle:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class LoopOptions:
     """The cycle and how often it is repeated.

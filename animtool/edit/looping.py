@@ -16,6 +16,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
@@ -390,6 +391,11 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     elif take.clock.count > 1:
         cycle = measure_cycle(take, first, last)
     else:
+        message = "the take has one frame: there is nothing to repeat"
+        hint = "choose a take that moves"
+        context.notices.append(
+            Fault("SCN114", message, hint=hint, severity=Severity.WARNING)
+        )
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
     context.notices.extend(cycle_notices(cycle, searched=options.find))
@@ -408,7 +414,10 @@ def cycle_notices(cycle: Cycle, *, searched: bool) -> list[Fault]:
         message = f"the best cycle: {ends}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:
-        hint = "choose other frames, or a longer blend"
+        hint = (
+            f"choose other frames with {argument('first')} and {argument('last')}, or "
+            f"a longer {argument('blend')}"
+        )
         message = f"the loop has a visible seam: {ends}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
     return notices

@@ -202,19 +202,20 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
 
-# Faster than cameras of high speed, and than the take by more than slow motion needs.
-MAX_RATE, MAX_RATE_RATIO = 1000, 8
+# Captures and displays are slower; a larger rate is rather a number of another meaning.
+MAX_PLAUSIBLE_RATE = 2000
 
 
-def rate_notice(fps: Fraction, source: Fraction, count: int) -> Fault | None:
-    """Return the warning of a rate that was hardly meant (TAKE009), if it is one."""
-    if fps <= MAX_RATE or fps <= MAX_RATE_RATIO * source:
-        return None
+def rate_warning(fps: Fraction, name: str = "fps") -> list[Fault]:
+    """Return a warning about an implausible number of frames a second (TAKE009)."""
+    if 1 <= fps <= MAX_PLAUSIBLE_RATE:
+        return []
     message = (
-        f"{float(fps):g} fps gives {count} samples of a take at {float(source):g} fps"
+        f"{argument(name, f'{float(fps):g}')} is implausible; film has 24 frames a "
+        "second, captures up to 1000"
     )
-    hint = "write frames a second, such as 24 or 60"
-    return Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)
+    hint = "use the number of frames in one second, not their total or a frame time"
+    return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]
 
 
 def sample(
@@ -296,7 +297,9 @@ def resampled(
     clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
     if not smooth:
         at = FramePositions(times.frames, times.fractions)
-        notices = (*notices, *straight_notices(between, at))
+        hint = f"{argument('smooth', True)} interpolates smoothly"
+        notices = (*notices, *straight_notices(between, at, hint))
+    notices = (*notices, *rate_warning(fps))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
     first = float(start)

@@ -31,6 +31,8 @@ from animtool.motion.passes import (
 )
 from animtool.motion.take import Take, TakeStream
 
+# How users lower the error of linear interpolation.
+RESAMPLE = "a smooth resampling to a higher rate, before this, lowers the error"
 # Time codes have few digits; a frame this near [frame] is meant.
 ON_FRAME = Fraction(1, 1_000_000)
 
@@ -203,7 +205,7 @@ def _retimed(
         take,
         clock=clock,
         motion=continuous(between.at(positions)).map(Channel.compact),
-        notices=(*take.notices, *straight_notices(between, positions)),
+        notices=(*take.notices, *straight_notices(between, positions, RESAMPLE)),
         curve=between.curve(shown),
     )
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
@@ -63,8 +62,13 @@ def straight_errors(between: Between, positions: FramePositions) -> list[Straigh
     return errors
 
 
-def straight_notices(between: Between, positions: FramePositions) -> list[Fault]:
-    """Return the note of the estimated interpolation error (TAKE007), if it matters."""
+def straight_notices(
+    between: Between, positions: FramePositions, hint: str
+) -> list[Fault]:
+    """Return the note of the estimated interpolation error (TAKE007), if it matters.
+
+    hint: How its caller avoids it.
+    """
     take = between.take
     rig = take.rig
     least = {
@@ -96,8 +100,6 @@ def straight_notices(between: Between, positions: FramePositions) -> list[Fault]
         "the take has samples, not curves, there: interpolation between frames is "
         f"linear, and may be off by about {listed(said)}"
     )
-    hint = "in a scene, a resample pass with smooth: true interpolates smoothly; bake "
-    hint += f"{argument('keep_samples', True)} keeps the frames as they are"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 

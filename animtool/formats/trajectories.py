@@ -71,8 +71,9 @@ class MarkerFile:
             return rate_option(fps)
         known = stated is not None and math.isfinite(stated)
         if stated is None or not known or not _in_range(stated):
-            shown = "no frame rate" if stated in (None, 0) else f"the rate {stated:g}"
-            message = f"states {shown}"
+            message = "the file states no frame rate"
+            if stated:
+                message = f"the stated frame rate {stated:g} is not usable"
             raise self.error(
                 "MKR010", message, f"set the rate with {argument('source.fps')}"
             )
@@ -89,7 +90,7 @@ class MarkerFile:
         if option is not None:
             return LengthUnit(option)
         if stated is None or not stated.strip():
-            message = f"states no unit; {default} is assumed"
+            message = f"the file states no unit; using {default}"
             self.note(
                 "MKR104",
                 message,
@@ -98,7 +99,7 @@ class MarkerFile:
             return default
         unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
-            message = f"states the unit {excerpt(stated)}"
+            message = f"unknown unit {excerpt(stated)}"
             hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
             raise self.error("MKR011", message, hint)
         return unit
@@ -108,7 +109,7 @@ class MarkerFile:
         if option is not None:
             return UpAxis(option)
         if stated is None:
-            message = "states no up axis; Y is assumed"
+            message = "the file states no up axis; using Y"
             self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")
             return UpAxis.Y
         return stated
@@ -154,11 +155,11 @@ class MarkerFile:
             origin = (positions == 0.0).all(axis=-1)
         if beyond.any():
             count = counted(int(beyond.sum()), "position")
-            message = f"{count} beyond the largest float32: treated as not seen"
+            message = f"{count} beyond the largest float32, treated as missing"
             self.warn("MKR102", message, "export the file again")
         if origin.any():
             count = counted(int(origin.sum()), "position")
-            message = f"{count} at exactly 0, 0, 0: treated as not seen"
+            message = f"{count} at exactly 0, 0, 0, treated as missing"
             self.note("MKR105", message)
         positions[beyond | origin | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters

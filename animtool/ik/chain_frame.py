@@ -35,7 +35,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class FrameSpan:
+class SolveSpan:
     """Consecutive frames that are solved on one rig."""
 
     rig: Rig  # its rest pose contains motion outside the joint coordinates
@@ -65,10 +65,10 @@ class FrameSpan:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameSpans:
+class SolveSpans:
     """The frames of a take as spans of one rig each."""
 
-    all: list[FrameSpan]  # one, or one for each frame where no rig fits all
+    all: list[SolveSpan]  # one, or one for each frame where no rig fits all
     # Names of the joints and driver controls that prevent a single span.
     between: tuple[str, ...]
 
@@ -80,7 +80,7 @@ def parts_of(
     goals: Sequence[Goal],
     joints: Collection[str] | None,
     controls: Mapping[str, FloatArray] | None = None,
-) -> FrameSpans:
+) -> SolveSpans:
     """Return the frames of a take as spans of one rig each.
 
     ``controls``: values ``(F,)`` of the controls that joint drivers read.
@@ -116,7 +116,7 @@ def parts_of(
     positions, rotations = _carriers(world, carriers)
     of_paths = sorted({j for path in paths for j in path})
     parts = [
-        FrameSpan(
+        SolveSpan(
             with_controls(
                 _with_rests(rig, rests, span.start, of_paths), controls, span.start
             ),
@@ -127,7 +127,7 @@ def parts_of(
         )
         for span in spans
     ]
-    return FrameSpans(parts, (*(rig.names[j] for j in between), *others))
+    return SolveSpans(parts, (*(rig.names[j] for j in between), *others))
 
 
 def _moving_sources(

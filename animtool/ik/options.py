@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 
@@ -77,7 +77,7 @@ class IkOptions:
     near: bool = False
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class TakeOptions:
     """Options of solving a take for targets.

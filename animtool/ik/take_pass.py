@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import options_of, with_written
+from animtool.core.options import options_of, with_text_values
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.ik.file import load_targets
@@ -24,7 +24,7 @@ from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
 
-@with_written(TakeOptions, "joints")
+@with_text_values(TakeOptions, "joints")
 @dataclass(frozen=True)
 class IkPassOptions:
     """The targets of the pass, and the options of `TakeOptions`."""

@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
-from animtool.ik.chain_frame import FrameSpan
+from animtool.ik.chain_frame import SolveSpan
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.nearest import settled
@@ -159,7 +159,7 @@ class SolvedPart:
         steadier: Smoothing that reduces the jumps.
     """
 
-    part: FrameSpan
+    part: SolveSpan
     targets: FloatArray
     result: IkResult
     seconds: float
@@ -282,7 +282,7 @@ class TakeSolver:
         """The goals of the tracks."""
         return [track.goal for track in self.tracks.goals]
 
-    def solved(self, part: FrameSpan) -> SolvedPart:
+    def solved(self, part: SolveSpan) -> SolvedPart:
         """Return the solution of a frame span."""
         problem = self._problem(part, self.goals)
         targets = part.to_chain_frame(self.targets)
@@ -320,7 +320,7 @@ class TakeSolver:
                 best = Smoothing(seconds, angle)
         return best if best.seconds > 0 else None
 
-    def _problem(self, part: FrameSpan, goals: Sequence[Goal]) -> Problem:
+    def _problem(self, part: SolveSpan, goals: Sequence[Goal]) -> Problem:
         return build(
             part.rig,
             goals,
@@ -330,7 +330,7 @@ class TakeSolver:
         )
 
     def _begun(
-        self, part: FrameSpan, problem: Problem, start: FloatArray, targets: Targets
+        self, part: SolveSpan, problem: Problem, start: FloatArray, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return the start of the first frame ``(Q,)``, and the time it took [s].
 
@@ -344,7 +344,7 @@ class TakeSolver:
         return poses.coordinates[0] if new else start, seconds
 
     def _bent(
-        self, part: FrameSpan, problem: Problem, targets: Targets
+        self, part: SolveSpan, problem: Problem, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return a start ``(Q,)`` with bent chains, and the time it took [s].
 

@@ -15,7 +15,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.clip.schema import CurveModel
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError, counted
-from animtool.core.files.reading import why_no_file
+from animtool.core.files.reading import not_a_file_reason
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
@@ -328,7 +328,7 @@ class ValueReader:
             return None
         location = (*at, "file")
         path = referred(self.document, location, model.file, self.roots)
-        wrong = None if path is None else why_no_file(path)
+        wrong = None if path is None else not_a_file_reason(path)
         if wrong is not None:
             hint = missing_hint(self.document, model.file)
             self.document.add("DOC015", location, f"{model.file!r} {wrong}", hint)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, Severity, counted
-from animtool.core.files.output import check_outputs, sparing_inputs, write_parts
+from animtool.core.files.output import check_outputs, protect_inputs, write_parts
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
 from animtool.core.units import UpAxis, up_from_up
@@ -123,7 +123,7 @@ def write_page(
         message = "a page plays a range of frames"
         hint = "1-240x2 plays every second frame; .png and .webp show listed ones"
         raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
-    with sparing_inputs([output]):
+    with protect_inputs([output]):
         page = make_page(paths, options)
     write_parts(output, page.parts())
     return PageReport(output, output.stat().st_size, page)

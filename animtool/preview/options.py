@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import field
 
 from animtool.core.arguments import argument
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class PreviewOptions:
     """What a page shows, and how files are read.
@@ -54,7 +54,7 @@ class PreviewOptions:
     variables: Mapping[str, str] = field(default_factory=dict)
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class PictureOptions:
     """Appearance of pictures and films."""
@@ -112,7 +112,7 @@ class PictureOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
     """Where a page is shown or written."""

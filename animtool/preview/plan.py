@@ -13,7 +13,7 @@ from animtool.core.rates import rate_label
 from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
 from animtool.preview.options import PreviewOptions
 from animtool.scene.bake.outline import outlined
-from animtool.scene.bake.steps import Step, StepKind, bake_steps
+from animtool.scene.bake.steps import PlanStep, StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 
 _KINDS = {
@@ -26,7 +26,7 @@ _KINDS = {
 
 def page_steps(
     files: Sequence[Path], output: Path | None, options: PreviewOptions | None = None
-) -> list[Step]:
+) -> list[PlanStep]:
     """Return the steps of a page; files are read, scenes are not baked.
 
     Args:
@@ -39,7 +39,7 @@ def page_steps(
         OptionError: A file shows nothing (PRV001).
     """
     options = options or PreviewOptions()
-    steps: list[Step] = []
+    steps: list[PlanStep] = []
     with ExitStack() as context:
         for path in files:
             if is_named(path, "scene"):
@@ -50,10 +50,10 @@ def page_steps(
     left_out = () if options.findings else ("findings: not requested (findings)",)
     makes = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
-    return [*steps, Step(StepKind.OUTPUT, name, "", reads, makes, left_out)]
+    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, makes, left_out)]
 
 
-def _baked(path: Path, options: PreviewOptions) -> Iterator[Step]:
+def _baked(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
     """Yield the bake steps of a scene."""
     scene = shown_scene(load_scene(path, dict(options.variables)))
     for step in bake_steps(outlined(scene, None)):
@@ -61,9 +61,9 @@ def _baked(path: Path, options: PreviewOptions) -> Iterator[Step]:
             yield step
 
 
-def _read(file: OpenFile) -> Step:
+def _read(file: OpenFile) -> PlanStep:
     notices = tuple(f"{notice.code} {notice.message}" for notice in file.notices)
-    return Step(
+    return PlanStep(
         StepKind.SOURCE,
         str(file.path),
         "",

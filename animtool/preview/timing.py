@@ -73,7 +73,7 @@ def gathered_part(
     stream = take.stream
     start = Fraction(1)
     if stream.start is not None:
-        start = frame_start(stream.start, stream.fps, fps, whole=True)
+        start = frame_start(stream.start, stream.fps, fps, on_frame=True)
     origin = start
     # A rig at rest is of any frame and rate.
     rests = is_named(file.path, "rig")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from animtool.formats.characters.choice import characters
 from animtool.formats.fbx.read import take_names_of
 from animtool.formats.fbx.scene import open_fbx
 from animtool.formats.fbx.settings import TICKS
-from animtool.formats.gltf.characters import characters
 from animtool.report.describe_gltf import GltfClip, GltfContents
 
 

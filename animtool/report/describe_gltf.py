@@ -7,7 +7,7 @@ from pathlib import Path
 from animtool.core.errors import Fault
 from animtool.core.files.reading import note_input
 from animtool.core.record import dataclass
-from animtool.formats.gltf.characters import characters
+from animtool.formats.characters.choice import characters
 from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.timing import distinct_clip_names
 from animtool.formats.gltf.vrm import humanoid_bones

@@ -95,7 +95,10 @@ def describe_scene(scene: Scene) -> SceneDescription:
         [str(source.path) for source in scene.sources],
         None if scene.rig is None else str(scene.rig),
         [PropDescription(str(prop.file), prop.prim, prop.path) for prop in scene.props],
-        [PassDescription(entry.pass_.name, entry.place.line) for entry in scene.passes],
+        [
+            PassDescription(entry.pass_.name, entry.location.line)
+            for entry in scene.passes
+        ],
         [_system(scene, system) for system in scene.systems],
         [_output(scene, output) for output in scene.outputs],
         None if rate is None else float(rate),
@@ -121,7 +124,7 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
         setup.around.tied_bodies,
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
         scene.path in setup.files,
-        system.place.line,
+        system.location.line,
     )
 
 
@@ -142,5 +145,5 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
         bake.deform,
         bake.chunk,
         [system.name for system in written] if usd else [],
-        output.place.line,
+        output.location.line,
     )

@@ -37,7 +37,7 @@ _ROWS = Table(
         "rms mm": "[{?by_rms}{error.rms:milli}]",
         "median mm": "[{?by_rms}{error.median:milli}]",
         "rms deg": "{error.angle:degrees}",
-        "lone %": "[{?has_lone}{error.apart:hundredths}]",
+        "lone %": "[{?has_lone}{error.unmatched:hundredths}]",
         "energy %": "{energy_drift:share}",
         "stretch %": "{self:stretch}",
         "depth mm": "{self:depth}",

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from animtool.core.arguments import argument
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 from animtool.retarget.roles import MapMode
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class RetargetOptions:
     """Options of retargeting.

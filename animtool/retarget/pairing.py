@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
@@ -124,8 +124,38 @@ def map_joints(
         _left(source, anatomies[0], used),
         _left(target, anatomies[1], driven),
         *anatomies,
-        (*anatomies[0].notices, *anatomies[1].notices),
+        (
+            *anatomies[0].notices,
+            *anatomies[1].notices,
+            *_crossed_sides((source, target), anatomies, pairs.values(), map_file),
+        ),
     )
+
+
+def _crossed_sides(
+    rigs: tuple[Rig, Rig],
+    anatomies: tuple[Anatomy, Anatomy],
+    pairs: Iterable[JointPair],
+    map_file: MapFile | Path | str | None,
+) -> list[Fault]:
+    """Return a warning about pairs of a left and a right joint (MAP108)."""
+    crossed = []
+    for pair in pairs:
+        ours, theirs = anatomies[0].roles[pair.source], anatomies[1].roles[pair.target]
+        if {ours[-2:], theirs[-2:]} == {"_l", "_r"}:
+            names = rigs[0].names[pair.source], rigs[1].names[pair.target]
+            crossed.append(f"{names[0]} to {names[1]}")
+    if not crossed:
+        return []
+    sided = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
+    message = (
+        f"{counted(len(crossed), 'joint')} of {sided} on the left and right follow the "
+        f"other side: {listed(crossed, 6)}"
+    )
+    hint = "swap the sides in the map; to mirror a take, use the mirror pass"
+    path = map_file.document.path if isinstance(map_file, MapFile) else map_file
+    where = None if path is None else str(path)
+    return [Fault("MAP108", message, where, (), hint, Severity.WARNING)]
 
 
 def _left(rig: Rig, known: Anatomy, used: set[int]) -> tuple[int, ...]:

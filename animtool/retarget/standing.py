@@ -16,6 +16,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
+from animtool.edit.resample import rate_warning
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_world
@@ -235,8 +236,13 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     return False
 
 
-def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
-    """Return a note that a body stands along another axis than up (MOT214)."""
+def lying_notice(
+    path: Path | None,
+    rig: Rig,
+    motion: Motion,
+    severity: Severity = Severity.NOTE,
+) -> list[Fault]:
+    """Return a notice that a body stands along another axis than up (MOT214)."""
     if not _other_is_longer(rig, motion):
         return []
     from animtool.retarget.anatomy import anatomy
@@ -246,16 +252,29 @@ def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
         return []
     message = f"the body stands along {axis}, but the up axis is {rig.up}"
     hint = f"read it with {argument('source.up', axis)}"
-    return [Fault("MOT214", message, str(path), (), hint, Severity.NOTE)]
+    where = None if path is None else str(path)
+    return [Fault("MOT214", message, where, (), hint, severity)]
 
 
-def with_lying_notice(path: Path, stream: TakeStream) -> TakeStream:
-    """Return a stream that adds MOT214 to its notices if its first block lies."""
+def with_source_warnings(
+    path: Path, stream: TakeStream, up: UpAxis | None = None
+) -> TakeStream:
+    """Return a stream with warnings about its rate and its up axis.
+
+    MOT214 follows from its first block: a warning if the user chose the axis ``up``,
+    and a note for a BVH, which states none. Other files state theirs.
+    """
+    rate, known = stream.fps / stream.step, {one.code for one in stream.notices}
+    wrong = [] if "BVH105" in known else rate_warning(rate, "source.fps")
+    stream.notices.extend(replace(one, path=str(path)) for one in wrong)
+    if up is None and stream.details.get("format") != "BVH":
+        return stream
+    severity = Severity.NOTE if up is None else Severity.WARNING
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
             if i == 0:
-                stream.notices.extend(lying_notice(path, stream.rig, block))
+                stream.notices.extend(lying_notice(path, stream.rig, block, severity))
             yield block
 
     return replace(stream, blocks=blocks())

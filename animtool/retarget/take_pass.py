@@ -20,7 +20,7 @@ from animtool.core.errors import (
     counted,
     listed,
 )
-from animtool.core.options import with_written
+from animtool.core.options import with_text_values
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
@@ -173,7 +173,7 @@ def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
     return joints
 
 
-@with_written(RetargetOptions)
+@with_text_values(RetargetOptions)
 @dataclass(frozen=True)
 class RetargetPassOptions:
     """The rig that the take goes onto, and the options of `RetargetOptions`."""
@@ -213,10 +213,12 @@ def onto_rig(
     notices = list(joint_map.notices)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
-    stands = None
-    if stream.details.get("up_choice") != "stated":
-        stands = stands_along(source, first, joint_map.source.roles)
-    if stands is not None:
+    stands = stands_along(source, first, joint_map.source.roles)
+    if stands is not None and stream.details.get("up_choice") == "stated":
+        message = f"the body stands along {stands}, but the up axis is {source.up}"
+        hint = f"read it with {argument('source.up', stands)}"
+        notices.append(Fault("MOT214", message, hint=hint, severity=Severity.WARNING))
+    elif stands is not None:
         message = (
             f"the body stands along {stands}, though the take's up axis is "
             f"{source.up}; "

@@ -1,1 +1,1 @@
-"""Opening any source, and the bake that turns it into an output."""
+"""Sources, scene files, solves and the bake that writes their takes."""

@@ -1,4 +1,4 @@
-"""A scene: its sources, the passes over them, its output."""
+"""A scene: sources, passes over them, systems and outputs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from animtool.motion.motion import Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import BlockProgress, Meter, Progress, told
+from animtool.scene.bake.progress import BlockProgress, Meter, Progress, with_progress
 from animtool.scene.file.entries import (
-    Place,
+    EntryLocation,
     SceneOutput,
     ScenePass,
     SceneProp,
@@ -29,7 +29,7 @@ from animtool.scene.file.entries import (
     SceneSystem,
 )
 from animtool.scene.sources.open import SourceOptions, open_source
-from animtool.scene.sources.retime import Preroll, begun_early, in_shot, without_first
+from animtool.scene.sources.retime import Preroll, drop_first, in_shot, with_preroll
 
 if TYPE_CHECKING:
     from animtool.rig.placement import Placement
@@ -38,33 +38,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a scene file says."""
+    """A scene file."""
 
     path: Path
     # What is read, at least one; the first has the rig and the frames.
     sources: tuple[SceneSource, ...]
-    passes: tuple[ScenePass, ...]  # what to do to it, in order
-    outputs: tuple[SceneOutput, ...]  # what to write, at least one
-    rig: Path | None = None  # the rig that all sources move; None is that of the first
-    props: tuple[SceneProp, ...] = ()  # what is carried beside the character
-    # Frame of the shot that the first frame of the sources is; None is what they say.
+    passes: tuple[ScenePass, ...]  # passes in order
+    outputs: tuple[SceneOutput, ...]  # outputs, at least one
+    rig: Path | None = None  # the rig of all sources; None is that of the first
+    props: tuple[SceneProp, ...] = ()  # props
+    # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None
     # How early passes with a state of their own begin; None is with the take.
     preroll: Preroll | None = None
-    # Names of the variables that it uses or gives a value.
+    # Names of the variables that it uses or sets.
     variables: frozenset[str] = frozenset()
-    idle_variables: frozenset[str] = frozenset()  # those of them that no text uses
+    idle_variables: frozenset[str] = frozenset()  # variables that no text uses
     # Those of them that decide more than the outputs.
     effective_variables: frozenset[str] = frozenset()
     notices: tuple[Fault, ...] = ()  # warnings of the file itself
-    # Counts what its stages cost, each time that it is opened.
+    # Measures the stages each time that it is opened.
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
     # What is simulated, beside the source or in its place.
     systems: tuple[SceneSystem, ...] = ()
 
     @property
     def output(self) -> Path | None:
-        """The file of the first output; None where it names none."""
+        """File of the first output; None if it names none."""
         return self.outputs[0].path
 
     @property
@@ -74,7 +74,7 @@ class Scene:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every file that it names to be read, itself among them."""
+        """Every input file that it names, the scene file included."""
         folder = self.path.resolve().parent
         named = [self.path, *(source.path for source in self.sources)]
         named += [self.rig] if self.rig is not None else []
@@ -83,36 +83,36 @@ class Scene:
         for system in self.systems:
             named += system.setup.files
         for entry in self.passes:
-            given = [getattr(entry.options, f.name) for f in fields(entry.options)]
-            named += [folder / path for path in given if isinstance(path, Path)]
+            values = [getattr(entry.options, f.name) for f in fields(entry.options)]
+            named += [folder / path for path in values if isinstance(path, Path)]
             named += entry.files
         return named
 
     @property
     def kept(self) -> list[Path]:
-        """Every file that its passes and systems write beside its outputs."""
+        """Every file that its passes and systems write besides its outputs."""
         folder = self.path.resolve().parent
         named = [getattr(entry.options, "writes", ()) for entry in self.passes]
         named += [getattr(system.setup, "writes", ()) for system in self.systems]
         return [folder / name for names in named for name in names]
 
     def writing(self, output: SceneOutput) -> Scene:
-        """Return the scene of one output: the systems of it, and what these need."""
+        """Return the scene of one output with its systems and those they need."""
         if output.systems is None or not self.systems:
             return replace(self, outputs=(output,))
-        from animtool.scene.systems.links import simulated_with
+        from animtool.scene.systems.links import with_dependencies
 
         chosen = [
             i for i, system in enumerate(self.systems) if system.name in output.systems
         ]
         systems = tuple(
             replace(self.systems[i], written=i in chosen)
-            for i in simulated_with(self.systems, chosen)
+            for i in with_dependencies(self.systems, chosen)
         )
         return replace(self, outputs=(output,), systems=systems)
 
     def forced(self, *, force_fit: bool, placement: str | None = None) -> Scene:
-        """Return the scene with sources that need not fit its rig, where asked for.
+        """Return the scene with sources that need not fit its rig, if requested.
 
         placement: of the output, whether the sources are where their stages have them.
         """
@@ -132,7 +132,7 @@ class Scene:
         return replace(self, sources=sources)
 
     def of_shot(self, shot: Shot) -> Scene:
-        """Return the scene with its take where a timeline has it.
+        """Return the scene with its take at the times of a timeline's shot.
 
         Time codes of the take are then shot frames. The scene may write another cut,
         other handles or a range of the shot.
@@ -140,19 +140,19 @@ class Scene:
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
         for output in self.outputs:
-            bake, own = output.bake, shot
+            bake, recut = output.bake, shot
             if bake.start is not None:
                 message = "the timeline already places the start of the take"
                 hint = "remove start; start_frame in metadata.animtool of the clip "
                 hint += f"moves the shot, which begins at {shot.start}"
-                faults.append(output.place.fault("SCN073", message, hint))
+                faults.append(output.location.fault("SCN073", message, hint))
             if bake.fps not in {None, shot.fps}:
                 message = f"fps is {bake.fps}, but the shot has {shot.fps}"
-                faults.append(output.place.fault("SCN073", message, "write ${fps}"))
+                faults.append(output.location.fault("SCN073", message, "write ${fps}"))
             if bake.shot is not None:
                 cut = bake.shot
-                own = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
-            bake = replace(bake, shot=own, fps=shot.fps)
+                recut = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
+            bake = replace(bake, shot=recut, fps=shot.fps)
             outputs.append(replace(output, bake=bake))
         if faults:
             raise OptionError(list(dict.fromkeys(faults)))
@@ -162,7 +162,7 @@ class Scene:
         return replace(self, outputs=tuple(outputs), preroll=early)
 
     def open(self, *, keeps: bool = True, progress: Progress = None) -> TakeStream:
-        """Return the source with every pass applied.
+        """Return the source with all passes applied.
 
         Args:
             keeps: Whether passes write files of their own, as in a bake.
@@ -182,18 +182,18 @@ class Scene:
         stream = self._with_props(stream, props, dropped, retimed=True)
         telling = 0
         for entry in self.passes:
-            own = context
+            pass_context = context
             if shown is not None and entry.pass_.tells:
-                own = replace(context, progress=shown.of_pass(telling))
+                pass_context = replace(context, progress=shown.of_pass(telling))
                 telling += 1
-            stream = self._passed(stream, entry, own)
+            stream = self._passed(stream, entry, pass_context)
         stream = self._with_props(stream, props, dropped, retimed=False)
         if shown is not None:
             stream.blocks = shown.blocks(stream.blocks)
         return stream
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
-        """Yield the source and what it is after each pass, as takes and as streams.
+        """Yield the source and the result of each pass, as takes and as streams.
 
         Things beside the character that no pass retimes are not among them. Passes
         write no file.
@@ -213,7 +213,7 @@ class Scene:
             yield take, stream
 
     def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
-        """Return what a pass makes of a take, begun as early as its passes are.
+        """Return the result of a pass on a take, with its preroll.
 
         It writes no file.
 
@@ -237,7 +237,7 @@ class Scene:
         self, stream: TakeStream, options: object, lead: float
     ) -> tuple[TakeStream, object]:
         # Loaded by name, as systems are.
-        around = load_object("animtool.scene.systems.attached:around_take")
+        around = load_object("animtool.scene.systems.attached:with_colliders")
         built = cast("Callable[..., tuple[TakeStream, object]]", around)
         return built(self.systems, self.path, stream, options, lead)
 
@@ -255,14 +255,14 @@ class Scene:
         return array(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
-        """Return the source, counted by the meter."""
+        """Return the source, charged to the meter."""
         self.meter.stages.clear()
         if not self.sources:
             message = "is simulated, and has no source with joints"
             hint = "bake it without options for characters"
             raise OptionError(Fault("SCN062", message, str(self.path), (), hint))
         first = self.sources[0]
-        stage = self.meter.stage(first.path.name, first.place.where)
+        stage = self.meter.stage(first.path.name, first.location.where)
         with self.meter.running(stage):
             stream = in_shot(self._sources(progress), self.bake.shot)
         stream.curve = self.meter.curve(stage, stream.curve)
@@ -270,7 +270,7 @@ class Scene:
         return stream
 
     def _open_props(self, stream: TakeStream) -> Sequence[OpenProp]:
-        """Return what is beside the character, open; all faults are said at once."""
+        """Open the props; report the faults of all at once."""
         if not self.props:
             return ()
         from animtool.scene.sources.props import open_props
@@ -286,7 +286,7 @@ class Scene:
         *,
         retimed: bool,
     ) -> TakeStream:
-        """Return a take with the things that passes retime, or with the others."""
+        """Return a take with the props that passes retime, or with the others."""
         chosen = [prop for prop in props if prop.entry.retimed is retimed]
         if not chosen:
             return stream
@@ -296,48 +296,48 @@ class Scene:
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
-        """Give faults of where things are to be written the places of their entries."""
-        places = {prop.path: prop.place for prop in self.props}
+        """Attach the locations of their entries to faults of props."""
+        locations = {prop.path: prop.location for prop in self.props}
         try:
             yield
         except OptionError as error:
-            if not all(fault.where in places for fault in error.faults):
+            if not all(fault.where in locations for fault in error.faults):
                 raise
-            faults = [places[str(f.where)].put(f) for f in error.faults]
+            faults = [locations[str(f.where)].locate(f) for f in error.faults]
             raise FormatError(faults) from error
 
     def _passed(
         self, stream: TakeStream, entry: ScenePass, context: PassContext
     ) -> TakeStream:
-        """Return what a pass makes of a take, counted by the meter.
+        """Return the result of a pass on a take, charged to the meter.
 
-        What it notices, at once or block by block, is said at its place.
+        Its notices, immediate or block by block, are located at its entry.
         """
-        own: list[Fault] = []
+        pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores
         context = replace(context, scores=[])
-        stage = self.meter.stage(entry.pass_.name, entry.place.where)
+        stage = self.meter.stage(entry.pass_.name, entry.location.where)
         context.errors.clear()
-        with self.meter.running(stage), entry.place.located():
-            stream = self._apply(entry, replace(stream, notices=own), context)
-        own += context.notices
+        with self.meter.running(stage), entry.location.located():
+            stream = self._apply(entry, replace(stream, notices=pass_notices), context)
+        pass_notices += context.notices
         context.notices.clear()
 
         def tell() -> None:
-            notices.extend(map(entry.place.put, unsaid(own, notices)))
-            own.clear()
-            name, where = entry.pass_.name, entry.place.where
+            notices.extend(map(entry.location.locate, unsaid(pass_notices, notices)))
+            pass_notices.clear()
+            name, where = entry.pass_.name, entry.location.where
             scores.extend(one.of_pass(name, where) for one in context.scores)
             context.scores.clear()
 
         tell()
         stage.error = max(context.errors, default=None)
-        blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks, tell))
+        blocks = self.meter.blocks(stage, _read(entry.location, stream.blocks, tell))
         stream = replace(stream, notices=notices, details=details, scores=scores)
         return replace(stream, blocks=blocks)
 
     def until(self, stop: str) -> Scene:
-        """Return the scene without the passes behind one.
+        """Return the scene with the passes up to one.
 
         Args:
             stop: The last pass to run, by its name or its number, 1 being the first
@@ -363,68 +363,70 @@ class Scene:
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
-        """Return a take with a pass applied, which begins early where it needs to."""
+        """Return a take with a pass applied, after the preroll it needs."""
         early = 0
         if entry.pass_.settles and self.preroll is not None:
             early = self.preroll.frames(stream)
         if not early:
             return apply_pass(stream, entry.pass_, entry.options, context)
-        led = begun_early(stream, early)
+        led = with_preroll(stream, early)
         sooner = replace(context, early=early)
         done = apply_pass(led, entry.pass_, entry.options, sooner)
-        return without_first(done, early, stream.start)
+        return drop_first(done, early, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
-        """Return the sources as one."""
+        """Return the sources joined to one stream."""
         if len(self.sources) == 1:
             (source,) = self.sources
             stream = open_source(source.path, source.options, progress=progress)
             if progress is not None and stream.count:
-                read = told(
+                read = with_progress(
                     stream.blocks, stream.count, progress, lambda block: block.frames
                 )
                 stream.blocks = read
             return stream
-        from animtool.scene.sources.joining import Part, joined
+        from animtool.scene.sources.joining import SourcePart, joined
 
-        parts: list[Part] = []
+        parts: list[SourcePart] = []
         faults: list[Fault] = []
         for source in self.sources:
             try:
                 stream = open_source(source.path, source.options)
             except AnimtoolError as error:
-                faults += map(source.place.put, error.faults)
+                faults += map(source.location.locate, error.faults)
                 continue
             parts.append(
-                Part(
+                SourcePart(
                     stream,
                     source.tracks,
                     source.timecode,
                     source.timecode_fps,
-                    source.place.fault,
+                    source.location.fault,
                 )
             )
         if faults:
             raise FormatError(faults)
         first = self.sources[0]
-        with first.place.located():
+        with first.location.located():
             stream = driven_stream(joined(parts[0], parts[1:]), replaced=True)
-        return replace(stream, blocks=_read(first.place, stream.blocks))
+        return replace(stream, blocks=_read(first.location, stream.blocks))
 
     def _take(self, path: Path) -> Take:
         return open_source(path, SourceOptions(rig=self.rig)).collect()
 
 
 def _read(
-    place: Place, blocks: Iterator[Motion], after: Callable[[], None] | None = None
+    location: EntryLocation,
+    blocks: Iterator[Motion],
+    after: Callable[[], None] | None = None,
 ) -> Iterator[Motion]:
-    with place.located():
+    with location.located():
         yield from blocks
     if after is not None:
         after()
 
 
 def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
-    """Return a take, and its stream in one block."""
+    """Return a take, and its stream as a single block."""
     take = stream.collect()
     return take, replace(stream, blocks=iter([take.motion]))

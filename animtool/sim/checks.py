@@ -11,7 +11,7 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import plain
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Control, Form, Integrator
+from animtool.sim.integrators.integrator import Form, Integrator, StepControl
 from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import divide
@@ -40,7 +40,7 @@ def step_notices(
     Only of systems that say how fast they move (`System.frequencies`).
     """
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
-    if step is None or modes is None or integrator.control is not Control.FIXED:
+    if step is None or modes is None or integrator.control is not StepControl.FIXED:
         return []
     gaps = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
     longest = max((divide(*gap, step).h for gap in gaps), default=0.0)
@@ -173,7 +173,7 @@ def check_fit(equations: Equations, integrator: Integrator) -> None:
     elif integrator.form is Form.ACCELERATIONS and equations.second is None:
         message = f"{name} needs accelerations, but the system has rates"
         hint = "use heun or rk4"
-    elif integrator.control is Control.SCIPY and equations.system.settles:
+    elif integrator.control is StepControl.SCIPY and equations.system.settles:
         message = f"{name} cannot stop for contacts and constraints"
         hint = "take rk45"
     if message:

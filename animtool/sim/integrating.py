@@ -18,7 +18,7 @@ from animtool.sim.checks import (
     step_notices,
 )
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Control, Integrator
+from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import IntegrateOptions, check_options, finer
 from animtool.sim.run import Run, advance_evenly
@@ -26,9 +26,9 @@ from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Stats, Status, Trajectory
 
 _ADVANCE = {
-    Control.FIXED: advance_evenly,
-    Control.ADAPTIVE: adaptive_steps.advance,
-    Control.SCIPY: external.advance,
+    StepControl.FIXED: advance_evenly,
+    StepControl.ADAPTIVE: adaptive_steps.advance,
+    StepControl.SCIPY: external.advance,
 }
 
 
@@ -47,7 +47,7 @@ def checkpoint_of(
 
     SciPy's solvers are bound to their end time, and are built again.
     """
-    if status is not Status.OK or run.integrator.control is Control.SCIPY:
+    if status is not Status.OK or run.integrator.control is StepControl.SCIPY:
         return Checkpoint(time, state)
     return Checkpoint(time, state, run.memory, run.trial)
 
@@ -64,7 +64,7 @@ def stats_of(
         run.time,
         run.reason,
         run.steps,
-        None if integrator.control is Control.SCIPY else run.rejected,
+        None if integrator.control is StepControl.SCIPY else run.rejected,
         run.equations.evaluations,
         run.smallest if run.steps else 0.0,
         run.largest,

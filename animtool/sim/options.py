@@ -9,7 +9,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.integrators.adaptive import doubled
-from animtool.sim.integrators.integrator import Control, Integrator
+from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.integrators.table import find_integrator
 
 # Default tolerance of adaptive methods.
@@ -85,7 +85,7 @@ def finer(options: IntegrateOptions) -> IntegrateOptions:
     >>> finer(IntegrateOptions("rk4", step=0.1)).step
     0.05
     """
-    if _chosen(options).control is Control.FIXED:
+    if _chosen(options).control is StepControl.FIXED:
         assert options.step is not None
         return replace(options, step=options.step * FINER_STEP, estimate=False)
     return replace(
@@ -109,9 +109,9 @@ def _chosen(options: IntegrateOptions) -> Integrator:
     return integrator
 
 
-def _faults(options: IntegrateOptions, control: Control) -> list[Fault]:
+def _faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
     """Return faults of options, for a kind of method."""
-    return range_faults(options) + _unfit(options, fixed=control is Control.FIXED)
+    return range_faults(options) + _unfit(options, fixed=control is StepControl.FIXED)
 
 
 def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:

@@ -11,13 +11,13 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
-from animtool.core.options import described, option, options_of
+from animtool.core.options import inherits_docs, option, options_of
 from animtool.core.record import dataclass
-from animtool.core.rules import all_rules, current_codes, own_rules
+from animtool.core.rules import all_rules, builtin_rules, current_codes
 from animtool.validation.profiles import PROFILES, load_profile
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:
     """Which codes to report. Codes may be prefixes: ``RIG``, ``RIG2``.
@@ -117,7 +117,7 @@ _NO_REPORT = (
 )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
     """How findings are fixed, printed, and turned into an exit code."""
@@ -195,7 +195,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     faults = []
     for prefix in (*options.select, *options.ignore, *options.severity):
         if prefix and any(
-            code.startswith(current_codes(prefix)) for code in own_rules()
+            code.startswith(current_codes(prefix)) for code in builtin_rules()
         ):
             continue
         rules, _ = all_rules()

@@ -15,11 +15,11 @@ from animtool.core.errors import (
     ExitCode,
     Fault,
     FormatError,
-    NothingFoundError,
+    NoMatchError,
     Severity,
     excerpt,
 )
-from animtool.core.files.reading import files_meant, nearest_file, unreadable
+from animtool.core.files.reading import matching_files, nearest_file, unreadable
 from animtool.core.names import nearest
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
@@ -53,7 +53,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     files: dict[Path, None] = {}
     unmatched = []
     for text in texts:
-        meant = [file.path for file in files_meant(text, SUFFIXES)]
+        meant = [file.path for file in matching_files(text, SUFFIXES)]
         files.update(dict.fromkeys(meant))
         if not meant:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
@@ -63,7 +63,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         shown = ", ".join(texts) or "nothing"
         message = f"no file to check in {shown}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
-        raise NothingFoundError(Fault("VAL006", message, hint=hint))
+        raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched
 
 

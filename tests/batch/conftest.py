@@ -6,7 +6,7 @@ import pytest
 from support.batch import trouble_plug_in
 from support.cluster import local_cluster
 
-from animtool.batch.spec import made_by
+from animtool.batch.spec import package_versions
 
 
 @pytest.fixture(scope="package")
@@ -36,6 +36,6 @@ def cluster(
         monkeypatch.setenv(name, value)
         monkeypatch.syspath_prepend(value)
     # What was found before has none of the plug-in.
-    made_by.cache_clear()
+    package_versions.cache_clear()
     yield address
-    made_by.cache_clear()
+    package_versions.cache_clear()

@@ -8,7 +8,7 @@ import pytest
 from support.batch import take_files
 
 from animtool.batch.discover import Batch, find_batch
-from animtool.batch.plan import check_overwrites, check_places
+from animtool.batch.plan import check_output_files, check_overwrites
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
 from animtool.scene.bake.options import BakeOptions
@@ -28,7 +28,7 @@ def takes(tmp_path: Path) -> Path:
 
 def refused(found: Batch) -> AnimtoolError:
     with pytest.raises(AnimtoolError) as error:
-        check_places(found)
+        check_output_files(found)
     return error.value
 
 
@@ -37,7 +37,7 @@ def test_outputs_of_one_name(takes: Path) -> None:
     assert isinstance(error, OptionError)
     assert [fault.code for fault in error.faults] == ["OUT007", "OUT007"]
     assert "a/take000.bvh and" in error.faults[0].message
-    check_places(batch(takes, "out/{parent}/{stem}.usdc"))
+    check_output_files(batch(takes, "out/{parent}/{stem}.usdc"))
 
 
 def test_names_that_differ_by_capital_letters(takes: Path) -> None:
@@ -59,7 +59,7 @@ def test_files_props_an_output_count(takes: Path) -> None:
         (takes / "takes/a/take000.bvh").read_text()
     )
     (takes / "takes/a/x.bvh").write_text((takes / "takes/a/take000.bvh").read_text())
-    check_places(batch(takes, "out/{parent}/{stem}.usda"))
+    check_output_files(batch(takes, "out/{parent}/{stem}.usda"))
     assert refused(batch(takes, "out/{parent}/{stem}.usda", "split")).code == "OUT007"
 
 

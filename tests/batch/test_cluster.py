@@ -23,7 +23,7 @@ from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import ItemBuilder, Outcome, Status
+from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.core.errors import Fault, OptionError, OutputError
 
@@ -46,9 +46,9 @@ def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
     )
 
 
-def built(made: Work) -> list[Outcome]:
+def built(made: Work) -> list[ItemOutcome]:
     """Return the outcomes, without warnings."""
-    return [o for o in dask(made) if isinstance(o, Outcome)]
+    return [o for o in dask(made) if isinstance(o, ItemOutcome)]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_a_crash_costs_one_item(cluster: str, tmp_path: Path) -> None:
     trouble_files(tmp_path / "takes", ["crash"])
     failed, *done = sorted(built(work(tmp_path, cluster)), key=lambda o: o.number)
     assert [fault.code for fault in failed.faults] == ["BAT020"]
-    assert [outcome.status for outcome in done] == [Status.DONE] * 4
+    assert [outcome.status for outcome in done] == [ItemStatus.DONE] * 4
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     outcomes = built(work(hung, cluster, Limits(0.1)))
     assert [o.faults[0].code for o in outcomes] == ["BAT021", "BAT021"]
     done = built(work(sound, cluster))
-    assert [outcome.status for outcome in done] == [Status.DONE] * 4
+    assert [outcome.status for outcome in done] == [ItemStatus.DONE] * 4
 
 
 @pytest.mark.slow
@@ -107,9 +107,9 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
         ended = client.submit(ends, pure=False)
         found += list(outcomes)
         ended.result()
-    found = [o for o in found if isinstance(o, Outcome)]
+    found = [o for o in found if isinstance(o, ItemOutcome)]
     assert sorted(o.number for o in found) == [1, 2, 3, 4, 5, 6]
-    assert {o.status for o in found} == {Status.DONE}
+    assert {o.status for o in found} == {ItemStatus.DONE}
 
 
 @pytest.mark.slow
@@ -156,8 +156,10 @@ def test_no_result_is_waited_for_in_the_thread_of_all_callbacks(
 
     monkeypatch.setattr(Future, "result", noted)
     take_files(tmp_path / "takes", 3)
-    found = [one for one in dask(work(tmp_path, cluster)) if isinstance(one, Outcome)]
-    assert [one.status for one in found] == [Status.DONE] * 3
+    found = [
+        one for one in dask(work(tmp_path, cluster)) if isinstance(one, ItemOutcome)
+    ]
+    assert [one.status for one in found] == [ItemStatus.DONE] * 3
     assert len(threads) > 3
     assert not [name for name in threads if name.startswith("Dask-Callback")]
 
@@ -227,7 +229,7 @@ def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:
         made = [process.make(item) for item in items]
     finally:
         process.end()
-    assert [outcome.status for outcome in made] == [Status.DONE, Status.DONE]
+    assert [outcome.status for outcome in made] == [ItemStatus.DONE, ItemStatus.DONE]
     lost = WorkerProcess(replace(process.task, folder=str(tmp_path / "none")))
     with pytest.raises(OSError, match="none"):
         lost.make(items[0])
@@ -287,6 +289,6 @@ def test_a_run_that_stops_at_failures_sends_nothing_ahead(
             taken.append(item.number)
             yield item
 
-    careful = replace(given, items=counted(given.items), asked=2, ahead=False)
+    careful = replace(given, items=counted(given.items), asked=2, queue_next=False)
     for ended, _ in enumerate(dask(careful), 1):
         assert len(taken) <= ended + 1

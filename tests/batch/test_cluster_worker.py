@@ -26,12 +26,12 @@ from animtool.batch.delivery import Delivery
 from animtool.batch.discover import find_batch
 from animtool.batch.manifest import file_digest
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.batch.worker_process import WorkerTask
 
 
 @pytest.fixture
-def outcome(tmp_path: Path) -> tuple[Delivery, Outcome]:
+def outcome(tmp_path: Path) -> tuple[Delivery, ItemOutcome]:
     """Give what a machine reports of one item, and what this one sees."""
     take_files(tmp_path / "takes", 1)
     batch = find_batch(BatchSpec(("takes/*",), tmp_path, output="out/{stem}.usdc"))
@@ -40,20 +40,20 @@ def outcome(tmp_path: Path) -> tuple[Delivery, Outcome]:
 
 
 def test_done_is_what_is_seen_here(
-    outcome: tuple[Delivery, Outcome], tmp_path: Path
+    outcome: tuple[Delivery, ItemOutcome], tmp_path: Path
 ) -> None:
     delivery, done = outcome
     path = tmp_path / "out/take000.usdc"
-    assert delivery.seen(done) == done
+    assert delivery.delivered(done) == done
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    assert delivery.seen(done) is None
+    assert delivery.delivered(done) is None
     path.unlink()
-    assert delivery.seen(done) is None
+    assert delivery.delivered(done) is None
 
 
 def test_an_input_that_is_another_here(
-    outcome: tuple[Delivery, Outcome], tmp_path: Path
+    outcome: tuple[Delivery, ItemOutcome], tmp_path: Path
 ) -> None:
     delivery, done = outcome
     assert delivery.other_inputs(done) == []

@@ -594,7 +594,7 @@ def test_two_shots_of_one_file_name_the_shots(takes: Path) -> None:
     path = timeline(takes / "a.otio", *shots)
     done = animtool("batch", path, "-o", "out/x.usdc", cwd=takes)
     assert "take000.bvh (shot=a) and" in done.stderr
-    assert "{shot} in -o" in done.stderr
+    assert "{shot} in the output" in done.stderr
 
 
 def test_a_timeline_is_no_take_and_the_way_on_is_given(takes: Path) -> None:

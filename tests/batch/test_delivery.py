@@ -7,7 +7,7 @@ from pathlib import Path
 
 from animtool.batch.delivery import Delivery
 from animtool.batch.manifest import FileRecord, file_digest
-from animtool.batch.work import Outcome, Status
+from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.core.files.reading import FileState
 
 
@@ -23,10 +23,12 @@ def test_an_input_that_another_machine_has_otherwise(tmp_path: Path) -> None:
     path.write_text("here")
     delivery = Delivery(tmp_path)
     absent = FileRecord(str(gone), None)
-    same = Outcome(1, Status.DONE, 0.0, inputs=(record(path), absent))
+    same = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path), absent))
     assert delivery.other_inputs(same) == []
     stale = replace(record(path), sha256="0" * 64)
-    built = Outcome(1, Status.DONE, 0.0, inputs=(stale, replace(stale, path=str(gone))))
+    built = ItemOutcome(
+        1, ItemStatus.DONE, 0.0, inputs=(stale, replace(stale, path=str(gone)))
+    )
     assert delivery.other_inputs(built) == [path, gone]
     # It is the other machine's that differ: here, nothing changed.
     assert delivery.changed([path, gone]) == []
@@ -37,7 +39,7 @@ def test_an_input_that_changes_here_meanwhile(tmp_path: Path) -> None:
     path.write_text("before")
     delivery = Delivery(tmp_path)
     delivery.note(path)
-    built = Outcome(1, Status.DONE, 0.0, inputs=(record(path),))
+    built = ItemOutcome(1, ItemStatus.DONE, 0.0, inputs=(record(path),))
     path.write_text("after, and longer")
     other = delivery.other_inputs(built)
     assert other == [path]
@@ -47,14 +49,14 @@ def test_an_input_that_changes_here_meanwhile(tmp_path: Path) -> None:
 def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> None:
     path = tmp_path / "a.usdc"
     path.write_text("whole")
-    built = Outcome(1, Status.DONE, 0.0, outputs=(record(path),))
+    built = ItemOutcome(1, ItemStatus.DONE, 0.0, outputs=(record(path),))
     path.unlink()
     delivery = Delivery(tmp_path)
-    assert delivery.seen(built) is None
+    assert delivery.delivered(built) is None
     path.write_text("half")
-    assert delivery.seen(built) is None
+    assert delivery.delivered(built) is None
     path.write_text("whole")
-    seen = delivery.seen(built)
+    seen = delivery.delivered(built)
     assert seen is not None
     state = FileState.of(path)
     assert state is not None

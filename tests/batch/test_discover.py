@@ -10,11 +10,11 @@ from support.batch import take_files
 from support.faults import raises
 
 from animtool.batch.discover import find_batch
-from animtool.batch.plan import check_places
+from animtool.batch.plan import check_output_files
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import (
     FormatError,
-    NothingFoundError,
+    NoMatchError,
     OptionError,
     Severity,
     StrictError,
@@ -100,7 +100,7 @@ def test_order_is_that_of_names(takes: Path) -> None:
 
 
 def test_there_must_be_an_input(takes: Path) -> None:
-    with pytest.raises(NothingFoundError) as error:
+    with pytest.raises(NoMatchError) as error:
         made(takes, "takes", exclude=("takes",))
     assert error.value.code == "BAT005"
 
@@ -163,11 +163,11 @@ def test_a_scene_names_several_outputs_of_each_item(takes: Path) -> None:
     assert item.folders == [takes / "a", takes]
     # The second would be one file of all items.
     with pytest.raises(OptionError) as caught:
-        check_places(find_batch(replace(spec, inputs=("takes",))))
+        check_output_files(find_batch(replace(spec, inputs=("takes",))))
     assert caught.value.code == "OUT007"
     scene.write_text(f"{SCENE}output: [{{file: a.usda}}, {{file: A.usda}}]\n")
     with raises(OptionError, "OUT007"):
-        check_places(find_batch(spec))
+        check_output_files(find_batch(spec))
 
 
 def test_an_output_props_those_of_a_scene_is_refused(takes: Path) -> None:

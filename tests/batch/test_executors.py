@@ -24,7 +24,7 @@ from animtool.batch.executors import (
 )
 from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import ItemBuilder, Status
+from animtool.batch.work import ItemBuilder, ItemStatus
 from animtool.core.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")
@@ -57,7 +57,7 @@ def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> No
     (tmp_path / "takes/take002.bvh").write_text("HIERARCHY\n")
     found = {o.number: o for o in find_executor(name).load()(made)}
     assert sorted(found) == [1, 2, 3, 4, 5]
-    failed = [o.number for o in found.values() if o.status is Status.FAILED]
+    failed = [o.number for o in found.values() if o.status is ItemStatus.FAILED]
     assert failed == [3]
     assert found[3].faults[0].code.startswith("BVH")
     for number in (1, 2, 4, 5):

@@ -88,6 +88,15 @@ def test_all_faults_come_at_once(tmp_path: Path) -> None:
     assert [f.code for f in error.value.faults] == ["DOC015", "BAT002", "BAT004"]
 
 
+@pytest.mark.parametrize("inputs", ["input: ['*.bvh']", "inputs: '*.bvh'"])
+def test_faulty_inputs_are_not_missing_too(tmp_path: Path, inputs: str) -> None:
+    path = written(tmp_path, f"output: o/\n{inputs}\n")
+    with pytest.raises(FormatError) as caught:
+        load_batch(path)
+    assert len(caught.value.faults) == 1
+    assert caught.value.code != "DOC021"
+
+
 def test_a_batch_is_no_scene(tmp_path: Path) -> None:
     path = tmp_path / "a.batch.yaml"
     path.write_text("scene: animtool/1\nsource: {file: a.bvh}\n", "utf-8")

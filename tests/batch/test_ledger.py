@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from animtool.batch import ledger
-from animtool.batch.ledger import held_ledger, read_history
+from animtool.batch.ledger import locked_ledger, read_history
 from animtool.core.errors import LockedError, OutputError
 from batch.test_manifest import item
 
@@ -38,7 +38,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_who_may_run_props_whom(
     tmp_path: Path, held: str, wanted: str, refused: bool
 ) -> None:
-    with held_ledger(tmp_path, "a", held):
+    with locked_ledger(tmp_path, "a", held):
         error = refusal(tmp_path, "a", wanted)
         assert (error is not None) is refused
         if error is not None:
@@ -51,7 +51,7 @@ def test_who_may_run_props_whom(
 def refusal(folder: Path, name: str, part: str = "") -> OutputError | None:
     """Return why a run may not begin; None where it does, and writes records."""
     try:
-        with held_ledger(folder, name, part) as ledger:
+        with locked_ledger(folder, name, part) as ledger:
             ledger.claim([f"{part}.usdc"])
     except OutputError as error:
         return error
@@ -79,7 +79,7 @@ OWNERS = [
 @pytest.mark.parametrize("data", OWNERS)
 def test_an_owner_that_cannot_be_read_is_not_named(tmp_path: Path, data: bytes) -> None:
     owner = tmp_path / "batch-a.owner"
-    with held_ledger(tmp_path, "a"):
+    with locked_ledger(tmp_path, "a"):
         owner.write_bytes(data)
         error = refusal(tmp_path, "a")
     assert error is not None
@@ -105,7 +105,7 @@ def test_whose_run_it_is(tmp_path: Path) -> None:
     for text, name in names.items():
         # What an earlier run left is no reason to wait.
         owner.write_text(text)
-        with held_ledger(tmp_path, "a"):
+        with locked_ledger(tmp_path, "a"):
             owner.write_text(text)
             assert name in str(refusal(tmp_path, "a"))
 
@@ -128,14 +128,14 @@ def test_an_owner_is_not_written_through_a_link(tmp_path: Path) -> None:
 
 def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         for number in (1, 2):
             run.add(item(number))
         run.failed("3.usdc", "why")
     made, failed = folder / "batch-a.jsonl", folder / "batch-a.failed.jsonl"
     made.write_bytes(made.read_bytes().replace(b'"item":"2', b'"item":"3'))
     failed.write_bytes(failed.read_bytes().replace(b"why", b"who"))
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         assert [notice.code for notice in run.history.damaged] == ["BAT070"] * 2
         assert set(run.history.manifest.items) == {"1.usdc"}
         assert run.history.failed == {}
@@ -145,7 +145,7 @@ def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
 
 
 def test_batches_of_other_names_run_props_each_other(tmp_path: Path) -> None:
-    with held_ledger(tmp_path, "a"):
+    with locked_ledger(tmp_path, "a"):
         assert refusal(tmp_path, "b") is None
         assert refusal(tmp_path, "a") is not None
 
@@ -154,7 +154,7 @@ def test_parts_come_together(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     for number in (1, 2):
         (tmp_path / f"{number}.usdc").touch()
-        with held_ledger(folder, "a", f"{number}-{number}") as part:
+        with locked_ledger(folder, "a", f"{number}-{number}") as part:
             part.claim([f"{number}.usdc"])
             part.add(item(number))
             part.failed("9.usdc", "why")
@@ -162,7 +162,7 @@ def test_parts_come_together(tmp_path: Path) -> None:
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc", "2.usdc"}
     assert history.failed == {"9.usdc": "why"}
-    with held_ledger(folder, "a") as whole:
+    with locked_ledger(folder, "a") as whole:
         whole.settle(lambda made: made.key == "1.usdc")
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc"}
@@ -174,7 +174,7 @@ def test_parts_come_together(tmp_path: Path) -> None:
 def test_why_an_item_failed_is_what_its_latest_part_says(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     for part in ("", "1-1", "1-2"):
-        with held_ledger(folder, "a", part) as run:
+        with locked_ledger(folder, "a", part) as run:
             run.failed("1.usdc", f"part {part}")
             run.settle(lambda _: True)
     assert read_history(folder, "a").failed == {"1.usdc": "part 1-2"}
@@ -182,11 +182,11 @@ def test_why_an_item_failed_is_what_its_latest_part_says(tmp_path: Path) -> None
 
 def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         run.failed("1.usdc", "why")
         run.settle(lambda _: True)
     assert read_history(folder, "a").failed == {"1.usdc": "why"}
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         run.add(item(1))
         run.settle(lambda _: True)
     assert read_history(folder, "a").failed == {}
@@ -194,7 +194,7 @@ def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
 
 
 def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
-    with held_ledger(tmp_path, "a") as run:
+    with locked_ledger(tmp_path, "a") as run:
         run.claim(["1.usdc"])
         run.failed("2.usdc", "why")
     history = read_history(tmp_path, "a")
@@ -204,10 +204,10 @@ def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
 
 def test_what_did_not_change_is_not_written_again(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         run.add(item(1))
         run.settle(lambda _: True)
     before = (folder / "batch-a.jsonl").stat().st_ino
-    with held_ledger(folder, "a") as run:
+    with locked_ledger(folder, "a") as run:
         run.settle(lambda _: True)
     assert (folder / "batch-a.jsonl").stat().st_ino == before

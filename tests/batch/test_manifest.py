@@ -17,7 +17,7 @@ from animtool.batch.manifest import (
     read_manifest,
     rewrite_manifest,
 )
-from animtool.batch.spec import named_from, place_of
+from animtool.batch.spec import path_of_name, relative_name
 from animtool.core.files.reading import FileState
 from animtool.core.values import plain_value
 
@@ -145,7 +145,7 @@ def test_a_damaged_item_may_be_made_again(tmp_path: Path) -> None:
 
 
 def test_a_name_that_leads_above_everything() -> None:
-    assert place_of("../" * 9 + "a", Path("/job/out")) == Path("/a")
+    assert path_of_name("../" * 9 + "a", Path("/job/out")) == Path("/a")
 
 
 NAMES = st.lists(st.sampled_from(["a", "b", "c d"]), max_size=5).map("/".join)
@@ -154,7 +154,7 @@ NAMES = st.lists(st.sampled_from(["a", "b", "c d"]), max_size=5).map("/".join)
 @given(NAMES, NAMES)
 def test_names_lead_back(name: str, root: str) -> None:
     path, folder = Path("/job", name), Path("/job", root)
-    assert place_of(named_from(path, folder), folder) == path
+    assert path_of_name(relative_name(path, folder), folder) == path
 
 
 @pytest.mark.parametrize(
@@ -162,4 +162,4 @@ def test_names_lead_back(name: str, root: str) -> None:
     [("/job/../a", "/job/out"), ("/other/a", "/job/out"), ("/a", "/job/../b")],
 )
 def test_names_that_stay_whole(path: str, root: str) -> None:
-    assert named_from(Path(path), Path(root)) == path
+    assert relative_name(Path(path), Path(root)) == path

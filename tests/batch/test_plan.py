@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 from support.batch import take_files
 
+from animtool.batch.discover import find_batch
+from animtool.batch.plan import check_output_files
 from animtool.batch.report import BatchReport
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec, made_by
+from animtool.batch.spec import BatchSpec, package_versions
+from animtool.core.errors import OptionError
 from animtool.scene.bake.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")
@@ -185,8 +188,8 @@ def test_options_and_variables(takes: Path) -> None:
 
 def test_versions(takes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_batch(spec(takes), SERIAL)
-    newer = {**made_by(), "usd-core": "99"}
-    monkeypatch.setattr("animtool.batch.plan.made_by", lambda: newer)
+    newer = {**package_versions(), "usd-core": "99"}
+    monkeypatch.setattr("animtool.batch.plan.package_versions", lambda: newer)
     assert reasons(run_batch(spec(takes), DRY)) == ["version changed"] * 3
 
 
@@ -208,3 +211,18 @@ def test_folders_may_move_together(takes: Path) -> None:
     run_batch(spec(takes / "job"), SERIAL)
     (takes / "job").rename(takes / "moved")
     assert reasons(run_batch(spec(takes / "moved"), DRY)) == ["up to date"] * 3
+
+
+@pytest.mark.parametrize(("folder", "name"), [("a", "{stem}"), ("b", "{parent}")])
+def test_the_hint_for_equal_outputs_names_what_separates_the_inputs(
+    tmp_path: Path, folder: str, name: str
+) -> None:
+    files = [tmp_path / "a" / "x.bvh", tmp_path / folder / "x.bvh"]
+    files[1] = files[1].with_stem("y" if folder == "a" else "x")
+    for path in files:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    batch = find_batch(BatchSpec(("**/*.bvh",), tmp_path, output="o/out.usdc"))
+    with pytest.raises(OptionError) as caught:
+        check_output_files(batch)
+    assert name in str(caught.value.faults[0].hint)

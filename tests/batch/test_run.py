@@ -16,7 +16,7 @@ from animtool.batch.item import Item
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Outcome, Status
+from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.core.errors import ExitCode, OptionError
 from animtool.core.units import UpAxis
 from animtool.core.values import plain_value
@@ -137,13 +137,13 @@ def test_a_file_that_came_since_the_plan_is_not_replaced(
     assert statuses(report) == ["done", "failed", "failed", "failed", "done"]
 
 
-def careless(work: Work) -> Iterator[Outcome]:
+def careless(work: Work) -> Iterator[ItemOutcome]:
     """Say nothing of the first item, and all else twice."""
     outcomes = [work.builder.build(item) for item in work.items]
     yield from outcomes[1:]
     yield from outcomes[1:]
-    yield Outcome(99, Status.DONE, 0.0)
-    yield cast("Outcome", "done")
+    yield ItemOutcome(99, ItemStatus.DONE, 0.0)
+    yield cast("ItemOutcome", "done")
 
 
 def test_an_executor_that_is_careless(
@@ -177,7 +177,7 @@ def test_how_many_are_made_at_a_time(
     """What a run is told comes before what the batch says; no more than there are."""
     found = []
 
-    def asking(work: Work) -> Iterator[Outcome]:
+    def asking(work: Work) -> Iterator[ItemOutcome]:
         found.append((work.jobs, work.asked))
         return iter(())
 

@@ -10,7 +10,7 @@ from support.cli import animtool
 
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.batch.plan import check_places
+from animtool.batch.plan import check_output_files
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.variants import (
@@ -153,7 +153,9 @@ def test_values_in_names_of_files(value: str, name: str) -> None:
     ("texts", "codes"),
     [
         (["k"], ["BAT064"]),
-        (["k=1..x", "1=2"], ["BAT063", "BAT064"]),
+        (["k 1 2"], ["BAT064"]),
+        (["=1"], ["BAT063"]),
+        (["k=1..x", "1=2"], ["BAT064", "BAT063"]),
         (["k=1..1e9"], ["BAT064"]),
         (["k=1..101", "s=1..101"], ["BAT065"]),
     ],
@@ -162,6 +164,12 @@ def test_faults_of_the_command_line(texts: list[str], codes: list[str]) -> None:
     with pytest.raises(OptionError) as caught:
         variants_of_texts(texts)
     assert [fault.code for fault in caught.value.faults] == codes
+
+
+def test_a_text_without_a_sign_is_written_as_it_should_be() -> None:
+    with pytest.raises(OptionError) as caught:
+        variants_of_texts(["wind 1 2"])
+    assert caught.value.faults[0].hint == "write wind=1,2"
 
 
 def test_each_variant_is_an_item_and_a_changed_row_is_made_again(swing: Path) -> None:
@@ -194,7 +202,7 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
     assert outputs(alone) == outputs(folder)
     clash = BatchSpec((str(swing),), output="o/x.usdc", variants=spec.variants)
     with pytest.raises(OptionError) as caught:
-        check_places(find_batch(clash))
+        check_output_files(find_batch(clash))
     (fault,) = caught.value.faults
     assert fault.code == "OUT007"
     assert "(k=1)" in fault.message
@@ -205,7 +213,7 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
 def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
     table = variants_of_texts(["k=1,1"])
     with pytest.raises(OptionError) as caught:
-        check_places(find_batch(BatchSpec((str(swing),), variants=table)))
+        check_output_files(find_batch(BatchSpec((str(swing),), variants=table)))
     assert "these values appear twice: remove one" in str(caught.value.faults[0].hint)
 
 

@@ -12,10 +12,10 @@ from animtool.batch import work
 from animtool.batch.discover import find_batch
 from animtool.batch.item import ItemTask
 from animtool.batch.spec import BatchSpec
-from animtool.batch.work import ItemBuilder, Outcome, Status
+from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
 
 
-def made(folder: Path, count: int = 1) -> list[Outcome]:
+def made(folder: Path, count: int = 1) -> list[ItemOutcome]:
     spec = BatchSpec(("takes/*.bvh",), folder, output="out/{stem}.usdc")
     batch = find_batch(spec)
     builder = ItemBuilder(batch.item_task, batch.root)
@@ -45,7 +45,7 @@ def test_what_nothing_was_prepared_for(
 
     monkeypatch.setattr(ItemTask, "bake", fail)
     (outcome,) = made(tmp_path)
-    assert outcome.status is Status.FAILED
+    assert outcome.status is ItemStatus.FAILED
     assert (outcome.faults[0].code, outcome.retired) == (code, retired)
     assert outcome.faults[0].path
 

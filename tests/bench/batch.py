@@ -22,10 +22,10 @@ from figures import Bound, Clock, Row, ratio_rows, time_rows
 from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
-from animtool.batch.ledger import held_ledger
+from animtool.batch.ledger import locked_ledger
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.files.reading import FileState
 
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
@@ -106,12 +106,12 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
     out = str(folder / "out/{stem}.usdc")
     found = find_batch(BatchSpec((str(folder / "takes"),), output=out))
     (folder / "out").mkdir()
-    with held_ledger(found.records, found.name) as ledger:
+    with locked_ledger(found.records, found.name) as ledger:
         planner = Planner(found, ledger.history)
         for item in found.items:
             item.output.write_bytes(b"made")
             records = [
-                record_of(path, named_from(path, found.root), FileState.of(path))
+                record_of(path, relative_name(path, found.root), FileState.of(path))
                 for path in (item.file.path, item.output)
             ]
             key = planner.key(item)

@@ -238,12 +238,12 @@ def test_what_was_cleaned_is_counted() -> None:
     assert [s.value for s in scores_of(10, shaken).scores[:2]] == [0.5, 0.03]
     turned = [CleanedSignal("a", True, (), 0.5, None), *signals]
     assert [s.value for s in scores_of(10, turned).scores[:2]] == [0.002, 0.5]
-    long: Any = SimpleNamespace(clock=SimpleNamespace(count=100))
+    long: Any = SimpleNamespace(clock=SimpleNamespace(count=100, rate=30))
     (note,) = notices(long, signals, CleanOptions())
     assert note.code == "CAP101"
     assert note.message.startswith("3 frames of spikes replaced (a); 2 of 3 signals")
     assert notices(long, [], CleanOptions()) == []
-    short: Any = SimpleNamespace(clock=SimpleNamespace(count=2))
+    short: Any = SimpleNamespace(clock=SimpleNamespace(count=2, rate=30))
     assert [n.code for n in notices(short, [], CleanOptions())] == ["CAP102"]
     assert notices(short, [], CleanOptions(keep_noise=True)) == []
     assert notices(short, [], CleanOptions(cutoff=3.0)) == []

@@ -14,7 +14,7 @@ from animtool.cli.docs_reference import codes_markdown, commands_markdown
 from animtool.cli.main import COMMANDS
 from animtool.core.errors import ExitCode
 from animtool.core.pages import KINDS, MOVED, all_pages, find_page, page_markdown
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 
 
 def test_every_page_is_listed_below_its_kind() -> None:
@@ -137,4 +137,4 @@ def test_the_reference_of_commands_has_all_of_them() -> None:
 
 def test_the_reference_of_codes_has_all_of_them() -> None:
     listed = re.findall(r"^\| \[(\w+)\]\(\.\./rules/\1\.md\)", codes_markdown(), re.M)
-    assert listed == sorted(own_rules())
+    assert listed == sorted(builtin_rules())

@@ -12,7 +12,7 @@ from support.cli import animtool
 
 from animtool import Clip, Rig, Take, open_source
 from animtool.ik import load_targets
-from animtool.ik.values import Keyed, Rows, Still
+from animtool.ik.values import ArrayRows, Constant, Keyed
 
 BIPED = "rigs/biped/biped.rig.yaml"
 STRIDE = "samples/stride/stride.clip.yaml"
@@ -118,11 +118,11 @@ def test_takes_of_other_files_are_matched(place: Path, suffix: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "kind", "count"),
     [
-        ((), Rows, 4),
-        (("--chains", "leg_*"), Rows, 2),
+        ((), ArrayRows, 4),
+        (("--chains", "leg_*"), ArrayRows, 2),
         (("--reduce", "1mm"), Keyed, 4),
-        (("--pose",), Still, 4),
-        (("--pose", "12", "--chains", "arm_l, leg_r"), Still, 2),
+        (("--pose",), Constant, 4),
+        (("--pose", "12", "--chains", "arm_l, leg_r"), Constant, 2),
     ],
 )
 def test_what_is_written(
@@ -130,7 +130,7 @@ def test_what_is_written(
 ) -> None:
     done = run(place, *arguments)
     assert done.code == 0, done.stderr
-    assert (place / "stride.targets.npz").exists() == (kind is Rows)
+    assert (place / "stride.targets.npz").exists() == (kind is ArrayRows)
     tracks = load_targets(place / OUT, Rig.load(place / BIPED))
     assert len(tracks.goals) == count
     kinds = {type(v) for goal in tracks.goals for v in goal.values.values() if v}

@@ -104,7 +104,7 @@ def test_gaps_are_filled_and_listed(tmp_path: Path) -> None:
     assert report["mocap fill"] == "animtool/1"
     assert report["gaps"] == [gap]
     whole = open_markers(output)
-    assert whole.seen.all()
+    assert whole.visible.all()
     assert whole.filled is not None
     assert np.flatnonzero(whole.filled[:, 4]).tolist() == list(range(60, 90))
 
@@ -120,7 +120,7 @@ def test_gaps_are_filled_by_a_skeleton(tmp_path: Path) -> None:
     done = animtool(*command, "--template", "f.markers.yaml", cwd=tmp_path)
     assert done.code == 0, done.stderr
     assert "1 gap: 1 by the skeleton" in done.stderr
-    assert open_markers(tmp_path / "whole.c3d").seen.all()
+    assert open_markers(tmp_path / "whole.c3d").visible.all()
     for option in ("--rig", "--static"):
         done = animtool(*command, option, "take.npz", cwd=tmp_path)
         assert done.code == 2

@@ -12,7 +12,7 @@ from animtool.cli.summary import BAKED, STATS, mesh_groups
 from animtool.core.values import plain_value
 from animtool.report.text import render
 from animtool.scene.bake.prims import BakeReport
-from animtool.scene.bake.progress import OutputCost, StageCost, Stats
+from animtool.scene.bake.progress import BakeStats, OutputCost, StageCost
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_the_last_file_names_an_output(outputs: tuple[str, ...], named: str) -> 
 
 
 def test_stages_and_outputs_are_rows_of_one_table() -> None:
-    costs = Stats([StageCost("a.bvh", "source", 0.25, 2_000_000)])
+    costs = BakeStats([StageCost("a.bvh", "source", 0.25, 2_000_000)])
     costs.stats.append(OutputCost("a.usdc", None, 0.001))
     assert STATS.text(costs) == [
         "stage           seconds  peak MB  error mm",

@@ -13,7 +13,7 @@ from support.bvh import small_bvh
 from support.cli import animtool, animtool_process
 
 from animtool.core.errors import Severity
-from animtool.core.rules import Kind, Rule, own_rules
+from animtool.core.rules import Kind, Rule, builtin_rules
 from animtool.validation.formats import FORMATS as WRITERS
 from animtool.validation.options import FORMATS
 
@@ -130,7 +130,7 @@ def test_explain() -> None:
     assert done.code == 0
     assert done.stdout.startswith("# RIG201: limits that leave out the rest pose\n")
     listed = animtool("explain").stdout.splitlines()
-    assert [line.split()[0] for line in listed] == sorted(own_rules())
+    assert [line.split()[0] for line in listed] == sorted(builtin_rules())
     value = json.loads(animtool("explain", "RIG201", "--format", "json").stdout)
     assert value["rules"][0]["kind"] == "rig"
 

@@ -87,7 +87,7 @@ def test_a_camera_that_is_stale_is_named(path: Path, tmp_path: Path) -> None:
         stale = tmp_path / f"{c}.json"
         stale.write_text(json.dumps(changed), "utf-8")
         found = triangulate(seen, load_cameras(stale))
-        assert [bool(report.moved) for report in found.cameras] == [
+        assert [bool(report.shifts) for report in found.cameras] == [
             i == c for i in range(len(found.cameras))
         ]
         assert found.triangulated > 0.99 * found.visible

@@ -63,7 +63,7 @@ def test_a_c3d_is_read_as_by_others(path: Path) -> None:
     expected, rate = read_points(path.read_bytes())
     assert float(markers.clock.rate) == pytest.approx(rate)
     seen = np.isfinite(expected).all(axis=-1) & (expected != 0.0).any(axis=-1)
-    np.testing.assert_array_equal(markers.seen, seen)
+    np.testing.assert_array_equal(markers.visible, seen)
     scale = np.linalg.norm(markers.positions[seen]) / np.linalg.norm(expected[seen])
     assert min(abs(scale - 1.0), abs(scale - 0.001)) < 1e-6
     np.testing.assert_allclose(

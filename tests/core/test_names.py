@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.errors import OptionError
-from animtool.core.names import check_given, nearest
+from animtool.core.names import check_unused, nearest
 
 
 def test_nearest() -> None:
@@ -18,8 +18,8 @@ def test_nearest() -> None:
 
 
 def test_what_is_given_must_be_used() -> None:
-    check_given([], [])
+    check_unused([], [])
     with pytest.raises(OptionError) as caught:
-        check_given(["shto", "shot", "x"], {"shot"})
+        check_unused(["shto", "shot", "x"], {"shot"})
     assert [f.code for f in caught.value.faults] == ["SCN031", "SCN031"]
     assert "'shot'" in (caught.value.faults[0].hint or "")

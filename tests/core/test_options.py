@@ -27,7 +27,7 @@ from animtool.core.options import (
     option,
     options_of,
     refused_options,
-    with_written,
+    with_text_values,
 )
 from animtool.ik.options import TakeOptions
 from animtool.scene.bake.options import BakeOptions
@@ -45,7 +45,7 @@ class Cut:
     plain: int = 0
 
 
-@with_written(TakeOptions, "joints")
+@with_text_values(TakeOptions, "joints")
 @dataclass(frozen=True)
 class Reach:
     """Reach."""

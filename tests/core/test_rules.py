@@ -14,7 +14,7 @@ from support.planted_markers import MARKERS as PLANTED_MARKERS
 from support.planted_takes import TAKES
 
 from animtool.core.errors import OptionError
-from animtool.core.rules import Rule, all_rules, find_rule, own_rules, page_text
+from animtool.core.rules import Rule, all_rules, builtin_rules, find_rule, page_text
 
 
 def test_every_code_that_is_said_has_a_page_and_no_other(root: Path) -> None:
@@ -22,14 +22,14 @@ def test_every_code_that_is_said_has_a_page_and_no_other(root: Path) -> None:
     said = {
         c for text in texts for c in re.findall(r"\"([A-Z][A-Z0-9]{1,3}\d{3})\"", text)
     }
-    rules = own_rules()
+    rules = builtin_rules()
     checked = {code for code, rule in rules.items() if rule.check}
     assert said <= set(rules), said - set(rules)
     assert set(rules) <= said | checked, set(rules) - said
 
 
 def test_checks_are_there_and_of_a_kind() -> None:
-    for rule in own_rules().values():
+    for rule in builtin_rules().values():
         if rule.check:
             assert callable(rule.load()), rule.code
             assert rule.kinds, rule.code
@@ -76,7 +76,7 @@ def shown_in(code: str) -> list[str]:
 
 def test_every_rule_has_its_test(root: Path) -> None:
     texts: dict[str, str] = {}
-    for code in (code for code in own_rules() if int(code[-3:]) >= 200):
+    for code in (code for code in builtin_rules() if int(code[-3:]) >= 200):
         tests = shown_in(code)
         assert tests, code
         for test in tests:
@@ -87,7 +87,7 @@ def test_every_rule_has_its_test(root: Path) -> None:
 
 
 def test_titles_are_lines() -> None:
-    for rule in own_rules().values():
+    for rule in builtin_rules().values():
         assert rule.title
         assert "\n" not in rule.title
         assert not rule.title.endswith(".")
@@ -100,8 +100,8 @@ def test_a_code_that_there_is_none_of() -> None:
         find_rule("rig25")
 
 
-GOOD = Rule("STU001", "a joint without a prefix", kind=own_rules()["RIG201"].kind,
-            check=own_rules()["RIG201"].check)  # fmt: skip
+GOOD = Rule("STU001", "a joint without a prefix", kind=builtin_rules()["RIG201"].kind,
+            check=builtin_rules()["RIG201"].check)  # fmt: skip
 TAKEN = Rule("RIG001", "another", kind=GOOD.kind, check=GOOD.check)
 KINDLESS = Rule("STU002", "of nothing", check=GOOD.check)
 LOST = Rule("STU003", "nowhere", kind=GOOD.kind, check="studio.none:check")
@@ -138,4 +138,4 @@ def test_rules_of_plug_ins(
     else:
         assert [fault.code for fault in broken] == ["IO003"]
         assert word in broken[0].message
-        assert rules == own_rules()
+        assert rules == builtin_rules()

@@ -31,3 +31,13 @@ def test_each_entry_of_the_list_names_its_file(page: str) -> None:
     entries = re.findall(r"^\*\*(.+?)\*\*(.+?)(?=^\*\*|\Z)", section, re.M | re.S)
     assert "A keyframe interpolation." in dict(entries)
     assert [name for name, text in entries if "`animtool/" not in text] == []
+
+
+def test_names_of_the_page_of_words_are_declared(root: Path) -> None:
+    text = (root / "animtool/docs/names.md").read_text("utf-8")
+    rows = [line.rsplit("|", 2)[1] for line in text.splitlines() if line[:2] == "| "]
+    named = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+    code = "\n".join(p.read_text("utf-8") for p in (root / "animtool").rglob("*.py"))
+    declared = set(re.findall(r"^(?:class |def |)(\w+)\b", code, re.MULTILINE))
+    assert len(named) > 15
+    assert sorted(named - declared) == []

@@ -193,7 +193,7 @@ def test_targets_load(project: Path, text: str) -> None:
     tracks = load_targets(project / "one.targets.yaml", rig)
     assert tracks.clock.count == 24
     still = rest_take(rig, tracks.clock)
-    found = solve_take(still, tracks, still=True)
+    found = solve_take(still, tracks, static=True)
     assert len(found.statuses) == 24
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from animtool.core.clock import MAX_FRAMES
 from animtool.core.files.reading import MAX_INPUT_BYTES, MAX_TEXT_BYTES
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.documents import archive, fields, variables, yaml_values
 from animtool.documents.document import MAX_FAULTS
 from animtool.formats.bvh.lines import MAX_LINES
@@ -45,7 +45,7 @@ def test_its_limits_are_those_of_the_code(page: str) -> None:
 def test_its_codes_are_codes(page: str) -> None:
     codes = set(re.findall(r"\b[A-Z]{2,4}\d{3}\b", page))
     assert codes
-    assert codes <= set(own_rules())
+    assert codes <= set(builtin_rules())
 
 
 def test_its_files_are_there(root: Path, page: str) -> None:

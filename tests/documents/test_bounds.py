@@ -19,9 +19,9 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import MAX_INTEGER, MAX_NUMBER, check_numbers
 from animtool.ik.schema import TargetsModel
 from animtool.rig.schema import RigModel
-from animtool.scene.file.schema import whole_model
+from animtool.scene.file.schema import full_model
 
-MODELS = [BatchModel, ClipModel, RigModel, whole_model(), TargetsModel]
+MODELS = [BatchModel, ClipModel, RigModel, full_model(), TargetsModel]
 
 
 def unbounded(

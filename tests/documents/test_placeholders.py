@@ -22,10 +22,10 @@ from animtool.documents.placeholders import (
 )
 from animtool.rig.joint_schema import JointModel
 from animtool.rig.schema import RigModel
-from animtool.scene.file.schema import whole_model
+from animtool.scene.file.schema import full_model
 
 
-@pytest.mark.parametrize("model", [RigModel, ClipModel, whole_model()])
+@pytest.mark.parametrize("model", [RigModel, ClipModel, full_model()])
 def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     seen = 0
     for inner in models_in(model):

@@ -11,7 +11,7 @@ from support.cli import animtool
 from support.page_stage import make_stage
 from support.skinned_rig import write_pair
 
-from animtool.core.files.placing import Whole, output_error
+from animtool.core.files.placing import WrittenFile, output_error
 from faults.calls import Files, files_in
 
 FAULTS = "fault | what happened | what was lost"
@@ -69,17 +69,17 @@ def test_all_files_of_a_command_or_none(
     record_property: Callable[[str, object], None],
 ) -> None:
     words = COMMANDS[name].split()
-    place, placed = Whole.place, 0
+    commit, placed = WrittenFile.commit, 0
     last = 0
 
-    def placing(self: Whole, *, new: bool) -> None:
+    def placing(self: WrittenFile, *, new: bool) -> None:
         nonlocal placed
         placed += 1
         if placed == last:
             raise output_error(self.path, "the test says so")
-        place(self, new=new)
+        commit(self, new=new)
 
-    monkeypatch.setattr(Whole, "place", placing)
+    monkeypatch.setattr(WrittenFile, "commit", placing)
     whole = shutil.copytree(stage, tmp_path / "whole")
     done = animtool(*words, cwd=whole)
     assert done.code in {0, 1}, done.stderr

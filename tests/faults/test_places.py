@@ -16,7 +16,7 @@ from support.cli import Done, animtool
 
 from animtool import bake
 from animtool.core.errors import OutputError
-from animtool.core.files.output import check_outputs, replacing, together
+from animtool.core.files.output import atomic_outputs, check_outputs, replacing
 from faults.calls import in_child
 
 FAULTS = "fault | what happened | what was lost"
@@ -157,7 +157,7 @@ def test_a_folder_and_a_file_that_are_not_mine(
 
 
 def both(paths: Sequence[Path]) -> None:
-    with together():
+    with atomic_outputs():
         for path in paths:
             with replacing(path) as temporary:
                 temporary.write_text("new", "utf-8")

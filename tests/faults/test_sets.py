@@ -19,7 +19,12 @@ from support.small_takes import small
 from animtool.batch.bundle import Bundle, write_bundle
 from animtool.core.errors import AnimtoolError, OptionError, OutputError
 from animtool.core.files.leftovers import remove_leftovers, take_back, temporary_prefix
-from animtool.core.files.output import ahead, check_outputs, replacing, together
+from animtool.core.files.output import (
+    atomic_outputs,
+    check_outputs,
+    early_outputs,
+    replacing,
+)
 from animtool.core.files.placing import output_error
 from faults.calls import (
     Calls,
@@ -56,14 +61,14 @@ def one_file(folder: Path, text: str) -> None:
 def three_files(folder: Path, text: str) -> None:
     paths = [folder / name for name in ("a.txt", "b.txt", "c.txt")]
     check_outputs(paths, [], overwrite=paths[0].exists())
-    with together():
+    with atomic_outputs():
         for path in paths:
             write(path, text)
 
 
 def half_new(folder: Path, text: str) -> None:
     """Write two files, of which one is there only from the second time on."""
-    with together():
+    with atomic_outputs():
         write(folder / "a.txt", text)
         if text == "new":
             write(folder / "b.txt", text)
@@ -72,8 +77,8 @@ def half_new(folder: Path, text: str) -> None:
 def with_arrays(folder: Path, text: str) -> None:
     """Write a file that is read again before the one that names it is written."""
     paths = [folder / f"{text}.npz"] * (text == "new")
-    with together():
-        with ahead(paths):
+    with atomic_outputs():
+        with early_outputs(paths):
             for path in paths:
                 write(path, text)
         write(folder / "a.txt", text)
@@ -315,7 +320,7 @@ def test_of_several_writers_one_wins(
                 os.write(ready[1], b".")
                 # All are let go at once.
                 os.read(go[0], 1)
-                with together():
+                with atomic_outputs():
                     for path in paths:
                         write(path, str(i))
                 code = 0
@@ -345,7 +350,7 @@ def test_a_file_that_appears_meanwhile_stays(disk: Path) -> None:
         (folder / "a.txt").write_text("theirs", "utf-8")
 
         def run(paths: Sequence[Path] = paths) -> None:
-            with together():
+            with atomic_outputs():
                 for path in paths:
                     write(path, "mine")
 

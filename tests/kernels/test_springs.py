@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool import _kernels
-from animtool.systems.springs.body import Draws, Loads, Paths, Springs
+from animtool.systems.springs.body import Paths, SpringForces, Springs, TargetSprings
 
 CALM = (0.0, 0.0)
 NO_FACES = np.zeros((0, 3), np.int64)
@@ -53,7 +53,7 @@ def random_springs(ends: np.ndarray, rng: np.random.Generator) -> Springs:
 def network(ends: np.ndarray, count: int, rng: np.random.Generator) -> object:
     springs, nowhere = random_springs(ends, rng), np.zeros((1, 0, 3))
     weights, still = rng.uniform(0.5, 2, count), np.zeros(3)
-    loads = Loads(weights, np.zeros(count), springs, NO_FACES, still, CALM)
+    loads = SpringForces(weights, np.zeros(count), springs, NO_FACES, still, CALM)
     return loads.network(Paths(np.zeros(1), nowhere, nowhere, np.zeros((1, 1, 3))))
 
 
@@ -162,10 +162,10 @@ def led(ends: np.ndarray, count: int, rng: np.random.Generator) -> tuple[object,
     weights[held] = 0
     ways = [rng.normal(size=(2, len(some), 3)) for some in (held, drawn)]
     drags = rng.uniform(0, 1, count)
-    draws = Draws(drawn, *rng.uniform(0.5, 2, (len(drawn), 2)).T.copy())
+    draws = TargetSprings(drawn, *rng.uniform(0.5, 2, (len(drawn), 2)).T.copy())
     paths = Paths(np.array([0.0, 1.0]), *ways, np.zeros((2, 1, 3)))
     gravity = np.array([0, 0, -9.81])
-    loads = Loads(weights, drags, springs, NO_FACES, gravity, CALM, held, draws)
+    loads = SpringForces(weights, drags, springs, NO_FACES, gravity, CALM, held, draws)
     return loads.network(paths), {"held": held, "way": ways[0]}
 
 

@@ -10,7 +10,7 @@ from fuzz.kernels.springs import CALLS
 from fuzz.targets.kernels import call
 
 from animtool import _kernels
-from animtool.systems.springs.body import Loads, Paths, Springs
+from animtool.systems.springs.body import Paths, SpringForces, Springs
 
 HUGE = 2**31 - 1
 BAD: list[tuple[str, str, Any]] = [
@@ -138,7 +138,9 @@ def test_layers_are_of_as_many_particles() -> None:
 
 def test_no_particles_keep_apart() -> None:
     nothing, none = np.zeros((1, 0, 3)), np.zeros((0, 3), np.int64)
-    loads = Loads(np.zeros(0), np.zeros(0), Springs.none(), none, np.zeros(3), (0, 0))
+    loads = SpringForces(
+        np.zeros(0), np.zeros(0), Springs.none(), none, np.zeros(3), (0, 0)
+    )
     wind = np.zeros((1, 1, 3))
     network = loads.network(Paths(np.zeros(1), nothing, nothing, wind))
     layers = _kernels.SpringLayers(network, np.zeros((0, 3)), 0.1, 0.0, 0.1)

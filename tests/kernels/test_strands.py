@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool import _kernels
-from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Plane, Sphere
+from animtool.sim.colliders import (
+    Box,
+    Capsule,
+    Collider,
+    Colliders,
+    Mesh,
+    Plane,
+    Sphere,
+)
 
 SPAN, LENGTH = 1 / 24, 0.02
 FALL = [0.0, -9.81, 0.0]
@@ -230,3 +238,69 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         _kernels.SpringStrands(
             np.ones((2, 3)), np.ones((2, 3)), np.zeros(3), *np.zeros(6)
         )
+
+
+HALF = np.array([0.04, 0.01, 0.04])
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+QUADS = np.array(
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+)
+TRIANGLES = np.concatenate([QUADS[:, [0, 1, 2]], QUADS[:, [0, 2, 3]]]).astype(np.int32)
+
+
+def moving_mesh(cells: int, begin: np.ndarray, end: np.ndarray) -> tuple[Any, ...]:
+    """Return the box as a mesh whose points move between two positions."""
+    share = np.linspace(0, 1, cells + 1)[:, None, None]
+    points = CORNERS * HALF + begin + share * (end - begin)
+    numbers = (0.0, 0.0, 0.0, 1.0, 1e3)
+    surface = _kernels.MeshSurface(points[0].copy(), TRIANGLES)
+    arrays, poses, radius, depths, tolerance, _ = met([], cells)
+    return arrays, poses, radius, depths, tolerance, [(surface, points, numbers, 1, 0)]
+
+
+def hanging(count: int, points: int = 8) -> np.ndarray:
+    """Return strands that hang side by side ``(S, P, 3)``."""
+    places = np.zeros((count, points, 3))
+    places[..., 0] = np.linspace(-0.03, 0.03, count)[:, None]
+    places[..., 1] = -LENGTH * np.arange(points)
+    return places
+
+
+def test_a_mesh_that_does_not_move_is_a_collider() -> None:
+    places, at = hanging(5), np.array([0.0, -0.1, -0.06])
+    solid_box = Mesh(HALF * CORNERS, TRIANGLES.astype(np.int64), closed=True)
+    thrown = np.zeros_like(places) + np.array([0.0, 0.0, -3.0])
+    arrays, poses, *others = met([Collider(solid_box, friction=0.0)], 4)
+    poses[..., :3] = at
+    fixed = arrays, poses, *others
+    solid = run(places, velocities=thrown, colliders=fixed)
+    moving = run(places, velocities=thrown, colliders=moving_mesh(4, at, at))
+    assert moving[1] == solid[1] > 0
+    assert_allclose(moving[0][0], solid[0][0], atol=1e-9)
+
+
+def test_a_moving_mesh_pushes_strands() -> None:
+    places = hanging(5)
+    begin, end = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.1, 0.0])
+    state, touched, inside, _ = run(places, colliders=moving_mesh(4, begin, end))
+    beside = (state[0] - end) / HALF
+    assert touched > 0
+    assert inside == 0
+    assert (np.abs(beside).max(axis=-1) > 1 - 1e-3).all()
+    free = run(places)[0]
+    assert np.abs(state[0] - free[0]).max() > 0.005
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_change_nothing_beside_a_moving_mesh(threads: int) -> None:
+    places = np.repeat(hanging(5), 40, axis=0)
+    begin, end = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.1, 0.0])
+    colliders, flat = moving_mesh(4, begin, end), places.reshape(-1, 3)
+    rows = np.stack([flat, np.zeros_like(flat)])
+    one, many = (
+        _kernels.follow_strands(
+            made(places), checkpoint(places, 4), rows, SPAN, 3, colliders, count
+        )[0]
+        for count in (1, threads)
+    )
+    assert_array_equal(many, one)

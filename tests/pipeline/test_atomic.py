@@ -17,7 +17,7 @@ from support.bvh import random_rows, small_bvh
 from support.cli import TIMEOUT, animtool, killable
 
 from animtool.core.files.leftovers import take_back
-from animtool.core.files.placing import Whole
+from animtool.core.files.placing import WrittenFile
 
 TRIES = 10
 
@@ -167,17 +167,17 @@ def test_an_output_that_usd_has_open_is_replaced(walk: Path, tmp_path: Path) -> 
     assert layer.startTimeCode == 5
 
 
-@pytest.mark.parametrize(("step", "code"), [("seal", 130), ("place", 0)])
+@pytest.mark.parametrize(("step", "code"), [("seal", 130), ("commit", 0)])
 def test_a_signal_about_the_naming(
     walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, code: int
 ) -> None:
-    do = getattr(Whole, step)
+    do = getattr(WrittenFile, step)
 
-    def signalled(whole: Whole, **given: bool) -> None:
+    def signalled(whole: WrittenFile, **given: bool) -> None:
         do(whole, **given)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(Whole, step, signalled)
+    monkeypatch.setattr(WrittenFile, step, signalled)
     for words in (("bake", walk, "-o", "o.usda"), ("convert", walk, "o.clip.yaml")):
         folder = tmp_path / words[0]
         folder.mkdir()

@@ -11,7 +11,7 @@ from support.clips import write_rig
 from support.faults import document_faults
 
 from animtool.core.files.reading import MAX_TEXT_BYTES
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.documents.document import MAX_FAULTS
 
 CLIP = """\
@@ -147,5 +147,5 @@ def test_no_code_of_reading_is_left_out() -> None:
     # Those of tests/documents.
     elsewhere |= {"DOC023", "DOC024", "DOC025", "DOC026", "DOC102"}
     of_reading = re.compile(r"DOC\d{3}|RIG006|CLIP0\d{2}|SCN0(?:0\d|1[01]|22)")
-    codes = {code for code in own_rules() if of_reading.fullmatch(code)}
+    codes = {code for code in builtin_rules() if of_reading.fullmatch(code)}
     assert codes - elsewhere == planted

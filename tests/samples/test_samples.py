@@ -14,7 +14,7 @@ from support.suite import at_night
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
-from animtool.core.files.reading import files_meant
+from animtool.core.files.reading import matching_files
 from animtool.motion.motion import Channel
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward
@@ -56,7 +56,7 @@ LONG = {"cape", "capture", "dance", "fall"}
 FOLDERS = sorted(
     path.name
     for path in ROOT.glob("samples/*/")
-    if any(files_meant(str(path), SUFFIXES))
+    if any(matching_files(str(path), SUFFIXES))
 )
 
 

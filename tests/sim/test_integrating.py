@@ -26,16 +26,18 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.system import Native
 
 OURS = [
-    name for name in INTEGRATORS if find_integrator(name).control is not Control.SCIPY
+    name
+    for name in INTEGRATORS
+    if find_integrator(name).control is not StepControl.SCIPY
 ]
 
 
 def options_for(name: str, **more: float) -> IntegrateOptions:
-    if find_integrator(name).control is Control.FIXED:
+    if find_integrator(name).control is StepControl.FIXED:
         return IntegrateOptions(name, step=1 / 96, **more)
     return IntegrateOptions(name, tolerance=1e-8, **more)
 
@@ -67,8 +69,8 @@ def test_statistics(name: str) -> None:
     assert stats.error is not None
     assert 0 < stats.error < 0.1
     assert (stats.local_error is None) == (integrator.error_order == 0)
-    assert (stats.rejected is None) == (integrator.control is Control.SCIPY)
-    if integrator.control is Control.FIXED:
+    assert (stats.rejected is None) == (integrator.control is StepControl.SCIPY)
+    if integrator.control is StepControl.FIXED:
         assert (stats.steps, stats.rejected) == (192, 0)
         assert stats.largest == 1 / 96
     assert found.notices == () or name in {"euler", "modified_euler"}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.formats.characters.choice import choose_character
 from animtool.formats.fbx.curves import Outside
 from animtool.formats.fbx.poses import NodeTransforms
 from animtool.formats.fbx.rig import FbxRig, build_rig
@@ -17,7 +18,6 @@ from animtool.formats.fbx.sampling import FbxSampler
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
-from animtool.formats.gltf.characters import chosen
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.skin.character import CharacterMesh
@@ -48,7 +48,7 @@ class FbxCharacter:
     def of(cls, path: Path) -> FbxCharacter:
         """Open a file."""
         scene = open_fbx(path)
-        character, _ = chosen(scene, "/")
+        character, _ = choose_character(scene, "/", "FBX014", "FBX115")
         made = build_rig(scene, character, "whole")
         return cls(scene, made, skinned_meshes(made.rig))
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.formats.characters.choice import choose_character
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import sampler
+from animtool.formats.gltf.sampling import sampler_of
 from animtool.formats.gltf.surfaces import mesh_names, vertex_offset
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
@@ -44,7 +44,7 @@ class Character:
     def of(cls, path: Path) -> Character:
         """Open a file."""
         gltf = open_gltf(path)
-        character, _ = chosen(gltf, "/")
+        character, _ = choose_character(gltf, "/", "GLT014", "GLT109")
         made = build_rig(gltf, character, "whole")
         nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
         names = mesh_names(gltf, nodes)
@@ -74,7 +74,7 @@ def compare(character: Character, expected: dict[str, Any], apart: Apart) -> Non
     clips: list[tuple[Animation | None, dict[str, Any]]] = [(None, rest)]
     clips += zip(character.gltf.animations, expected["clips"], strict=True)
     for animation, clip in clips:
-        moving = sampler(character.gltf, character.made, animation)
+        moving = sampler_of(character.gltf, character.made, animation)
         motion = moving.at(np.array(clip["times_s"], np.float64))
         world = forward(character.made.rig, *motion.dense())
         for k, state in enumerate(clip["at"]):

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -427,7 +427,7 @@ TAKES = [
     Planted("upside down", "walk", rolled(180.0), "MOT214"),
 ]  # fmt: skip
 
-TAKE_RULES = [rule for rule in own_rules().values() if rule.takes]
+TAKE_RULES = [rule for rule in builtin_rules().values() if rule.takes]
 
 
 def codes(take: Take) -> set[str]:

@@ -16,9 +16,9 @@ from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.system import Energy
 from animtool.systems.framework.fields import (
     ArrayEntry,
+    EmitterShapeEntry,
     ForceEntry,
     PlacedModel,
-    PlaceEntry,
     ShapeEntry,
     SystemColliderModel,
 )
@@ -31,7 +31,7 @@ WING = MeshFrame(np.eye(3), np.zeros((3, 3)), np.array([3]), np.arange(3))
 class FlockModel(FileModel):
     """Some of those that swing."""
 
-    place: PlaceEntry = Field(default={"point": None})
+    place: EmitterShapeEntry = Field(default={"point": None})
     wing: ShapeEntry | None = None
 
 

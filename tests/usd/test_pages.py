@@ -14,7 +14,7 @@ import pytest
 from support.cli import animtool
 from support.suite import some_quick
 
-from animtool.core.rules import own_rules, page_text
+from animtool.core.rules import builtin_rules, page_text
 
 LAYER = Path(__file__).with_name("pages.usda").read_text("utf-8")
 SHOT = """\
@@ -126,8 +126,8 @@ def examples(code: str, language: str) -> list[str]:
 # Examples of codes of checks are checked with these. A crash would end the tests.
 CODES = [
     code
-    for code in own_rules()
-    if re.match("USD[01]", code) and not own_rules()[code].hint and code != "USD160"
+    for code in builtin_rules()
+    if re.match("USD[01]", code) and not builtin_rules()[code].hint and code != "USD160"
 ]
 
 

@@ -16,11 +16,11 @@ from support.suite import some_quick
 
 import animtool as animtool_package
 from animtool.core.errors import AnimtoolError
-from animtool.core.rules import own_rules, page_text
+from animtool.core.rules import builtin_rules, page_text
 from animtool.validation.run import validate
 
 HEADINGS = ["What", "Why", "How to fix"]
-PAGES = {code: page_text(code) or "" for code in own_rules()}
+PAGES = {code: page_text(code) or "" for code in builtin_rules()}
 # What the wrong example of a page has beside its own code: what is no longer hidden,
 # what comes of it, and what says the same before there is a rig.
 FOUND_TOO = {
@@ -41,7 +41,7 @@ def examples(code: str, language: str) -> list[str]:
 def test_the_front_of_every_page_is_yaml_and_the_rule(root: Path) -> None:
     for path in (root / "animtool/docs/rules").iterdir():
         front = yaml.safe_load(path.read_text("utf-8").split("---\n")[1])
-        rule = own_rules()[path.stem]
+        rule = builtin_rules()[path.stem]
         kinds = front.pop("kind", [])
         assert rule.kinds == ({kinds} if isinstance(kinds, str) else set(kinds))
         front["replaces"] = tuple(front.get("replaces", ()))
@@ -52,7 +52,7 @@ def test_the_front_of_every_page_is_yaml_and_the_rule(root: Path) -> None:
 def test_the_form_of_pages() -> None:
     for code, page in PAGES.items():
         lines = page.splitlines()
-        assert lines[0] == f"# {code}: {own_rules()[code].title}"
+        assert lines[0] == f"# {code}: {builtin_rules()[code].title}"
         headings = [line[3:] for line in lines if line.startswith("## ")]
         assert headings in (HEADINGS, [*HEADINGS, "Example"]), code
         outside = re.sub(r"^```.*?^```", "", page, flags=re.M | re.S)
@@ -102,7 +102,9 @@ def said(commands: str, folder: Path) -> list[str]:
     done = [animtool(*line[1:], cwd=folder) for line in lines if line]
     assert all(one.code == 0 for one in done[:-1])
     return [
-        c for c in re.findall(r"\b[A-Z]+\d{3}\b", done[-1].stderr) if c in own_rules()
+        c
+        for c in re.findall(r"\b[A-Z]+\d{3}\b", done[-1].stderr)
+        if c in builtin_rules()
     ]
 
 

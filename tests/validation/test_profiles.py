@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.core.errors import OptionError, Severity
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.validation.fixes.run import fix_copy
 from animtool.validation.options import ValidateOptions
 from animtool.validation.profiles import PROFILES, load_profile
@@ -76,7 +76,7 @@ def test_a_profile_has_codes_that_there_are() -> None:
     for profile in PROFILES.values():
         assert profile.about
         for code in profile.levels:
-            assert any(known.startswith(code) for known in own_rules()), code
+            assert any(known.startswith(code) for known in builtin_rules()), code
 
 
 def test_by_default_each_rule_has_its_own_severity(stage: Path) -> None:

@@ -11,11 +11,11 @@ from animtool.core.errors import (
     ExitCode,
     Fault,
     FormatError,
-    NothingFoundError,
+    NoMatchError,
     OptionError,
     Severity,
 )
-from animtool.core.rules import Rule, own_rules
+from animtool.core.rules import Rule, builtin_rules
 from animtool.documents.document import read_document
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Ignores, find_files, validate, validate_files
@@ -257,7 +257,7 @@ def test_which_files(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     odd = Path("a[1].rig.yaml")
     odd.touch()
     assert find_files([odd]) == [odd]
-    with pytest.raises(NothingFoundError) as error:
+    with pytest.raises(NoMatchError) as error:
         find_files(["a/b/*.usd"])
     assert error.value.exit_code is ExitCode.NOTHING_MATCHED
 
@@ -275,7 +275,7 @@ def test_an_empty_name_means_no_folder(
 ) -> None:
     monkeypatch.chdir(leg.parent)
     assert validate([leg.name, ""]) == validate([leg.name])
-    with pytest.raises(NothingFoundError):
+    with pytest.raises(NoMatchError):
         find_files([""])
 
 
@@ -300,7 +300,7 @@ def test_a_rule_that_fails(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_kit_for_rules(leg: Path) -> None:
     good = leg.with_name("good.rig.yaml")
     good.write_text(KNEE.replace("[10, 150]", "[0, 150]"), "utf-8")
-    rule = own_rules()["RIG201"]
+    rule = builtin_rules()["RIG201"]
     assert len(check_rule(rule, leg, good)) == 1
     with pytest.raises(AssertionError, match="false alarm"):
         check_rule(rule, leg, leg)

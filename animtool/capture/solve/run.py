@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 
 import numpy as np
@@ -26,7 +26,7 @@ from animtool.capture.solve.sampling import (
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -38,6 +38,7 @@ from animtool.motion.driving import driven_take
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
+from animtool.retarget.standing import lying_notice
 from animtool.rig.skeleton import Rig
 
 Progress = Callable[[float], None] | None
@@ -55,6 +56,12 @@ OTHER_UNITS = 30.0
 STRANGE = 0.01
 # Initial noise, and its convergence ratio.
 FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
+# A marker on a body moves by more than this: breathing alone moves a chest by 4 mm [m].
+STATIC_EXTENT = 0.002
+# If the others move by this much, one that does not is not on the body [m].
+MOVING_EXTENT = 0.05
+# Fewer frames do not show that a marker never moves.
+MIN_MOVING_FRAMES = 25
 
 
 @dataclass
@@ -94,6 +101,10 @@ class MarkerSolve:
             last = coordinates[-BEHIND:]
             motion = self._motion(coordinates, rotations)
             rotations = motion.rotations.values[-1]
+            if first == 0:
+                self.notices += lying_notice(
+                    None, self.model.rig, motion, Severity.WARNING
+                )
             yield motion
             if progress is not None:
                 progress(end / count)
@@ -212,6 +223,7 @@ def solve_markers(
         message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
         message += f"template: {listed(match.missing, 8)}"
         notices.append(Fault("SOL103", message, severity=Severity.WARNING))
+    notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
     median = float(np.median(noise))
     if median > STRANGE:
@@ -220,6 +232,37 @@ def solve_markers(
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
+
+
+def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
+    """Return a warning about markers ``(F, E, 3)`` that never move (SOL108)."""
+    if len(positions) < MIN_MOVING_FRAMES:
+        return []
+    known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
+    low, high = (
+        np.where(known[..., None], positions, fill) for fill in (np.inf, -np.inf)
+    )
+    extents = np.linalg.norm(high.max(axis=0) - low.min(axis=0), axis=1)
+    enough = known.sum(axis=0) >= MIN_MOVING_FRAMES
+    static = enough & (extents < STATIC_EXTENT)
+    if not static.any():
+        return []
+    hint = "delete them or label them again: they may be on a fixed object"
+    if static.sum() == enough.sum():
+        message = (
+            f"no marker moves by more than {length_text(STATIC_EXTENT)} in "
+            f"{counted(len(positions), 'frame')}"
+        )
+        hint = "is this the static trial? solve the take in which the subject moves"
+    elif np.median(extents[enough]) < MOVING_EXTENT:
+        return []
+    else:
+        named = [name for name, fixed in zip(names, static, strict=True) if fixed]
+        message = (
+            f"these markers never move, while others move by "
+            f"{length_text(float(np.median(extents[enough])))}: {listed(named, 8)}"
+        )
+    return [Fault("SOL108", message, hint=hint, severity=Severity.WARNING)]
 
 
 def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
 from animtool.core.config import project_roots
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
@@ -125,7 +125,7 @@ def _rig(document: Document, name: str | None) -> Path | None:
     if name is None:
         return None
     path = referred(document, ("rig",), name, project_roots(document.path))
-    if path is not None and not is_there(path):
+    if path is not None and not exists(path):
         near = missing_hint(document, name)
         document.add("DOC015", ("rig",), f"{name!r} does not exist", near)
     return path

@@ -1,1 +1,1 @@
-"""Files: the one gate to open them, and outputs that are whole or absent."""
+"""Files: checked opening of inputs, and atomic outputs."""

@@ -1,4 +1,4 @@
-"""What killed processes leave where outputs go: found, taken back, removed.
+"""Leftovers of killed processes in output folders: rolled back and removed.
 
 A file that is written has a temporary name in its folder, which says whose it is. A set
 of files also has a journal in each of its folders while they get their names. What a
@@ -36,12 +36,12 @@ _MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
-    """Return how names of a process's temporary files begin; None is this one."""
+    """Return the prefix of a process's temporary files; None is this one."""
     return f".animtool-{_host()}-{process or os.getpid()}-"
 
 
 def new_temporary(final: Path) -> Path:
-    """Return an unused name next to a file, for what will replace it."""
+    """Return an unused name beside a file that it will replace."""
     suffix = final.suffix if len(os.fsencode(final.suffix)) <= _LONGEST_SUFFIX else ""
     # Unique over threads, processes and hosts that share a folder.
     return final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{suffix}")
@@ -49,38 +49,38 @@ def new_temporary(final: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFile:
-    """A file of a set, while the set gets its names."""
+    """A file of a set while the set is committed."""
 
     final: Path  # its name
-    temporary: Path  # the name that it was written under
-    # Inode, size [byte] and time of change [ns] of what was written.
+    temporary: Path  # its temporary name
+    # Inode, size [byte] and time of change [ns] of the written file.
     state: tuple[int, int, int]
-    old: Path  # where the replaced file is kept; unused where there is none
+    old: Path  # backup of the replaced file; unused without one
 
     def take_back(self) -> None:
-        """Undo: the replaced file has its name again, and a new one is gone.
+        """Roll back: restore the replaced file, and remove a new one.
 
         Nothing happens where another process has replaced the file since. It may be
         called again.
         """
-        current = _found(self.final)
-        kept = _found(self.old)
-        if kept is not None and (current is None or self._is_own(current)):
+        current = _status(self.final)
+        kept = _status(self.old)
+        if kept is not None and (current is None or self._is_mine(current)):
             self.old.replace(self.final)
         elif kept is not None:
             # The final name still has the old file, or a later one.
             self.old.unlink()
-        elif current is not None and self._is_own(current):
+        elif current is not None and self._is_mine(current):
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
-    def _is_own(self, status: os.stat_result) -> bool:
+    def _is_mine(self, status: os.stat_result) -> bool:
         return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
 
 
 @dataclass(frozen=True, slots=True)
 class Journal:
-    """The record of a set that is getting its names: a file in each of its folders.
+    """Journal of a set that is being committed: a file in each of its folders.
 
     The set is complete as soon as one of them is gone. Each names files of its own
     folder only, so that one that came with other people's files reaches no others.
@@ -92,13 +92,18 @@ class Journal:
 
     @classmethod
     def begin(cls, files: Sequence[PlacedFile]) -> Journal:
-        """Write the journal of a set, before any of its files has its name."""
+        """Write the journal of a set before any file is renamed."""
         folders = tuple(dict.fromkeys(file.final.parent for file in files))
         journal = cls(f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL}", folders)
         try:
             for folder in folders:
-                own = [_plain(file) for file in files if file.final.parent == folder]
-                record = {"folders": [os.fspath(f) for f in folders], "files": own}
+                in_folder = [
+                    _plain(file) for file in files if file.final.parent == folder
+                ]
+                record = {
+                    "folders": [os.fspath(f) for f in folders],
+                    "files": in_folder,
+                }
                 journal._write(folder, json.dumps(record).encode())
         except BaseException:
             journal.end()
@@ -117,7 +122,7 @@ class Journal:
             os.fsync(handle)
 
     def end(self) -> None:
-        """Remove it: the set is complete, or nothing is left to undo."""
+        """Remove the journal: the set is complete or rolled back."""
         while self._handles:
             with contextlib.suppress(OSError):
                 os.close(self._handles.pop())
@@ -126,7 +131,7 @@ class Journal:
                 (folder / self.name).unlink()
 
     def take_back(self) -> None:
-        """Undo a set whose process died before it was complete."""
+        """Roll back a set whose process died before it was complete."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._files(folder)):
@@ -162,8 +167,8 @@ def _plain(file: PlacedFile) -> Mapping[str, Any]:
     }
 
 
-def _found(path: Path) -> os.stat_result | None:
-    """Return what is there, a link as itself."""
+def _status(path: Path) -> os.stat_result | None:
+    """Return the status of a path, without following links; None if missing."""
     try:
         return path.lstat()
     except FileNotFoundError:
@@ -171,7 +176,7 @@ def _found(path: Path) -> os.stat_result | None:
 
 
 def take_back(folder: Path) -> None:
-    """Undo sets in a folder whose processes died; once for a folder and a process."""
+    """Roll back sets of dead processes in a folder; once a process and folder."""
     _taken_back(os.fspath(folder), os.getpid())
 
 
@@ -184,7 +189,7 @@ def _taken_back(folder: str, process: int) -> None:
 
 
 def _undo(path: Path) -> bool:
-    """Undo the set of a journal; return whether nothing is left to undo."""
+    """Roll back the set of a journal; return whether nothing is left of it."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
@@ -211,7 +216,7 @@ def _folders(content: bytes) -> list[Path]:
 
 
 def _locked(handle: int) -> bool:
-    """Lock a journal, lest two processes undo one set."""
+    """Lock a journal so that one process rolls it back."""
     if sys.platform == "win32":
         return False
     import fcntl
@@ -224,7 +229,7 @@ def _locked(handle: int) -> bool:
 
 
 def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
-    """Remove what killed processes of this host began to write; return what that was.
+    """Remove temporary files of dead processes of this host; return them.
 
     Sets that were not complete are undone first. Folders that are not there are passed
     over; ``process`` is one that is dead, None all that are.
@@ -244,7 +249,7 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
 
 
 def _owner_of(path: Path, process: int | None) -> bool:
-    """Return whether a file is of a process of this host that is dead."""
+    """Return whether a file belongs to a dead process of this host."""
     match = _OWNER.match(path.name)
     if match is None or match["host"] != _host():
         return False
@@ -259,7 +264,7 @@ def _temporary(folder: Path) -> list[Path]:
 
 
 def is_running(process: int) -> bool:
-    """Return whether a process of this host runs; where nothing says it, it does."""
+    """Return whether a process of this host runs; true where unknown."""
     if os.name == "nt":
         # There, a signal of 0 would end the process.
         return True
@@ -274,7 +279,7 @@ def is_running(process: int) -> bool:
 
 
 def _state(process: int) -> str:
-    """Return the state of a process as Linux names it; empty where nothing says it."""
+    """Return the state of a process as Linux names it; empty where unknown."""
     try:
         status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""Output files: safe names, checked before the work, whole or absent after it."""
+"""Output files: safe names, checks before the work, atomic writes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
 from animtool.core.files.leftovers import new_temporary, take_back
-from animtool.core.files.placing import Target, Whole, output_error, place_files, target
+from animtool.core.files.placing import (
+    OutputTarget,
+    WrittenFile,
+    commit_files,
+    output_error,
+    target,
+)
 from animtool.core.files.reading import check_inputs, recorded_inputs
 from animtool.core.process.signals import deferred_signals, ending, interrupt
 from animtool.core.process.supervisor import note_folder, note_said
@@ -32,11 +38,11 @@ _DEVICES = frozenset(
     | {f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³"}
 )
 # How names begin of records and of files that are being written.
-_OWN = ".animtool"
+_RECORDS_FOLDER = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
-    r"""Return what is wrong with a name of a file or a folder; None where nothing is.
+    r"""Return the fault of a file or folder name; None without one.
 
     What is allowed is a name on every system, so that outputs can be moved.
 
@@ -61,11 +67,14 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
     yield not is_text(name), "contains bytes that are not UTF-8"
     device = name.partition(".")[0].rstrip().casefold() in _DEVICES
     yield device, "is the name of a device on Windows"
-    yield name.casefold().startswith(_OWN), f"starts with {_OWN!r}, which records use"
+    yield (
+        name.casefold().startswith(_RECORDS_FOLDER),
+        f"starts with {_RECORDS_FOLDER!r}, which records use",
+    )
 
 
 def is_text(name: str) -> bool:
-    r"""Return whether a name is text in UTF-8: names of files may be other bytes.
+    r"""Return whether a name is UTF-8 text; file names may be other bytes.
 
     >>> is_text("walk"), is_text("walk\udcff")
     (True, False)
@@ -74,7 +83,7 @@ def is_text(name: str) -> bool:
 
 
 def name_key(path: PurePath | str) -> str:
-    """Return what two paths share that may be one file on some disks.
+    """Return a key that is equal for paths that some disks treat as one file.
 
     Some disks take names for one that differ in capitals, or in how accents are
     encoded.
@@ -90,7 +99,7 @@ def name_key(path: PurePath | str) -> str:
 
 
 def inside(path: Path, folder: Path) -> bool:
-    """Return whether a path stays in a folder, links followed.
+    """Return whether a path is in a folder, links followed.
 
     Raises:
         OSError: A link cannot be followed.
@@ -123,21 +132,21 @@ def check_outputs(
     it leads to something else than a file (OUT005). All of a kind are faults of one
     error.
     """
-    targets: list[Target] = []
+    targets: list[OutputTarget] = []
     for path in outputs:
         _check_folder(path.parent, path)
         targets.append(target(path))
     _refuse_inputs(targets, inputs)
     _refuse_twice(targets)
     there: list[Path] = []
-    for place in targets:
-        take_back(place.final.parent)
-        if place.path.exists():
+    for output in targets:
+        take_back(output.final.parent)
+        if output.path.exists():
             if not overwrite:
-                there.append(place.path)
-            elif not os.access(place.path, os.W_OK):
+                there.append(output.path)
+            elif not os.access(output.path, os.W_OK):
                 message = "cannot be written: it is read-only"
-                raise OutputError(Fault("OUT002", message, str(place.path)))
+                raise OutputError(Fault("OUT002", message, str(output.path)))
     if there:
         hint = f"{argument('overwrite', True)} replaces it"
         if len(there) == len(outputs):
@@ -148,7 +157,7 @@ def check_outputs(
             message, named = f"already exists, and so do {others}", there[:1]
             hint = hint.replace("s it", "s them")
         raise OptionError([Fault("OUT001", message, str(p), (), hint) for p in named])
-    finals = {place.final for place in targets}
+    finals = {output.final for output in targets}
     _free.set(_free.get() - finals if overwrite else _free.get() | finals)
 
 
@@ -170,44 +179,44 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
-    """Refuse outputs that the block read, whatever file named them (OUT003).
+def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
+    """Refuse outputs that the block has read as inputs (OUT003).
 
     A layer that a USD file brings in may be an output: a shot is read to bake one of
-    its layers anew.
+    its layers again.
     """
     with recorded_inputs() as inputs:
         yield
     _refuse_inputs([target(path) for path in outputs], inputs.opened)
 
 
-def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
+def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
     taken: dict[str, Path] = {}
     for path in inputs:
-        # What leads nowhere is said when it is read.
+        # Broken links are reported when they are read.
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             taken[name_key(path.resolve())] = path
-    for place in targets:
-        other = taken.get(name_key(place.final))
-        if other is not None and same_file(place.final, other):
+    for output in targets:
+        other = taken.get(name_key(output.final))
+        if other is not None and same_file(output.final, other):
             message = "is an input of this command"
             hint = "choose another -o"
-            raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
+            raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 
-def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
-    """Refuse two outputs that are one file, on this disk or on others."""
+def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
+    """Refuse two outputs that are one file on this or another disk."""
     names: dict[str, Path] = {}
-    for place in targets:
-        first = names.setdefault(name_key(place.final), place.path)
-        if first is not place.path:
+    for output in targets:
+        first = names.setdefault(name_key(output.final), output.path)
+        if first is not output.path:
             message = f"and {str(first)!r} would be the same file"
-            fault = Fault("OUT007", message, str(place.path), (), "rename one")
+            fault = Fault("OUT007", message, str(output.path), (), "rename one")
             raise OptionError(fault)
 
 
 def same_file(path: Path, other: Path) -> bool:
-    """Return whether two paths that may be one file are one."""
+    """Return whether two paths lead to one file."""
     try:
         return path == other.resolve() or path.samefile(other)
     except OSError:
@@ -215,29 +224,29 @@ def same_file(path: Path, other: Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
-    """Files that get their names together."""
+class _OutputSet:
+    """Files that are committed together."""
 
     # Those that are whole, and wait for their names.
-    files: list[Whole] = field(default_factory=list)
+    files: list[WrittenFile] = field(default_factory=list)
     # What is to be done when they have them.
     after: list[Callable[[], object]] = field(default_factory=list)
     # New files that have theirs already.
-    ahead: list[Path] = field(default_factory=list)
+    early: list[Path] = field(default_factory=list)
 
 
-_waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
+_waiting: ContextVar[_OutputSet | None] = ContextVar("_waiting", default=None)
 
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
-    """Write a file whole, from bytes that are made as they are taken (else OUT002)."""
+    """Write a file atomically from an iterable of bytes (else OUT002)."""
     with _replaced(output) as file:
         for part in parts:
             file.write(part)
 
 
 def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write arrays by name to an npz file, whole or not at all (else OUT002)."""
+    """Write named arrays to an npz file atomically (else OUT002)."""
     import numpy as np
 
     with _replaced(output) as file:
@@ -246,7 +255,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 @contextlib.contextmanager
 def _replaced(output: Path) -> Iterator[BinaryIO]:
-    """Give a file that becomes an output at the end."""
+    """Give an open file that becomes an output at the end."""
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -257,57 +266,57 @@ def _replaced(output: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the same folder that becomes ``path`` at the end.
+    """Give a temporary path in the same folder that is renamed to ``path``.
 
     The file is flushed to the disk and renamed when the block ends well, and removed
     when it does not, so that ``path`` is at all times absent, as it was, or whole.
-    Inside of `together` it is renamed at the end of that. Of recorded inputs none may
+    Inside of `atomic_outputs` it is renamed at the end of that. No recorded input may
     have changed since it was read (IO004).
     """
-    # A link stays one: what it leads to is replaced.
+    # Links stay: their target is replaced.
     final = target(path).final
-    whole, waiting = Whole(path, final, new_temporary(final)), _waiting.get()
+    written, waiting = WrittenFile(path, final, new_temporary(final)), _waiting.get()
     note_folder(final.parent)
     done, cleaning = False, ending()
     try:
-        yield whole.temporary
+        yield written.temporary
         if ending() and not cleaning:
-            # A library swallowed what the signal raised.
+            # A library swallowed the signal's exception.
             interrupt()
         check_inputs()
-        whole.seal()
+        written.seal()
         if waiting is None:
-            _place([whole])
+            _commit([written])
         else:
-            waiting.files.append(whole)
+            waiting.files.append(written)
         done = True
     finally:
         if waiting is None or not done:
-            whole.remove()
+            written.remove()
 
 
-def _place(files: Sequence[Whole]) -> None:
+def _commit(files: Sequence[WrittenFile]) -> None:
     finals = {file.final for file in files}
     _refuse_twice(files)
     note_said()
     try:
-        place_files(files, _free.get() & finals)
+        commit_files(files, _free.get() & finals)
     finally:
         _free.set(_free.get() - finals)
 
 
 def size_of(path: Path) -> int:
-    """Return the size of a file that was written, if renamed yet or not [byte]."""
+    """Return the size of a written file, committed or not [byte]."""
     waiting = _waiting.get()
-    for whole in [] if waiting is None else reversed(waiting.files):
-        if whole.path == path:
-            return whole.temporary.stat().st_size
+    for written in [] if waiting is None else reversed(waiting.files):
+        if written.path == path:
+            return written.temporary.stat().st_size
     return path.stat().st_size
 
 
 @contextlib.contextmanager
-def together() -> Iterator[None]:
-    """Let the files that `replacing` makes in a block get their names at its end.
+def atomic_outputs() -> Iterator[None]:
+    """Commit the files that the block writes together at its end.
 
     They get them in the order made, or none does where the block does not end well. A
     block within another leaves them to that. What the block reads must not change in it
@@ -317,7 +326,7 @@ def together() -> Iterator[None]:
     if _waiting.get() is not None:
         yield
         return
-    waiting = _Block()
+    waiting = _OutputSet()
     token = _waiting.set(waiting)
     try:
         with recorded_inputs():
@@ -325,24 +334,24 @@ def together() -> Iterator[None]:
             check_inputs()
         # A signal between the names would leave some without the others.
         with deferred_signals():
-            _place(waiting.files)
+            _commit(waiting.files)
             for action in waiting.after:
                 action()
     except BaseException:
-        _remove(waiting.ahead)
+        _remove(waiting.early)
         raise
     finally:
         _waiting.reset(token)
-        for whole in waiting.files:
-            whole.remove()
+        for written in waiting.files:
+            written.remove()
 
 
 @contextlib.contextmanager
-def ahead(paths: Sequence[Path]) -> Iterator[None]:
-    """Let new files that a block makes get their names in it, ahead of others.
+def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
+    """Commit new files of the block before the others.
 
     That is for files that are read again before those that name them are written. They
-    are removed where the block does not end well, or `together` around it.
+    are removed where the block does not end well, or `atomic_outputs` around it.
     """
     waiting = _waiting.get()
     token = _waiting.set(None)
@@ -354,7 +363,7 @@ def ahead(paths: Sequence[Path]) -> Iterator[None]:
     finally:
         _waiting.reset(token)
     if waiting is not None:
-        waiting.ahead.extend(paths)
+        waiting.early.extend(paths)
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -363,10 +372,10 @@ def _remove(paths: Iterable[Path]) -> None:
             path.unlink(missing_ok=True)
 
 
-def once_named(action: Callable[[], object]) -> None:
-    """Do something when the files that are made have their names.
+def after_commit(action: Callable[[], object]) -> None:
+    """Call a function when the files of the block are committed.
 
-    That is now, or inside of `together` at the end of that, if it ends well.
+    That is now, or inside of `atomic_outputs` at the end of that, if it ends well.
     """
     waiting = _waiting.get()
     if waiting is None:

@@ -1,4 +1,4 @@
-"""Written files get their names: a file at once, a set complete or not at all."""
+"""Commit of written files: a file atomically, a set completely or not at all."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
-    """Where an output leads."""
+class OutputTarget:
+    """The resolved path of an output."""
 
-    path: Path  # what the user calls it
+    path: Path  # the path as the user wrote it
     final: Path  # the file, links followed
 
 
-def target(path: Path) -> Target:
-    """Return where an output leads, links followed.
+def target(path: Path) -> OutputTarget:
+    """Return the resolved path of an output, links followed.
 
     Raises:
         OutputError: To something else than a file (OUT005), or it cannot be looked at
@@ -55,7 +55,7 @@ def target(path: Path) -> Target:
             message = "is a link to a file that does not exist"
             hint = "remove the link, or name the file itself"
             raise OutputError(Fault("OUT005", message, str(path), (), hint)) from None
-        return Target(path, path.resolve())
+        return OutputTarget(path, path.resolve())
     except OSError as error:
         if error.errno == errno.ELOOP:
             message, hint = "is a link to itself", "remove the link"
@@ -65,7 +65,7 @@ def target(path: Path) -> Target:
     except ValueError as error:
         raise output_error(path, "its name contains a NUL byte") from error
     _check_kind(path, status)
-    return Target(path, path.resolve())
+    return OutputTarget(path, path.resolve())
 
 
 _KINDS = {
@@ -78,7 +78,7 @@ _KINDS = {
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
-    """Refuse to replace what is not a file."""
+    """Refuse to overwrite anything but a file."""
     if stat.S_ISDIR(status.st_mode):
         raise OutputError(
             Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
@@ -92,17 +92,17 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 
 @dataclass(slots=True)
-class Whole:
-    """A file that is written."""
+class WrittenFile:
+    """A written temporary file."""
 
-    path: Path  # what the user calls it
+    path: Path  # the path as the user wrote it
     final: Path  # where it belongs
     temporary: Path  # where it is
     # Inode, size [byte] and time of change [ns], once it is sealed.
     state: tuple[int, int, int] = (0, 0, 0)
 
     def seal(self) -> None:
-        """Flush it to the disk, with the mode and the owner of what it replaces."""
+        """Flush it to disk with the mode and owner of the replaced file."""
         status = None
         with contextlib.suppress(FileNotFoundError):
             status = self.final.lstat()
@@ -113,15 +113,19 @@ class Whole:
                 if status is not None and os.name != "nt":
                     _inherit(handle, status)
                 os.fsync(handle)
-                own = os.fstat(handle)
+                temporary_status = os.fstat(handle)
             finally:
                 os.close(handle)
         except OSError as error:
             raise output_error(self.path, error) from error
-        self.state = (own.st_ino, own.st_size, own.st_mtime_ns)
+        self.state = (
+            temporary_status.st_ino,
+            temporary_status.st_size,
+            temporary_status.st_mtime_ns,
+        )
 
-    def place(self, *, new: bool) -> None:
-        """Give it its name.
+    def commit(self, *, new: bool) -> None:
+        """Rename it to its final name.
 
         Args:
             new: Nothing may have that name.
@@ -144,25 +148,25 @@ class Whole:
             raise output_error(self.path, error) from error
 
     def remove(self) -> None:
-        """Remove it, if it has not got its name."""
+        """Remove it if it is not committed."""
         with contextlib.suppress(OSError):
             self.temporary.unlink(missing_ok=True)
 
 
 def _inherit(handle: int, status: os.stat_result) -> None:
-    """Give an open file the mode of another, and its owner as far as permitted."""
-    own = os.fstat(handle)
-    if (own.st_uid, own.st_gid) != (status.st_uid, status.st_gid):
+    """Give an open file the mode of another, and its owner if permitted."""
+    current = os.fstat(handle)
+    if (current.st_uid, current.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
             os.fchown(handle, status.st_uid, status.st_gid)
-    # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
+    # Running a setuid file runs its owner's code: never inherit that bit.
     mode = stat.S_IMODE(status.st_mode) & 0o777
-    if stat.S_IMODE(own.st_mode) != mode:
+    if stat.S_IMODE(current.st_mode) != mode:
         os.fchmod(handle, mode)
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
-    """Rename a file to a name that nothing has; of several processes one succeeds."""
+    """Rename a file to an unused name; of several processes one succeeds."""
     if os.name == "nt":
         temporary.rename(final)
         return
@@ -184,21 +188,21 @@ def _rename_new(temporary: Path, final: Path) -> None:
             temporary.unlink()
 
 
-def place_files(files: Sequence[Whole], new: frozenset[Path]) -> None:
-    """Give sealed files, in any folders, their names, in order: all of them or none.
+def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
+    """Commit sealed files in any folders, in order: all of them or none.
 
     Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
     was there before is there again.
     """
     if len(files) > 1:
-        _place_set(files, new)
+        _commit_set(files, new)
     else:
         for file in files:
-            file.place(new=file.final in new)
+            file.commit(new=file.final in new)
             _flush(file.final.parent)
 
 
-def _place_set(files: Sequence[Whole], new: frozenset[Path]) -> None:
+def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     parts = [
         PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
         for file in files
@@ -211,7 +215,7 @@ def _place_set(files: Sequence[Whole], new: frozenset[Path]) -> None:
         for file, part in zip(files, parts, strict=True):
             if file.final not in new:
                 _keep(file, part)
-            file.place(new=file.final in new)
+            file.commit(new=file.final in new)
     except BaseException:
         if all([_taken_back(part) for part in reversed(parts)]):
             journal.end()
@@ -233,8 +237,8 @@ def _taken_back(part: PlacedFile) -> bool:
     return True
 
 
-def _keep(file: Whole, part: PlacedFile) -> None:
-    """Keep what a file replaces under another name."""
+def _keep(file: WrittenFile, part: PlacedFile) -> None:
+    """Keep a replaced file under another name."""
     try:
         os.link(part.final, part.old)
     except FileNotFoundError:
@@ -249,7 +253,7 @@ def _keep(file: Whole, part: PlacedFile) -> None:
 
 
 def _flush(folder: Path) -> None:
-    """Bring the names in a folder to the disk, where that can be done."""
+    """Flush the names in a folder to disk where possible."""
     if os.name == "nt":
         return  # Windows has no handle on a folder to flush.
     with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Opening files: the one gate, what was read, and how it was when it was read.
+"""Opening of input files, with a record of files and their states.
 
 Nothing is noted unless somebody records. What was looked for and is not there counts
 too: that it comes may change what the work makes.
@@ -24,7 +24,7 @@ from animtool.core.similar import similar
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """What tells, without reading it, that a file is not the one it was."""
+    """State of a file that shows changes without reading it."""
 
     size: int  # in bytes
     changed: int  # when its content last changed, by the clock of its disk [ns]
@@ -32,7 +32,7 @@ class FileState:
 
     @classmethod
     def of(cls, path: Path) -> FileState | None:
-        """Return the state of a file; None where there is none."""
+        """Return the state of a file; None if it is missing."""
         try:
             return cls.of_stat(path.stat())
         except (OSError, ValueError):
@@ -40,15 +40,15 @@ class FileState:
 
     @classmethod
     def of_stat(cls, status: os.stat_result) -> FileState:
-        """Return the state that the system reports of a file, or of a descriptor."""
+        """Return the state from a status of the system."""
         return cls(status.st_size, status.st_mtime_ns, status.st_ino)
 
 
 @dataclass(slots=True)
 class Inputs:
-    """What a piece of work looked at."""
+    """Files that a task has looked at."""
 
-    # By absolute path, what the file was when it was first looked at.
+    # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
     # Those of them that were not only brought in by a USD layer.
     opened: set[Path] = field(default_factory=set)
@@ -58,7 +58,7 @@ class Inputs:
     def note(
         self, path: Path, state: FileState | None = None, *, composed: bool = False
     ) -> None:
-        """Note a file that is about to be read; the arguments are `note_input`'s."""
+        """Record a file that is about to be read; see `note_input`."""
         where = path.absolute()
         if not composed:
             self.opened.add(where)
@@ -68,7 +68,7 @@ class Inputs:
             self.replaced.add(where)
 
     def changed(self) -> list[Path]:
-        """Return the files that are no longer what they were."""
+        """Return the files that have changed."""
         return [
             path
             for path, state in self.states.items()
@@ -76,14 +76,14 @@ class Inputs:
         ]
 
     def check(self) -> None:
-        """Raise `FormatError` where files changed since they were looked at (IO004)."""
+        """Raise `FormatError` if files changed since they were recorded (IO004)."""
         changed = self.changed()
         if changed:
             raise changed_error(*changed)
 
 
 def changed_error(*paths: Path) -> FormatError:
-    """Return the error of files that changed while they were read (IO004)."""
+    """Return the error of files that changed while being read (IO004)."""
     message = "changed while it was being read"
     hint = "run it again when no process writes to it"
     return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
@@ -94,7 +94,7 @@ _RECORDED: ContextVar[tuple[Inputs, ...]] = ContextVar("recorded_inputs", defaul
 
 @contextmanager
 def recorded_inputs() -> Iterator[Inputs]:
-    """Give a record of the files that are looked at inside the block.
+    """Give a record of the files that the block looks at.
 
     Records of blocks around it have them too.
 
@@ -114,7 +114,7 @@ def recorded_inputs() -> Iterator[Inputs]:
 def note_input(
     path: Path, state: FileState | None = None, *, composed: bool = False
 ) -> None:
-    """Note that a file is about to be read, or was looked for.
+    """Record a file that is about to be read, or was looked for.
 
     Its state is that of the descriptor where it is open; None looks at the path. A
     composed file is one that a USD layer brings in; nobody named it.
@@ -124,7 +124,7 @@ def note_input(
 
 
 def check_inputs() -> None:
-    """Raise `FormatError` where files changed since they were noted (IO004)."""
+    """Raise `FormatError` if recorded files have changed (IO004)."""
     for inputs in _RECORDED.get():
         inputs.check()
 
@@ -152,14 +152,14 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class MatchedFile:
-    """A file that was meant."""
+    """A file that a name or pattern matched."""
 
     path: Path  # the file, spelled as its folder was
     base: Path  # the folder that was searched; of a named file its own
 
 
-class Places:
-    """Where paths lead, links of folders followed, and those of files not.
+class PathResolver:
+    """Resolves links of folders in paths, but not those of files.
 
     Each folder is looked up once.
     """
@@ -168,7 +168,7 @@ class Places:
         self._folders: dict[Path, Path] = {}
 
     def __call__(self, path: Path) -> Path:
-        """Return the same path for every way to spell it."""
+        """Return one path for all spellings of it."""
         folder = path.parent
         if folder not in self._folders:
             self._folders[folder] = folder.resolve()
@@ -176,7 +176,7 @@ class Places:
 
 
 def unreadable(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error of a file, as the user named it, that cannot be read (IO001)."""
+    """Return the error of an unreadable file, named as the user did (IO001)."""
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         message = "does not exist"
     elif isinstance(reason, PermissionError):
@@ -189,7 +189,7 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
 
 
 class InputFile(io.FileIO):
-    """A file open to be read, as long as it was when it was opened.
+    """An open input whose length is fixed at opening.
 
     Attributes:
         path: As the user named it.
@@ -197,32 +197,32 @@ class InputFile(io.FileIO):
     """
 
     def __init__(self, path: Path, handle: int, state: FileState) -> None:
-        """Take a descriptor, which is closed with this."""
+        """Take a descriptor, closed with this file."""
         super().__init__(handle, "rb")
         self.path, self.state = path, state
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return the next bytes, at most ``size``; none after the end."""
+        """Return at most ``size`` bytes; none at the end."""
         left = max(0, self.state.size - self.tell())
         size = left if size is None or size < 0 else min(size, left)
         return super().read(size) or b""
 
     def readall(self) -> bytes:
-        """Return all that is left."""
+        """Return all remaining bytes."""
         parts = []
         while part := self.read():
             parts.append(part)
         return b"".join(parts)
 
     def readinto(self, buffer: Any, /) -> int:
-        """Put the next bytes into a buffer; return how many."""
+        """Read into a buffer; return the number of bytes."""
         view = memoryview(buffer).cast("B")
         data = self.read(len(view))
         view[: len(data)] = data
         return len(data)
 
-    def whole(self) -> bytes:
-        """Return all that is left of a file that stays as it is meanwhile.
+    def read_all(self) -> bytes:
+        """Return all remaining bytes of a file that must not change.
 
         Raises:
             FormatError: It cannot be read (IO001), or changed (IO004).
@@ -235,7 +235,7 @@ class InputFile(io.FileIO):
         return data
 
     def check(self) -> None:
-        """Raise `FormatError` where it changed since it was opened (IO004)."""
+        """Raise `FormatError` if the file changed since it was opened (IO004)."""
         if FileState.of_stat(os.fstat(self.fileno())) != self.state:
             raise changed_error(self.path)
 
@@ -243,7 +243,7 @@ class InputFile(io.FileIO):
 def open_input(
     path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, recorded: bool = True
 ) -> InputFile:
-    """Open a file that a user or another file names: the one way to do so.
+    """Open a file that a user or another file names.
 
     What is looked at is what is read: the descriptor, once it is open. What is not
     there, may not be read or is no file is IO001, what is too large IO010; without
@@ -277,11 +277,11 @@ def read_input(
 ) -> bytes:
     """Return the content of a file, see `open_input`; if it changes: IO004."""
     with open_input(path, max_bytes, recorded=recorded) as file:
-        return file.whole()
+        return file.read_all()
 
 
 def too_large(path: Path, size: int, limit: int) -> FormatError:
-    """Return the error of a file of more bytes than the limit [bytes] (IO010)."""
+    """Return the error of a file above the size limit [bytes] (IO010)."""
     message = f"is {size / 1000000.0:,.6g} MB; the limit is {limit / 1000000.0:,.6g} MB"
     return FormatError(Fault("IO010", message, str(path)))
 
@@ -292,12 +292,12 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _kind(status: os.stat_result) -> str:
-    """Return what is no file."""
+    """Return the kind of a path that is not a file."""
     return _KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
-def why_no_file(path: Path) -> str | None:
-    """Return why a path leads to no file, in words; None where it leads to one."""
+def not_a_file_reason(path: Path) -> str | None:
+    """Return why a path is not a file, as text; None if it is one."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -312,20 +312,20 @@ def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:
         raise too_large(path, status.st_size, limit)
 
 
-def is_there(path: Path) -> bool:
-    """Return whether something has a name; not of a name that nothing can have."""
+def exists(path: Path) -> bool:
+    """Return whether a path exists; false for impossible names."""
     return FileState.of(path) is not None
 
 
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
-    """Return a hint that names the file that was meant by one that does not exist.
+    """Return a hint at the nearest existing file name.
 
     It names the nearest name in the same folder, or the nearest of the folder that is
     missing; a relative path starts in ``folder``. None where the file exists, or no
     name is near.
     """
     around = [path, *path.parents]
-    missing = next((p for p in reversed(around) if not is_there(folder / p)), None)
+    missing = next((p for p in reversed(around) if not exists(folder / p)), None)
     if missing is None or not missing.name:
         return None
     try:
@@ -341,8 +341,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 
-def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
-    """Yield the files that a name, a folder or a glob means, in order.
+def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
+    """Yield the files that a name, folder or glob matches, in order.
 
     Of a folder all files with one of the suffixes, lower case, those of folders in it
     too. Of a glob the files that it matches; ``**`` is any number of folders. Names
@@ -373,10 +373,10 @@ def _is_shown(file: Path, folder: Path) -> bool:
     return not any(part.startswith(".") for part in parts) and file.is_file()
 
 
-def seen_from(path: Path, folder: Path) -> str:
-    """Return what files of a folder call a file: relative to it, where there is a way.
+def path_from_folder(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, where there is one.
 
-    >>> seen_from(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
+    >>> path_from_folder(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
     '../rigs/hero.usda'
     """
     path, folder = path.resolve(), folder.resolve()

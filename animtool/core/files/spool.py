@@ -1,4 +1,4 @@
-"""Arrays that are kept until they are needed again: long takes are more than memory."""
+"""A queue of arrays that spills to disk, for takes larger than memory."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OutputError
 
-# What is kept in memory; what is more goes to a temporary file [bytes].
+# Maximum kept in memory; the rest goes to a temporary file [bytes].
 KEPT = 1 << 28
 
 
 class Spool:
-    """Lists of arrays, in the order that they come in.
+    """A queue of lists of arrays.
 
     Args:
         kept: What is kept in memory [bytes].
@@ -25,12 +25,12 @@ class Spool:
 
     def __init__(self, kept: int = KEPT) -> None:
         self._room = kept
-        self._held: deque[Sequence[FloatArray]] = deque()
+        self._buffered: deque[Sequence[FloatArray]] = deque()
         self._lengths: deque[int] = deque()  # of the lists in the file
         self._file: IO[bytes] | None = None
 
     def append(self, arrays: Sequence[FloatArray]) -> None:
-        """Keep a list of arrays.
+        """Append a list of arrays.
 
         Raises:
             OutputError: There is no room for the temporary file (OUT002).
@@ -38,7 +38,7 @@ class Spool:
         size = sum(array.nbytes for array in arrays)
         if self._file is None and size <= self._room:
             self._room -= size
-            self._held.append(arrays)
+            self._buffered.append(arrays)
             return
         try:
             if self._file is None:
@@ -54,9 +54,9 @@ class Spool:
         self._lengths.append(len(arrays))
 
     def drain(self) -> Iterator[list[FloatArray]]:
-        """Yield the lists, and let go of each; to be called once."""
-        while self._held:
-            yield list(self._held.popleft())
+        """Yield the lists and release each; call it once."""
+        while self._buffered:
+            yield list(self._buffered.popleft())
         if self._file is None:
             return
         with self._file as file:

@@ -1,4 +1,4 @@
-"""One thread for linear algebra on small matrices, for which more only wait."""
+"""Single-threaded linear algebra for small matrices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Threads = tuple[Callable[[], int], Callable[[int], None]]
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Run linear algebra in one thread; where that cannot be had, as it is.
+    """Run linear algebra in one thread, where the library can be controlled.
 
     The threads of OpenBLAS busily wait for each other: for matrices of some hundred
     rows on a machine with other work that takes many times what one thread does, and
@@ -41,18 +41,18 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries() -> tuple[_Threads, ...]:
-    """Return how to ask and set the threads of each OpenBLAS that came with a wheel."""
+    """Return the thread functions of each OpenBLAS in a wheel."""
     import numpy.linalg
     import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
 
     site = Path(numpy.__file__).parent.parent
-    places = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
-    found = []
-    for folder in (place / name for place in places for name in _FOLDERS):
+    roots = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
+    libraries = []
+    for folder in (root / name for root in roots for name in _FOLDERS):
         for path in sorted(folder.glob("*openblas*")) if folder.is_dir() else ():
             with contextlib.suppress(OSError):
-                found += _threads(ctypes.CDLL(str(path)))
-    return tuple(found)
+                libraries += _threads(ctypes.CDLL(str(path)))
+    return tuple(libraries)
 
 
 def _threads(library: ctypes.CDLL) -> list[_Threads]:

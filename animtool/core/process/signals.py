@@ -1,4 +1,4 @@
-"""Signals that ask the process to end."""
+"""Signals that end the process."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _AGAIN = 0.005
 
 
 class TerminatedError(BaseException):
-    """The process was asked to end (SIGTERM, or SIGHUP)."""
+    """The process received SIGTERM or SIGHUP."""
 
 
 @dataclass(slots=True)
 class _Obeyed:
-    """How far the process is with its end."""
+    """State of the process's end."""
 
     number: int = 0  # the signal that is obeyed; 0 is none so far
     late: bool = False  # whether all is written, so that signals come too late
@@ -36,19 +36,19 @@ _obeyed = _Obeyed()
 
 
 def ending() -> int:
-    """Return the signal that the process obeys by ending; 0 is none."""
+    """Return the signal that ends the process; 0 for none."""
     return _obeyed.number
 
 
 def interrupt() -> NoReturn:
-    """Raise again what the obeyed signal raised, where that was swallowed."""
+    """Raise the exception of the obeyed signal again if it was swallowed."""
     if _obeyed.number == signal.SIGINT:
         raise KeyboardInterrupt
     raise TerminatedError
 
 
 def _obey(signum: int, frame: FrameType | None) -> None:
-    """Raise at the first signal; a further one would interrupt the cleaning up."""
+    """Raise at the first signal; later ones would interrupt the clean-up."""
     del frame
     if _obeyed.late or _obeyed.number:
         return
@@ -63,7 +63,7 @@ def _obey_again(signum: int, frame: FrameType | None) -> None:
 
 
 def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
-    """Ask again for an end that was raised where Python ignores what is raised."""
+    """Raise again an end that Python ignored."""
     ended = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
     if not (ended and _obeyed.number):
         sys.__unraisablehook__(unraisable)
@@ -73,7 +73,7 @@ def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def obey_signals() -> None:
-    """Let the first SIGINT, SIGTERM or SIGHUP raise, and none after it, from now on.
+    """Raise at the first SIGINT, SIGTERM or SIGHUP from now on, and only then.
 
     What is raised is `KeyboardInterrupt` or `TerminatedError`. Signals that are ignored
     stay so.
@@ -87,7 +87,7 @@ def obey_signals() -> None:
 
 @contextmanager
 def obeyed_signals() -> Iterator[None]:
-    """Obey signals inside of the block as `obey_signals` says, unless done already."""
+    """Obey signals in the block like `obey_signals`, unless already done."""
     main_thread = threading.current_thread() is threading.main_thread()
     if _obeyed.installed or not main_thread:
         yield
@@ -106,14 +106,14 @@ def obeyed_signals() -> Iterator[None]:
 
 
 def receive_signals() -> None:
-    """Let signals come that were held back since the process began."""
+    """Unblock signals that were blocked when the process started."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside of the block be told of no SIGINT.
+    """Block SIGINT in processes that start inside the block.
 
     A terminal sends it to all of a command's processes; the one that started them
     ends them.
@@ -133,13 +133,13 @@ def without_interrupts() -> Iterator[None]:
 
 
 def outlast_signals() -> None:
-    """Let signals come too late from now on: all is written, and only to be told."""
+    """Ignore signals from now on: all output is written."""
     _obeyed.late = True
 
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Hold back SIGINT, SIGTERM and SIGHUP inside of the block; obey the first then.
+    """Defer SIGINT, SIGTERM and SIGHUP to the end of the block.
 
     For steps of milliseconds that must not end halfway: the import of a library that
     swallows exceptions, the renaming of files that belong together. Only the main
@@ -149,11 +149,11 @@ def deferred_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held: list[int] = []
+    pending: list[int] = []
 
     def note(signum: int, frame: FrameType | None) -> None:
         del frame
-        held.append(signum)
+        pending.append(signum)
 
     # None is a handler that Python did not set and cannot put back.
     handlers = {number: signal.getsignal(number) for number in ENDING}
@@ -165,5 +165,5 @@ def deferred_signals() -> Iterator[None]:
     finally:
         for number, handler in taken.items():
             signal.signal(number, handler)
-        if held:
-            signal.raise_signal(held[0])
+        if pending:
+            signal.raise_signal(pending[0])

@@ -1,8 +1,8 @@
-"""A process that outlives crashes of the one that works, and knows what that one read.
+"""A parent process that survives crashes of its child and restarts it.
 
 USD reads files in C++, which a hostile file can crash. The command line forks before it
 imports anything heavy: the child works, the parent waits, and after a crash begins
-anew with the file that was read refused. A fork of a small process takes 1 to 2 ms and
+again with the file that was read refused. A fork of a small process takes 1 to 2 ms and
 sees crashes of every kind and thread; a signal handler would run inside of the broken
 process, and a probe would parse each file twice. Windows has no fork: a crash ends the
 command there.
@@ -44,10 +44,10 @@ CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """How a child ended that did not end by itself."""
+    """How a child crashed."""
 
     number: int  # the signal that ended it
-    path: str = ""  # the file that it read, as the user named it; empty is none
+    path: str = ""  # the file that it read, as the user named it; empty for none
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class Crash:
 
 
 def crash_fault(path: str, number: int) -> Fault:
-    """Return the fault of a file that ended what read it by a signal."""
+    """Return the fault of a file whose reader was killed by a signal."""
     name = signal.Signals(number).name
     message = f"USD crashes while reading this file or one it refers to ({name})"
     hint = "export it again; do not open it in other programs"
@@ -68,10 +68,10 @@ def crash_fault(path: str, number: int) -> Fault:
 
 @dataclass(slots=True)
 class _Notes:
-    """What a child notes in memory that it shares with its parent."""
+    """Memory that a child shares with its parent."""
 
     shared: mmap.mmap  # its length, then JSON
-    # Its length, then what was read of stdin; length 0 is nothing yet.
+    # Its length, then the bytes read of stdin; length 0 is nothing yet.
     listed: mmap.mmap
     path: str = ""  # the file that is being read; empty is none
     folders: list[str] = field(default_factory=list)  # where outputs go
@@ -88,7 +88,7 @@ class _Notes:
         self.write()
 
     def read(self) -> None:
-        """Take over what a child noted."""
+        """Copy the notes of a child."""
         self.path, self.reported, self.folders = "", False, []
         text = _got(self.shared)
         if text is not None:
@@ -96,7 +96,7 @@ class _Notes:
         self.shared[:_LENGTH] = bytes(_LENGTH)
 
 
-# A length is one more than that of what follows: 0 is nothing.
+# The stored length is one more than that of the data: 0 is nothing.
 _LENGTH = 8
 
 
@@ -111,8 +111,8 @@ def _got(memory: mmap.mmap) -> bytes | None:
 
 
 @dataclass(slots=True)
-class _State:
-    """What this process knows of supervision."""
+class _SupervisionState:
+    """State of supervision in this process."""
 
     notes: _Notes | None = None  # where it notes; None is nowhere: nobody supervises it
     # Files that crashed a child, and the signals that ended it.
@@ -125,13 +125,13 @@ class _State:
     main: ModuleType | None = None  # the script's module meanwhile
 
 
-_state = _State()
+_state = _SupervisionState()
 _lock = threading.Lock()
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Note that USD reads a file in the block, if it crashed no run (USD160)."""
+    """Record a file that USD reads; refuse one that crashed it before (USD160)."""
     listener = _state.listener
     if listener is None:
         yield
@@ -152,17 +152,17 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def report_reading(listener: Callable[[str], object]) -> None:
-    """Call a function with the name of the file that is read; empty when it was."""
+    """Call a function with the file that is read; empty after reading."""
     _state.listener = listener
 
 
 def has_crashed() -> bool:
-    """Return whether an earlier run of this command crashed over a file."""
+    """Return whether an earlier run of this command crashed on a file."""
     return bool(_state.crashed)
 
 
 def note_said() -> None:
-    """Note that a result was printed or a file was named: a second run repeats it."""
+    """Record that a result was printed or a file named: a rerun repeats it."""
     notes = _state.notes
     if notes is not None:
         # What stays in a buffer is lost in a crash.
@@ -174,7 +174,7 @@ def note_said() -> None:
 
 
 def note_folder(folder: Path) -> None:
-    """Note a folder that this process writes temporary files to."""
+    """Record a folder with temporary files of this process."""
     notes = _state.notes
     if notes is not None and str(folder) not in notes.folders:
         with _lock:
@@ -183,7 +183,7 @@ def note_folder(folder: Path) -> None:
 
 
 def stdin_lines() -> list[str]:
-    """Return the lines on stdin, which a second run after a crash gets too."""
+    """Return the lines on stdin, which a rerun gets too."""
     notes = _state.notes
     noted = None if notes is None else _got(notes.listed)
     if noted is None:
@@ -209,7 +209,7 @@ def stdin_lines() -> list[str]:
 
 
 def follow_parent() -> None:
-    """Let this process, which another one of ours started, end with that.
+    """End this process when its parent process ends.
 
     What an interrupt from the keyboard means, the other one says.
     """
@@ -230,7 +230,7 @@ def follow_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """Let processes that are started now not run this one's script again.
+    """Keep child processes from running this process's script again.
 
     What they do is in modules, and a script may start them without a guard. Its own
     module gives place to one with the same names, which threads may look up, but
@@ -240,9 +240,11 @@ def without_main() -> Iterator[None]:
         if not _state.starting:
             _state.main = main = sys.modules["__main__"]
             unnamed = ModuleType("__main__")
-            own = {"__spec__", "__file__", "__loader__"}
+            replaced = {"__spec__", "__file__", "__loader__"}
             unnamed.__dict__.update(
-                (name, value) for name, value in vars(main).items() if name not in own
+                (name, value)
+                for name, value in vars(main).items()
+                if name not in replaced
             )
             sys.modules["__main__"] = unnamed
         _state.starting += 1
@@ -265,7 +267,7 @@ def supervise(
     refuse: Callable[[Crash], int],
     clean: Callable[[list[str], int], object],
 ) -> int:
-    """Run work in a child, anew without the file that crashed it; return its exit code.
+    """Run work in a child, rerun without a file that crashed it; return its exit code.
 
     Signals that ask this process to end, or to stop for a while, go on to the child. A
     crash that a second run does not mend is given to ``refuse``, which returns the exit
@@ -297,7 +299,7 @@ def supervise(
 
 
 def _waited() -> set[int]:
-    """Return the signals to wait for; those that are ignored stay so."""
+    """Return the signals to wait for; ignored ones stay ignored."""
     # Where it is ignored by default, some systems do not let it be waited for.
     signal.signal(signal.SIGCHLD, lambda *_: None)
     return {
@@ -312,7 +314,7 @@ def _waited() -> set[int]:
 
 
 def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int, int]:
-    """Return the child, and what it sees closed when this process ends."""
+    """Return the child, and a descriptor that closes when this process ends."""
     sys.stdout.flush()
     sys.stderr.flush()
     here, there = os.pipe()
@@ -325,8 +327,8 @@ def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int
     return child, there
 
 
-def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
-    """Do the work in the child, and end.
+def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoReturn:
+    """Do the work in the child, and exit.
 
     ``alive`` is closed when the parent ends; ``held`` are the other signals that it
     waits for.
@@ -339,7 +341,7 @@ def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
     threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
     obey_signals()
     code = 1
     try:
@@ -350,7 +352,7 @@ def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
 
 
 def leave(code: int) -> NoReturn:
-    """End this process at once, its output written, whatever signals come.
+    """Exit immediately after flushing the output, whatever signals arrive.
 
     Without looking once more at all that it holds, and without the destructors of
     libraries.
@@ -366,7 +368,7 @@ def leave(code: int) -> NoReturn:
 
 
 def _end_with_parent(alive: int) -> None:
-    """End this process when its parent is gone: cleaned up, if it can."""
+    """Exit when the parent is gone, after clean-up if possible."""
     os.read(alive, 1)
     os.kill(os.getpid(), signal.SIGTERM)
     threading.Event().wait(GRACE)
@@ -374,7 +376,7 @@ def _end_with_parent(alive: int) -> None:
 
 
 def _wait(child: int, waited: set[int]) -> tuple[int, int]:
-    """Return how a child ended, and the first signal that asked for it.
+    """Return how a child ended, and the first signal that requested it.
 
     One that does not obey in time is killed: it may be deep inside of a library.
     """
@@ -397,7 +399,7 @@ def _wait(child: int, waited: set[int]) -> tuple[int, int]:
 
 
 def _stop(child: int) -> None:
-    """Stop the child and this process, until somebody lets it go on."""
+    """Stop the child and this process until they are continued."""
     os.kill(child, signal.SIGSTOP)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTSTP})
     os.kill(os.getpid(), signal.SIGTSTP)

@@ -14,6 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
@@ -35,6 +36,7 @@ MAX_NAMED = 4
 NO_LENGTH = 1e-4
 
 
+@expects("BVH001", "a BVH file")
 def read_bvh(
     path: Path | str,
     *,
@@ -119,6 +121,7 @@ def read_bvh(
     return stream
 
 
+@expects("BVH001", "a BVH file")
 def read_bvh_rig(path: Path) -> Rig:
     """Return the skeleton of a BVH file in centimetres, without reading its rows."""
     return read_bvh(path).rig
@@ -136,8 +139,6 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
     numbers = size / rig.meters_per_unit
     low, high = PERSON_METERS
     fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
-    if stated is not None and not fitting:
-        return []
     unit = stated or LengthUnit.CM
     message = (
         f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
@@ -149,7 +150,8 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
             f"with {argument('source.unit', fitting[0])} it would be "
             f"{numbers * fitting[0].meters:.2g} m"
         )
-    return [Fault("RIG217", message, path, (), hint, Severity.NOTE)]
+    severity = Severity.NOTE if stated is None else Severity.WARNING
+    return [Fault("RIG217", message, path, (), hint, severity)]
 
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:

@@ -14,6 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -76,7 +77,7 @@ def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> 
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
-        message = f"states no up axis; Z is assumed, as X_SCREEN is {right}"
+        message = f"the file states no up axis; using Z, as X_SCREEN is {right}"
         file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
         return Screen(UpAxis.Z)
     if up is None:
@@ -170,6 +171,7 @@ MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 ANIMTOOL_GROUP = "ANIMTOOL"
 
 
+@expects("C3D001", "a C3D file")
 def read_c3d(
     path: Path | str,
     *,
@@ -204,7 +206,7 @@ def read_c3d(
     path = Path(path)
     file = MarkerFile(str(path))
     with open_input(path, MAX_INPUT_BYTES) as opened:
-        data = opened.whole()
+        data = opened.read_all()
     try:
         sections = read_sections(data)
     except MalformedError as error:

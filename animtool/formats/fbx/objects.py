@@ -8,6 +8,7 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import read_input
+from animtool.core.files.signatures import expects
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
 from animtool.formats.fbx.elements import FLOAT32_LIMIT, Element
@@ -117,6 +118,7 @@ def scalar(of: Object, name: str, default: float, notes: FileNotices) -> float:
     return vector(of, name, (default,), notes)[0]
 
 
+@expects("FBX001", "an FBX file")
 def open_objects(path: Path | str) -> FbxFile:
     """Open an FBX; return its objects.
 

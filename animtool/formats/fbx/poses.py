@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import SAME_SCALE
 from animtool.formats.fbx.layers import SCALING
 from animtool.formats.fbx.models import (
     COMPONENTWISE,
@@ -26,7 +27,6 @@ from animtool.formats.fbx.models import (
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
-from animtool.formats.gltf.rig import SAME_SCALE
 from animtool.maths import so3
 
 # A scale that is nearer to 0 is taken as this where it is divided by.

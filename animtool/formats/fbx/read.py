@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from animtool.clip.clip import Clip
-from animtool.clip.keyed_curve import KeyedCurve
-from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest
+from animtool.core.errors import Fault, Severity, listed
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import distinct
-from animtool.core.units import LengthUnit, UpAxis, unit_name
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.formats.characters.choice import choose_character
+from animtool.formats.characters.names import printable
+from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
 from animtool.formats.fbx.clip_keys import clip_of_fbx
-from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
+from animtool.formats.fbx.rig import build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
-    FbxFrames,
     FbxSampler,
     between_notices,
     frames_of,
@@ -25,12 +23,18 @@ from animtool.formats.fbx.sampling import (
 )
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.takes import AnimTake
-from animtool.formats.gltf.characters import CharacterNodes, chosen
-from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
-MAX_NAMED = 8
+# An unknown character, and one of several.
+CHARACTER_CODES = "FBX014", "FBX115"
+WORDS = TakeWords(
+    "take",
+    "has no animation of the character: it keeps its saved pose",
+    unknown="FBX015",
+    none="FBX116",
+    several="FBX122",
+)
 
 
 def read_fbx(
@@ -63,46 +67,28 @@ def read_fbx(
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
     scene = open_fbx(path, up)
-    character, more = _character(scene, prim_path)
+    character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
     fbx_rig = build_rig(
         scene, character, path.stem, None if unit is None else unit.meters
     )
-    index, of_takes = _take(scene, fbx_rig, take)
+    names = take_names_of(scene)
+    moving = [i for i, one in enumerate(scene.takes) if moves(fbx_rig, one, scene)]
+    default = scene.default
+    index, more = choose_take(WORDS, str(path), names, take, moving, default)
     anim_take = None if index < 0 else scene.takes[index]
-    moving = FbxSampler(scene, fbx_rig, anim_take)
-    frames = frames_of(scene, anim_take, rate, moving.numbers)
-    stream = take_stream(fbx_rig, moving, frames)
-    stream.notices[:] = [*scene.file.notes.notices, *more, *fbx_rig.notices, *of_takes]
-    stream.notices += between_notices(scene, fbx_rig, moving, frames)
+    sampler = FbxSampler(scene, fbx_rig, anim_take)
+    frames = frames_of(scene, anim_take, rate, sampler.numbers)
+    stream = take_stream(fbx_rig, sampler, frames)
+    stream.notices[:] = [*scene.file.notes.notices, *notices, *fbx_rig.notices, *more]
+    stream.notices += between_notices(scene, fbx_rig, sampler, frames)
     stream.notices += _left_out(scene, anim_take)
-    names = take_names_of(scene)
-    names = take_names_of(scene)
-    if anim_take is not None:
-        stream.curve = _keyed(stream, names[index], fbx_rig, moving, frames)
-    stream.details = {
-        "format": "FBX",
-        "units": unit_name(fbx_rig.rig.meters_per_unit),
-        "take": names[index] if index >= 0 else None,
-        "takes": names,
-    }
-    return stream
-
-
-def _keyed(
-    stream: TakeStream,
-    name: str,
-    fbx_rig: FbxRig,
-    moving: FbxSampler,
-    frames: FbxFrames,
-) -> MotionCurve:
-    """Attach the clip with the file's keys to a stream."""
-
-    def clip() -> Clip:
-        clip_, notices = clip_of_fbx(name, fbx_rig, moving, frames)
-        return replace(clip_, notices=tuple(notices))
-
-    assert stream.curve is not None
-    return KeyedCurve(stream.curve, clip, foreign=True)
+    return finish_stream(
+        stream,
+        "FBX",
+        names,
+        index,
+        lambda name: clip_of_fbx(name, fbx_rig, sampler, frames),
+    )
 
 
 def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
@@ -116,7 +102,7 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
         FormatError: As `read_fbx` does.
     """
     scene = open_fbx(path)
-    character, notices = _character(scene, prim_path)
+    character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
     fbx_rig = build_rig(scene, character, Path(path).stem)
     notices = [*scene.file.notes.notices, *notices, *fbx_rig.notices]
     notices += scale_notice(fbx_rig, str(path))
@@ -134,17 +120,8 @@ def take_names(path: Path) -> list[str]:
 
 def take_names_of(scene: FbxScene) -> list[str]:
     """Return distinct names of all takes."""
-    plain = [
-        "".join(c if c.isprintable() else "_" for c in one.name).strip()
-        for one in scene.takes
-    ]
+    plain = [printable(one.name) for one in scene.takes]
     return distinct(name or f"take_{i + 1}" for i, name in enumerate(plain))
-
-
-def _character(
-    scene: FbxScene, prim_path: str | None
-) -> tuple[CharacterNodes, list[Fault]]:
-    return chosen(scene, prim_path, "FBX014", "FBX115")
 
 
 def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
@@ -156,25 +133,3 @@ def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
         return []
     message = f"ignored: {listed(names)}"
     return [Fault("FBX109", message, str(scene.path), severity=Severity.NOTE)]
-
-
-def _take(
-    scene: FbxScene, fbx_rig: FbxRig, take: str | None
-) -> tuple[int, list[Fault]]:
-    """Return the index of the take to read, -1 for none, and a note of others."""
-    path, names = str(scene.path), take_names_of(scene)
-    if take is not None:
-        if take in names:
-            return names.index(take), []
-        message = f"has no take {take!r}"
-        raise FormatError(Fault("FBX015", message, path, (), nearest(take, names)))
-    moving = [i for i, one in enumerate(scene.takes) if moves(fbx_rig, one, scene)]
-    if not moving:
-        message = "has no animation of the character: it keeps its saved pose"
-        return -1, [Fault("FBX116", message, path, severity=Severity.NOTE)]
-    index = scene.default if scene.default in moving else moving[0]
-    if len(moving) == 1:
-        return index, []
-    message = f"reading take {names[index]!r} of {counted(len(moving), 'take')}"
-    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
-    return index, [Fault("FBX122", message, path, (), hint, Severity.NOTE)]

@@ -9,16 +9,21 @@ from dataclasses import field, replace
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
+from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.choice import CharacterNodes
+from animtool.formats.characters.names import (
+    joint_names,
+    printable,
+    renamed_notice,
+    shape_names,
+)
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import NodeTransforms, Row, RowKind, even_rows, rows_of
 from animtool.formats.fbx.scene import FbxScene
-from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import CharacterNodes
-from animtool.formats.gltf.rig import joint_names
 from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
@@ -174,12 +179,8 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
         next(helpers) if one else of_model[row.model]
         for one, row in zip(outer, rows, strict=True)
     ]
-    notices = []
     path = str(scene.path)
-    if renamed:
-        shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
-        message = f"{counted(len(renamed), 'joint')} renamed to make names unique: "
-        notices.append(Fault("FBX113", message + shown, path, severity=Severity.NOTE))
+    notices = renamed_notice("FBX113", renamed, path)
     added = unique[len(named) :]
     if added:
         message = (
@@ -195,35 +196,25 @@ def _put_shapes_and_meshes(
 ) -> None:
     shown = [node for node in character.nodes if node in scene.meshes]
     shown = [node for node in shown if len(scene.meshes[node].faces)]
-    plain = []
-    for node in shown:
-        text = "".join(
-            c if c.isprintable() else "_" for c in scene.nodes[node].name or ""
-        )
-        plain.append(text.strip() or f"mesh_{node}")
-    called = distinct(plain)
+    plain = [printable(scene.nodes[node].name or "") for node in shown]
+    called = distinct(
+        name or f"mesh_{node}" for node, name in zip(shown, plain, strict=True)
+    )
     fbx_rig.meshes = dict(zip(shown, called, strict=True))
-    shapes: list[Shape] = []
-    taken: dict[str, None] = {}
-    for node in shown:
-        for channel in scene.meshes[node].shapes:
-            full = _full(channel)
-            fbx_rig.shapes.append((channel, full))
-            text = "".join(c if c.isprintable() else "_" for c in channel.name).strip()
-            name = text or f"{fbx_rig.meshes[node]}_shape"
-            name = f"{fbx_rig.meshes[node]}_{name}" if name in taken else name
-            taken[distinct([*taken, name])[-1]] = None
-            unique = list(taken)[-1]
-            if surfaces:
-                geometric = scene.models[node].geometric
-                shapes.append(
-                    _shape(unique, fbx_rig.meshes[node], channel, full, geometric)
-                )
-            else:
-                shapes.append(Shape(unique))
+    channels = [(n, channel) for n in shown for channel in scene.meshes[n].shapes]
+    names = shape_names(
+        (channel.name, f"{fbx_rig.meshes[node]}_shape", fbx_rig.meshes[node])
+        for node, channel in channels
+    )
+    fbx_rig.shapes += [(channel, _full(channel)) for _, channel in channels]
     if not surfaces:
-        fbx_rig.rig = replace(fbx_rig.rig, shapes=tuple(shapes))
+        shapes = tuple(map(Shape, names))
+        fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
         return
+    shapes = tuple(
+        _shape(name, fbx_rig.meshes[node], channel, scene.models[node].geometric)
+        for name, (node, channel) in zip(names, channels, strict=True)
+    )
     binder = Binder(
         scene,
         fbx_rig.rig,
@@ -233,7 +224,7 @@ def _put_shapes_and_meshes(
         scene.bind_worlds(),
     )
     meshes = tuple(_mesh(scene, node, fbx_rig.meshes[node], binder) for node in shown)
-    fbx_rig.rig = binder.rig(meshes, tuple(shapes))
+    fbx_rig.rig = binder.rig(meshes, shapes)
     fbx_rig.notices += binder.notices
     more = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
     fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((more, 3))])
@@ -245,10 +236,8 @@ def _full(channel: ShapeChannel) -> float:
     return last if abs(last) > 100 * NEAREST else 100.0
 
 
-def _shape(
-    name: str, mesh: str, channel: ShapeChannel, full: float, geometric: FloatArray
-) -> Shape:
-    back = geometric[:3, :3].T
+def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -> Shape:
+    back, full = geometric[:3, :3].T, _full(channel)
     between = [
         Inbetween(at / full, LoadedArray(offsets @ back))
         for at, offsets in channel.targets[:-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
@@ -13,6 +12,7 @@ from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
+from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.fbx.layers import PERCENT, PropertyTrack
 from animtool.formats.fbx.poses import Changes, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
@@ -219,34 +219,12 @@ def _is_off(ticks: int, rate: Fraction) -> bool:
 
 def take_stream(fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> TakeStream:
     """Return a take as a stream, sampled block by block."""
+    clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
 
-    def curve(codes: FloatArray) -> Motion:
+    def sample(codes: FloatArray) -> Motion:
         return moving.at(frames.ticks(codes))
 
-    return TakeStream(
-        fbx_rig.rig,
-        frames.fps,
-        Fraction(frames.first),
-        Fraction(1),
-        _blocks(moving, frames),
-        curve=curve,
-        count=frames.count,
-    )
-
-
-def _blocks(moving: FbxSampler, frames: FbxFrames) -> Iterator[Motion]:
-    clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
-    times, previous = clock.times, None
-    for at in range(0, frames.count, BLOCK):
-        block = moving.at(frames.ticks(times[at : at + BLOCK]))
-        rotations = block.rotations
-        if previous is not None and len(rotations.animated):
-            signs = np.sign(np.einsum("jc,jc->j", rotations.values[0], previous))
-            if (signs < 0).any():
-                rotations.values[:, signs < 0] *= -1.0
-        if len(rotations.animated):
-            previous = rotations.values[-1].copy()
-        yield block
+    return sampled_stream(fbx_rig.rig, clock, sample, BLOCK)
 
 
 def moves(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:

@@ -10,13 +10,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
+from animtool.formats.characters.nodes import Node, SkinEntry
 from animtool.formats.fbx.geometry import FbxGeometry, has_free_points, read_geometry
 from animtool.formats.fbx.models import Model, read_models
 from animtool.formats.fbx.objects import FbxFile, Id, open_objects
 from animtool.formats.fbx.settings import FbxSettings, read_settings
 from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
-from animtool.formats.gltf.meshes import SkinEntry
-from animtool.formats.gltf.nodes import Node
 
 MAX_NAMED = 6
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import FormatError, excerpt
-from animtool.core.files.reading import read_input, why_no_file
+from animtool.core.files.reading import not_a_file_reason, read_input
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.container import Container
@@ -267,7 +267,7 @@ class Accessors:
 
     def _from_file(self, uri: str, buffer: JsonItem) -> bytes:
         path = self._resolved(uri, buffer)
-        reason = why_no_file(path)
+        reason = not_a_file_reason(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
             self.notes.fail("GLT007", buffer.at("uri"), message)
@@ -322,7 +322,7 @@ class Accessors:
             self.bytes_of(index)
         else:
             path = self._resolved(uri, buffer)
-            reason = why_no_file(path)
+            reason = not_a_file_reason(path)
             if reason is not None:
                 message = f"the file {uri!r} {reason}"
                 self.notes.fail("GLT007", buffer.at("uri"), message)

@@ -14,6 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
 from animtool.formats.gltf.json_items import JsonItem
@@ -25,7 +26,7 @@ from animtool.formats.gltf.meshes import (
     MeshEntry,
     check_bounds,
 )
-from animtool.formats.gltf.nodes import UNIT, VISIBILITY, Node
+from animtool.formats.gltf.nodes import UNIT, VISIBILITY
 from animtool.maths import so3
 
 POINTER = "KHR_animation_pointer"
@@ -44,7 +45,7 @@ class TargetPath(StrEnum):
     VISIBLE = "visible"
 
 
-class KeyInterpolation(StrEnum):
+class SamplerInterpolation(StrEnum):
     """Interpolation between keys."""
 
     LINEAR = "LINEAR"
@@ -80,7 +81,7 @@ class GltfTrack:
     mesh: int
     path: TargetPath
     part: int
-    interpolation: KeyInterpolation
+    interpolation: SamplerInterpolation
     times: FloatArray
     values: FloatArray
     ins: FloatArray | None = None
@@ -118,9 +119,9 @@ def between(
     fraction = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
     a = np.stack([track.values[low] for track in tracks], axis=1)
     b = np.stack([track.values[low + 1] for track in tracks], axis=1)
-    if first.interpolation is KeyInterpolation.STEP:
+    if first.interpolation is SamplerInterpolation.STEP:
         return _unit(np.where(fraction < 1.0, a, b), path)
-    if first.interpolation is KeyInterpolation.CUBIC:
+    if first.interpolation is SamplerInterpolation.CUBIC:
         outs = [track.outs[low] for track in tracks if track.outs is not None]
         ins = [track.ins[low + 1] for track in tracks if track.ins is not None]
         out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
@@ -200,12 +201,12 @@ class _Samplers:
             ends.append(index)
         return ends[0], ends[1]
 
-    def interpolation(self, index: int) -> KeyInterpolation:
+    def interpolation(self, index: int) -> SamplerInterpolation:
         """Return the interpolation of a sampler."""
         item = self.items[index]
         word = item.text("interpolation") or "LINEAR"
         try:
-            return KeyInterpolation(word)
+            return SamplerInterpolation(word)
         except ValueError:
             item.fail("interpolation", f"unknown interpolation {excerpt(word)}")
 
@@ -398,7 +399,7 @@ def _track(
         cache[source] = key_times, bool((np.diff(key_times) > 0).all())
     times, ascending = cache[source]
     values = _values(channel, target, samplers, index)
-    cubic = interpolation is KeyInterpolation.CUBIC
+    cubic = interpolation is SamplerInterpolation.CUBIC
     rows = values.size
     needed = len(times) * target.width * (3 if cubic else 1)
     if rows != needed:
@@ -450,7 +451,7 @@ def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int)
         message = f"{target.path} cannot have values of {kind} in these components"
         item.notes.fail("GLT011", channel.at("sampler"), message)
     # Lengths of rotations show what is not finite; slopes have none.
-    cubic = samplers.interpolation(index) is KeyInterpolation.CUBIC
+    cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
     finite = cubic or target.path is not TargetPath.ROTATION
     raw = accessors.numbers(accessor, finite=finite)
     if entry.component == FLOAT:

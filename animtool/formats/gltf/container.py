@@ -65,7 +65,9 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
         _fail(notes, len(content), message)
     if bytes(content[:4]) != MAGIC:
-        _fail(notes, 0, "a GLB starts with the letters glTF")
+        is_json = bytes(content[:1]) == b"{"
+        hint = "rename it to .gltf" if is_json else "export the file again"
+        notes.fail("GLT002", _offset(0), "a GLB starts with the letters glTF", hint)
     version, length = struct.unpack_from("<II", content, 4)
     if version != 2:
         message = f"version {version} of GLB is not supported, only 2"

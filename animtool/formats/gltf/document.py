@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Severity, excerpt, listed
+from animtool.core.files.signatures import expects
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import Node, SkinEntry, roots
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animations import POINTER, Animation, read_animations
@@ -16,18 +18,11 @@ from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
     Primitive,
-    SkinEntry,
     read_meshes,
     read_skins,
     skin_weights,
 )
-from animtool.formats.gltf.nodes import (
-    VISIBILITY,
-    Node,
-    read_nodes,
-    read_scenes,
-    roots,
-)
+from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
@@ -89,6 +84,7 @@ class Gltf:
     left_out: tuple[str, ...]
 
 
+@expects("GLT001", "a glTF file")
 def open_gltf(path: Path | str) -> Gltf:
     """Open a .gltf or .glb; every number that affects motion is checked.
 

@@ -8,7 +8,7 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.formats.gltf.animations import GltfTrack, KeyInterpolation, TargetPath
+from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation, TargetPath
 from animtool.formats.gltf.rig import GltfRig
 from animtool.formats.gltf.sampling import NEAR, GltfSampler, MovingRow
 from animtool.formats.gltf.timing import GltfFrames
@@ -128,9 +128,9 @@ def _channel(
     track = one.track
     times = key_frames(track.times, frames)
     values = track.values.astype(np.float64) * one.factor
-    step = track.interpolation is KeyInterpolation.STEP
+    step = track.interpolation is SamplerInterpolation.STEP
     if path is TargetPath.ROTATION:
-        if track.interpolation is KeyInterpolation.CUBIC:
+        if track.interpolation is SamplerInterpolation.CUBIC:
             return _arcs(target, track, frames)
         values = so3.align_signs(so3.normalize(values))
         interp = Interp.STEP if step else Interp.SLERP

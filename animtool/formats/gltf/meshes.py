@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import SkinEntry
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
 from animtool.formats.gltf.json_items import JsonItem, by_animtool, is_number
@@ -66,17 +67,6 @@ class MeshEntry:
     def targets(self) -> int:
         """Count of morph targets."""
         return max((len(part.targets) for part in self.primitives), default=0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SkinEntry:
-    """A skin."""
-
-    name: str | None
-    joints: tuple[int, ...]  # nodes
-    skeleton: int  # a node; -1 where none is named
-    inverse_bind: FloatArray  # ``(J, 4, 4)``, of column vectors
-    where: str
 
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:

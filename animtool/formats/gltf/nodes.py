@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.json_items import JsonItem, by_animtool
 from animtool.maths import so3
@@ -17,39 +17,6 @@ from animtool.maths import so3
 UNIT, SHEAR = 7.69e-3, 1e-4
 VISIBILITY = "KHR_node_visibility"
 MAX_NODES = 200_000
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """One node.
-
-    Attributes:
-        name: As the file has it; None where it has none.
-        parent: Index of the node above, -1 for a root.
-        children: Indices of the nodes below.
-        translation: In the frame of the parent [m].
-        rotation: Likewise (x, y, z, w).
-        scale: Likewise [1].
-        mesh: Index; -1 for none.
-        skin: Index; -1 for none.
-        weights: Of the targets of its mesh; None leaves those of the mesh.
-        visible: Whether it is shown, if all above it are.
-        has_matrix: Whether its transform is a matrix in the file.
-        above: Whether animtool put it above the roots of a rig, of which it is none.
-    """
-
-    name: str | None
-    parent: int
-    children: tuple[int, ...]
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
-    scale: tuple[float, float, float]
-    mesh: int = -1
-    skin: int = -1
-    weights: tuple[float, ...] | None = None
-    visible: bool = True
-    has_matrix: bool = False
-    above: bool = False
 
 
 def read_nodes(
@@ -221,23 +188,3 @@ def read_scenes(
         scenes.append(listed)
     shown = root.index("scene", len(scenes), "scene")
     return scenes, (0 if shown < 0 and scenes else shown)
-
-
-def roots(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root node above each node; a root maps to itself."""
-    tree = list(range(len(nodes)))
-    for node in parents_first(nodes):
-        parent = nodes[node].parent
-        tree[node] = node if parent < 0 else tree[parent]
-    return tree
-
-
-def parents_first(nodes: tuple[Node, ...]) -> list[int]:
-    """Return all node indices depth-first, parents before children."""
-    order: list[int] = []
-    stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
-    while stack:
-        at = stack.pop()
-        order.append(at)
-        stack.extend(reversed(nodes[at].children))
-    return order

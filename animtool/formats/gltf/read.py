@@ -5,31 +5,35 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from animtool.clip.clip import Clip
-from animtool.clip.keyed_curve import KeyedCurve
-from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest
+from animtool.core.errors import Fault, Severity, listed
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.units import LengthUnit, UpAxis, unit_name
+from animtool.core.units import LengthUnit, UpAxis
+from animtool.formats.characters.choice import choose_character
+from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
 from animtool.formats.gltf.animations import Animation, TargetPath
-from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.keys import clip_of_gltf
-from animtool.formats.gltf.rig import GltfRig, build_rig, scale_notice
+from animtool.formats.gltf.rig import build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
-    GltfSampler,
     NativeKeys,
     clip_stream,
     moves,
-    sampler,
+    sampler_of,
 )
-from animtool.formats.gltf.timing import GltfFrames, distinct_clip_names, frames_of
-from animtool.motion.motion import MotionCurve
+from animtool.formats.gltf.timing import distinct_clip_names, frames_of
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 MAX_NAMED = 8
+# An unknown character, and one of several.
+CHARACTER_CODES = "GLT014", "GLT109"
+WORDS = TakeWords(
+    "clip",
+    "has no animation: the rig is read at rest",
+    unknown="GLT015",
+    none="GLT116",
+    several="GLT121",
+)
 
 
 def read_gltf(
@@ -61,30 +65,31 @@ def read_gltf(
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
     gltf = open_gltf(path)
-    character, notices = chosen(gltf, prim_path)
+    character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
     meters = LengthUnit.M if unit is None else unit
     gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
-    index, more = _clip(gltf, gltf_rig, take)
+    names = distinct_clip_names(gltf.animations)
+    moving = (i for i, one in enumerate(gltf.animations) if moves(gltf_rig, one))
+    candidates = range(len(names))
+    index, more = choose_take(
+        WORDS, str(path), names, take, candidates, next(moving, 0)
+    )
     animation = None if index < 0 else gltf.animations[index]
     notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *more]
     notices += _left_out(gltf, animation)
-    moving = sampler(gltf, gltf_rig, animation)
-    frames = frames_of(animation, rate, str(path), moving.numbers)
-    notices += frames.notices
-    names = distinct_clip_names(gltf.animations)
-    stream = clip_stream(gltf_rig, moving, frames)
-    stream.notices[:] = notices
-    if index >= 0:
-        name = distinct_clip_names(gltf.animations)[index]
-        last = gltf.animations[index].span[1]
-        stream.curve = _keyed(stream, name, gltf_rig, moving, frames, last)
-    stream.details = {
-        "format": "glTF",
-        "units": unit_name(meters.meters),
-        "take": names[index] if index >= 0 else None,
-        "takes": names,
-    }
-    return stream
+    sampler = sampler_of(gltf, gltf_rig, animation)
+    frames = frames_of(animation, rate, str(path), sampler.numbers)
+    stream = clip_stream(gltf_rig, sampler, frames)
+    stream.notices[:] = [*notices, *frames.notices]
+    last = 0.0 if animation is None else animation.span[1]
+    return finish_stream(
+        stream,
+        "glTF",
+        names,
+        index,
+        lambda name: clip_of_gltf(name, gltf_rig, sampler, frames),
+        NativeKeys(sampler, frames, last),
+    )
 
 
 def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
@@ -100,7 +105,7 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
         FormatError: As `read_gltf` does.
     """
     gltf = open_gltf(path)
-    character, notices = chosen(gltf, prim_path)
+    character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
     gltf_rig = build_rig(gltf, character, path.stem)
     notices = [*gltf.notes.notices, *notices, *gltf_rig.notices]
     notices += scale_notice(gltf_rig, str(path))
@@ -114,49 +119,6 @@ def take_names(path: Path) -> list[str]:
         FormatError: As `read_gltf` does.
     """
     return distinct_clip_names(open_gltf(path).animations)
-
-
-def _keyed(
-    stream: TakeStream,
-    name: str,
-    gltf_rig: GltfRig,
-    moving: GltfSampler,
-    frames: GltfFrames,
-    last: float,
-) -> MotionCurve:
-    """Attach the clip with the file's keys to a stream.
-
-    last: when the last of them is [s].
-    """
-
-    def clip() -> Clip:
-        clip_, notices = clip_of_gltf(name, gltf_rig, moving, frames)
-        return replace(clip_, notices=tuple(notices))
-
-    assert stream.curve is not None
-    native = NativeKeys(moving, frames, last)
-    return KeyedCurve(stream.curve, clip, foreign=True, native=native)
-
-
-def _clip(gltf: Gltf, gltf_rig: GltfRig, take: str | None) -> tuple[int, list[Fault]]:
-    """Return the index of the animation to read, -1 for none, and a note."""
-    path, names = str(gltf.path), distinct_clip_names(gltf.animations)
-    if take is not None:
-        if take in names:
-            return names.index(take), []
-        message = f"has no clip {take!r}"
-        raise FormatError(Fault("GLT015", message, path, (), nearest(take, names)))
-    if not names:
-        message = "has no animation: the rig is read at rest"
-        return -1, [Fault("GLT116", message, path, severity=Severity.NOTE)]
-    index = next(
-        (i for i, one in enumerate(gltf.animations) if moves(gltf_rig, one)), 0
-    )
-    if len(names) == 1:
-        return index, []
-    message = f"reading clip {names[index]!r} of {counted(len(names), 'clip')}"
-    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
-    return index, [Fault("GLT121", message, path, (), hint, Severity.NOTE)]
 
 
 def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:

@@ -8,23 +8,21 @@ from dataclasses import field
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.core.units import UpAxis
+from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.choice import CharacterNodes
+from animtool.formats.characters.names import joint_names, renamed_notice
+from animtool.formats.characters.nodes import SAME_SCALE
 from animtool.formats.gltf.animations import TargetPath
-from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.nodes import Node
-from animtool.formats.gltf.surfaces import mesh_parts
+from animtool.formats.gltf.surfaces import mesh_names, mesh_parts, names_of_shapes
 from animtool.formats.gltf.vrm import humanoid_bones
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 
-# Scales that differ by less are the same: rounding of float32 [1].
-SAME_SCALE = 3e-7
 MAX_NAMED = 6
 _CONTROL = re.compile(f"[{CONTROL}]")
 
@@ -100,7 +98,7 @@ def build_rig(
     scales = np.array([gltf.nodes[node].scale for node in kept], np.float64)
     scales = np.where(folded_nodes(gltf)[kept][:, None], 1.0, scales)
     bare = Rig(name, tuple(joint_list), meters_per_unit, up)
-    notices = _name_notice(renamed, gltf)
+    notices = renamed_notice("GLT113", renamed, str(gltf.path))
     meshes: tuple[Mesh, ...] = ()
     shapes: tuple[Shape, ...] = ()
     keys: tuple[tuple[int, int], ...] = ()
@@ -121,14 +119,12 @@ def shape_keys(
     gltf: Gltf, character: CharacterNodes
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Shape, ...]]:
     """Return node and target of each shape, and the shapes without arrays."""
-    from animtool.formats.gltf.surfaces import mesh_names, shape_names
-
     keys: list[tuple[int, int]] = []
     meshes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     for node in meshes:
         count = gltf.meshes[gltf.nodes[node].mesh].targets
         keys += [(node, target) for target in range(count)]
-    names = shape_names(gltf, keys, mesh_names(gltf, meshes))
+    names = names_of_shapes(gltf, keys, mesh_names(gltf, meshes))
     return tuple(keys), tuple(Shape(name) for name in names)
 
 
@@ -180,34 +176,6 @@ def _folded(gltf: Gltf, character: CharacterNodes) -> FloatArray:
         above = 1.0 if entry.parent < 0 else folded[entry.parent]
         folded[node] = above * (float(np.mean(entry.scale)) if even[node] else 1.0)
     return folded
-
-
-def joint_names(
-    nodes: list[Node], numbers: list[int]
-) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return distinct joint names, and those that differ from the file's.
-
-    Characters that no file of text holds are replaced.
-    """
-    plain = []
-    for node, number in zip(nodes, numbers, strict=True):
-        name = _CONTROL.sub("_", node.name or "").strip()
-        plain.append(name or f"node_{number}")
-    names = distinct(plain)
-    renamed = [
-        (node.name, name)
-        for node, name in zip(nodes, names, strict=True)
-        if node.name is not None and node.name != name
-    ]
-    return names, renamed
-
-
-def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
-    if not renamed:
-        return []
-    shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_NAMED)
-    message = f"{counted(len(renamed), 'joint')} renamed to make names unique: {shown}"
-    return [Fault("GLT113", message, str(gltf.path), severity=Severity.NOTE)]
 
 
 def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import field
 from fractions import Fraction
 
@@ -13,6 +13,7 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
+from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.gltf.animations import Animation, GltfTrack, TargetPath, between
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
@@ -195,7 +196,9 @@ def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
         rotations[:] = so3.align_signs(rotations, before)
 
 
-def sampler(gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None) -> GltfSampler:
+def sampler_of(
+    gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None
+) -> GltfSampler:
     """Return the sampler of a rig's animation; None is at rest."""
     rig = gltf_rig.rig
     rest = {
@@ -308,35 +311,12 @@ def clip_stream(
     gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
 ) -> TakeStream:
     """Return an animation as a stream, sampled block by block."""
+    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
 
-    def curve(codes: FloatArray) -> Motion:
+    def sample(codes: FloatArray) -> Motion:
         return moving.at(frames.seconds(codes))
 
-    rig = gltf_rig.rig
-    blocks = _blocks(moving, frames)
-    return TakeStream(
-        rig,
-        frames.fps,
-        frames.first,
-        Fraction(1),
-        blocks,
-        curve=curve,
-        count=frames.count,
-    )
-
-
-def _blocks(moving: GltfSampler, frames: GltfFrames) -> Iterator[Motion]:
-    clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
-    seconds = frames.seconds(clock.times)
-    previous: FloatArray | None = None
-    for at in range(0, frames.count, BLOCK):
-        block = moving.at(seconds[at : at + BLOCK])
-        rotations = block.rotations
-        if len(rotations.animated):
-            if previous is not None:
-                _continue(rotations.values, previous)
-            previous = rotations.values[-1].copy()
-        yield block
+    return sampled_stream(gltf_rig.rig, clock, sample, BLOCK)
 
 
 def moves(gltf_rig: GltfRig, animation: Animation) -> bool:

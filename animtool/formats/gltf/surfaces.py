@@ -10,8 +10,9 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
-from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import CharacterNodes
+from animtool.formats.characters.binding import Binder
+from animtool.formats.characters.choice import CharacterNodes
+from animtool.formats.characters.names import printable, shape_names
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
 from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
@@ -52,7 +53,7 @@ def mesh_parts(
         meshes.append(mesh)
         keys += [(node, target) for target in range(count)]
         targets.append((names[node], *_targets(gltf, node)))
-    called = iter(shape_names(gltf, keys, names))
+    called = iter(names_of_shapes(gltf, keys, names))
     of_node = iter(targets)
     for node in nodes:
         name, deltas, normals = next(of_node)
@@ -75,28 +76,20 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
         entry = gltf.nodes[node]
         mesh = gltf.meshes[entry.mesh]
         plain = mesh.called or entry.name or mesh.name or f"mesh_{node}"
-        named.append("".join(c if c.isprintable() else "_" for c in plain).strip())
-    names = distinct(name or "mesh" for name in named)
-    return dict(zip(nodes, names, strict=True))
+        named.append(printable(plain) or "mesh")
+    return dict(zip(nodes, distinct(named), strict=True))
 
 
-def shape_names(
+def names_of_shapes(
     gltf: Gltf, keys: Sequence[ShapeKey], meshes: dict[int, str]
 ) -> list[str]:
     """Return distinct shape names, prefixed with the mesh if ambiguous."""
-    taken: dict[str, None] = {}
+    texts = []
     for node, target in keys:
         names = gltf.meshes[gltf.nodes[node].mesh].target_names
-        plain = names[target] if names else f"{meshes[node]}_{target}"
-        plain = "".join(c if c.isprintable() else "_" for c in plain).strip()
-        name = plain or f"{meshes[node]}_{target}"
-        if name in taken:
-            name = f"{meshes[node]}_{name}"
-        unique, number = name, 2
-        while unique in taken:
-            unique, number = f"{name}_{number}", number + 1
-        taken[unique] = None
-    return list(taken)
+        text = names[target] if names else ""
+        texts.append((text, f"{meshes[node]}_{target}", meshes[node]))
+    return shape_names(texts)
 
 
 def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:

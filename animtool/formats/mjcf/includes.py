@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from animtool.core.errors import excerpt
-from animtool.core.files.reading import is_there, nearest_file
+from animtool.core.files.reading import exists, nearest_file
+from animtool.core.files.signatures import expects
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import MAX_ELEMENTS, XmlCodes, XmlElement, read_xml
@@ -15,6 +16,7 @@ ROOT = "mujoco"
 MAX_INCLUDES = 1000
 
 
+@expects("MJC001", "an MJCF file")
 def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
     """Return the root of a model with all includes replaced by their content.
 
@@ -104,7 +106,7 @@ class _Including:
             hint = "copy it into the project, or name its folder in animtool.toml: "
             self._notes.add("MJC006", element, message, f"{hint}roots = [...]")
             return None
-        if path is None or not is_there(path):
+        if path is None or not exists(path):
             message = f"{excerpt(name, 100)} does not exist"
             near = nearest_file(Path(name), self._folders.folder)
             self._notes.add("MJC006", element, message, near)

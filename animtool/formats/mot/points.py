@@ -130,14 +130,16 @@ def _frames(
     if steps.even:
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):
-        message = f"has {count} rows for {float(at[-1]) + 1:.3g} frames"
+        message = f"{count} rows span {float(at[-1]) + 1:.3g} frames"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.even:
         message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (absent := int(at[-1]) + 1 - count) > 0:
-        message = f"{counted(absent, 'frame')} without a row: no marker is seen there"
+        message = (
+            f"{counted(absent, 'frame')} without a row; markers have no positions there"
+        )
         file.warn("MOF105", message)
     return _from(times, exact_rate, at, rounding)
 

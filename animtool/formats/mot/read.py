@@ -9,7 +9,14 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, FormatError, OptionError, Severity, naming
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    excerpt,
+    naming,
+)
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import similar
 from animtool.core.units import unit_name
@@ -40,6 +47,8 @@ from animtool.rig.skeleton import Rig
 # Frames that rows at uneven times may become, for each of them. More are gaps, and
 # filling these would be inventing motion.
 MAX_FRAMES_EACH = 10
+# Two revolutions: joints of a body turn less, and degrees soon exceed it [rad].
+MAX_RADIANS = 4 * np.pi
 
 
 def read_mot(
@@ -84,12 +93,17 @@ def read_mot(
     if degrees is None:
         degrees = False
         message = "has no inDegrees in its header: using radians, as OpenSim does"
+        if table.in_degrees:
+            message = f"inDegrees is {excerpt(table.in_degrees)}, not yes or no: "
+            message += "using radians, as OpenSim does"
         hint = "write inDegrees=yes or no in its header"
         warning = Severity.WARNING
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
     values = fill_gaps(table.values[:, at], table.times)
     if not degrees:
         turning = [one.is_angle for one in columns]
+        names = [table.names[c] for c, angle in zip(at, turning, strict=True) if angle]
+        notices += _degrees_notice(str(path), names, values[:, turning])
         values[:, turning] = np.degrees(values[:, turning])
     rate, values, even_notices = _even(table, values, option)
     motion = _motion(target, columns, values)
@@ -128,6 +142,18 @@ def _default_rig(table: MotionTable) -> Rig:
         message = "has no column with a coordinate"
         raise FormatError(Fault("MOF002", message, str(table.path)))
     return rig_of_columns(table.path.stem, list(names))
+
+
+def _degrees_notice(path: str, names: list[str], angles: FloatArray) -> list[Fault]:
+    """Return a warning about angles ``(R, A)`` [rad] that are likely degrees."""
+    largest = np.abs(angles).max(axis=0, initial=0.0)
+    if not (largest > MAX_RADIANS).any():
+        return []
+    name, value = names[int(largest.argmax())], float(largest.max())
+    message = f"angles are read as radians, but {excerpt(name)} reaches {value:.4g}, "
+    message += f"which is {value / (2 * np.pi):.3g} revolutions"
+    hint = "write inDegrees=yes in the header if they are degrees"
+    return [Fault("MOF112", message, path, (), hint, Severity.WARNING)]
 
 
 def _matched(
@@ -173,7 +199,7 @@ def _even(
     rate = _rate(path, median_step(times), rounding, 1)
     count = span * float(rate) + 1
     if count > MAX_FRAMES_EACH * len(times):
-        message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
+        message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + EVEN)) / float(rate)

@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.core.files.signatures import expects
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
     BLANK,
@@ -54,6 +55,7 @@ class MotionTable:
         decimals: Places after the point of the times, at most.
         lines: Line of each row ``(R,)``, from 1.
         degrees: Whether angles are degrees; None where the file does not say.
+        in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
         notices: Warnings about the file.
     """
 
@@ -64,9 +66,11 @@ class MotionTable:
     decimals: int
     lines: IntArray
     degrees: bool | None
+    in_degrees: str
     notices: tuple[Fault, ...]
 
 
+@expects("MOF001", "an OpenSim motion file")
 def read_table(path: Path) -> MotionTable:
     """Read the table of a MOT or STO file.
 
@@ -98,7 +102,15 @@ def read_table(path: Path) -> MotionTable:
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
     notices += _missing(path, names, cells, numbers)
     return MotionTable(
-        path, names, cells, times, decimals, numbers, degrees, tuple(notices)
+        path,
+        names,
+        cells,
+        times,
+        decimals,
+        numbers,
+        degrees,
+        header.in_degrees,
+        tuple(notices),
     )
 
 
@@ -115,6 +127,7 @@ class MotHeader:
         names: Of the C columns, the time left out.
         counts: ``rows`` and ``columns``, and ``rate`` [1/s], where they are stated.
         degrees: Whether angles are degrees; None where the file does not say.
+        in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
         kind: DataType, empty without.
         unit: Units, None without.
         separator: Between cells.
@@ -124,6 +137,7 @@ class MotHeader:
     names: tuple[str, ...]
     counts: dict[str, float]
     degrees: bool | None
+    in_degrees: str
     kind: str
     unit: str | None
     separator: bytes
@@ -145,7 +159,8 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     separator = separator_of(lines[head])
     names = _names(path, lines[head], separator, head + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
-    return MotHeader(names, counts, degrees, kind, unit, separator, head + 1)
+    stated = texts.get("indegrees", "")
+    return MotHeader(names, counts, degrees, stated, kind, unit, separator, head + 1)
 
 
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
@@ -186,6 +201,8 @@ def _header(
             counts["rate"] = rate
         elif key == "indegrees":
             degrees = _YES.get(value, degrees)
+            if value not in _YES:
+                texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
             said = {"degrees": True, "radians": False}.get(text[14:].rstrip(". "), said)
     return counts, said if degrees is None else degrees, texts

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlCodes, read_xml
 
@@ -104,7 +104,7 @@ class PackageFolders:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(resolved.is_relative_to(root) for root in self.roots):
             raise OutsideError(f"it leads out of {_shown(self.roots)}")
-        return resolved if is_there(resolved) else None
+        return resolved if exists(resolved) else None
 
 
 def _shown(roots: Sequence[Path]) -> str:
@@ -114,7 +114,7 @@ def _shown(roots: Sequence[Path]) -> str:
 def _package_name(folder: Path, codes: XmlCodes) -> str:
     """Return the ROS package name of a folder; empty if it is none."""
     file = folder / PACKAGE
-    if not is_there(file):
+    if not exists(file):
         return ""
     try:
         root = read_xml(file, codes)

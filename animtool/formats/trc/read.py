@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, counted, excerpt
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -69,13 +70,13 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     """
     first = re.split(rb"[\s,;]+", lines[0].strip(BLANK + b'"'))[0].strip(b'"')
     if first.lower() != b"pathfiletype":
-        raise file.error("TRC001", "does not start with PathFileType")
+        raise file.error("TRC001", "the first line does not start with PathFileType")
     starts = [_NAMES.match(line) for line in lines[:MAX_LINES]]
     at = next((i for i, start in enumerate(starts) if start), 0)
     above = [i for i in range(1, at) if lines[i].strip(BLANK)]
     if len(above) < 2:
-        what = "no line starts with Frame#" if not at else "no DataRate line"
-        raise file.error("TRC001", f"has {what} in its first {MAX_LINES} lines")
+        what = "line that starts with Frame#" if not at else "DataRate line"
+        raise file.error("TRC001", f"no {what} in the first {MAX_LINES} lines")
     stated = _stated(lines[above[-2]], lines[above[-1]])
     start = starts[at]
     assert start is not None
@@ -133,7 +134,7 @@ def _names_of_header(
     while names and not names[-1]:
         names.pop()
     if len(names) > MAX_MARKERS:
-        message = f"names {len(names)} markers; the limit is {MAX_MARKERS}"
+        message = f"the header names {len(names)} markers; the limit is {MAX_MARKERS}"
         raise FormatError(Fault("TRC001", message, file.path, (number,)))
     return names
 
@@ -171,21 +172,24 @@ def columns_of(
     names, stated = header.names, header.markers
     columns = max(rows, header.axes if header.axes == stated else 0)
     if header.separator == b" " and len(names) > columns > 0 and columns == stated:
-        message = f"names {len(names)} markers above the columns of {columns}"
-        hint = f"names between blanks have no blanks: {excerpt(' '.join(names))}"
+        message = f"the header has {len(names)} names, but rows have columns of "
+        message += counted(columns, "marker")
+        hint = "separate columns by tabs if names contain blanks: "
+        hint += excerpt(" ".join(names))
         raise file.error("TRC001", message, hint)
     if len(names) > columns > 0 and columns == stated:
-        message = f"names {len(names)} markers, but has columns of {columns}"
-        file.warn("TRC101", f"{message}; the last names are ignored")
+        message = f"the header names {len(names)} markers, but rows have columns of "
+        file.warn("TRC101", f"{message}{columns}; the last names are ignored")
         names = names[:columns]
     count = max(len(names), columns)
     if stated is not None and stated not in (count, len(header.names)):
-        message = f"states {stated:g} markers, but has {count}"
-        file.warn("TRC101", f"{message}; all of them are read")
+        message = f"the header states {stated:g} markers, but there are {count}"
+        file.warn("TRC101", f"{message}; all are read")
     names = [*names, *[""] * (count - len(names))]
     return names, sum(not name for name in names)
 
 
+@expects("TRC001", "a TRC file")
 def read_trc(
     path: Path | str,
     *,
@@ -229,11 +233,11 @@ def read_trc(
         return FormatError(Fault("TRC002", message, file.path, (line,)))
 
     if len(rows.texts) * len(names) > MAX_POSITIONS:
-        raise file.error("TRC001", "has more positions than the limit")
+        raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
     values = rows.values(2 + 3 * len(names), fault)
     if rows.decimal_commas:
-        message = "numbers have decimal commas: read as such"
+        message = "commas are read as decimal points"
         file.note(
             "TRC108",
             message,
@@ -242,8 +246,8 @@ def read_trc(
     length = file.unit(header.unit, unit, LengthUnit.MM)
     axis = file.up(None, up)
     if header.frames not in (None, len(values)):
-        message = f"states {header.frames:g} frames, but has {len(values)}"
-        file.warn("TRC101", f"{message}; all of them are read")
+        message = f"the header states {header.frames:g} frames, but there are "
+        file.warn("TRC101", f"{message}{len(values)}; all are read")
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
     labels = file.names(names, subject)
     positions = file.cleaned(positions, length.meters)
@@ -260,12 +264,12 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
     """Return marker names for the rows' columns, empty for unnamed markers."""
     if not rows.texts:
         if not header.names:
-            raise file.error("MKR013", "has no markers")
-        raise file.error("MKR013", "has no frames")
+            raise file.error("MKR013", "the file has no markers")
+        raise file.error("MKR013", "the file has no frames")
     most = int(rows.filled.max())
     names, unnamed = columns_of(file, header, most)
     if not names:
-        raise file.error("MKR013", "has no markers")
+        raise file.error("MKR013", "the file has no markers")
     wide = rows.filled > 2 + 3 * len(header.names)
     # The last cell may end in a separator.
     ragged = ((rows.filled - 2) % 3 != 0) & ((rows.cells - 2) % 3 != 0)
@@ -273,27 +277,31 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
     wrong = np.flatnonzero(wide & ragged)
     if len(wrong) or len(names) > MAX_MARKERS:
         row = int(wrong[0]) if len(wrong) else int(rows.filled.argmax())
-        message = f"has {int(rows.filled[row])} values instead of {2 + 3 * len(names)}"
+        message = f"the row has {int(rows.filled[row])} values, not "
+        message += str(2 + 3 * len(names))
         if len(wrong):
-            message = f"has {int(rows.filled[row])} values, but "
-            message += f"{counted(len(header.names), 'marker')} with a name need "
+            message = (
+                f"the row has {int(rows.filled[row])} values, but frame, time and "
+            )
+            message += f"{counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
-            hint = "decimal commas between commas: export with tabs or decimal points"
+            hint = "commas separate both cells and decimals; export with tabs or points"
         at = (int(rows.lines[row]),)
         raise FormatError(Fault("TRC002", message, file.path, at, hint))
     if unnamed:
         first = next(i for i, name in enumerate(names) if not name)
         message = (
-            f"{unnamed} of {counted(len(names), 'marker')} without a name, the first "
-            f"in column {3 + 3 * first}"
+            f"{unnamed} of {counted(len(names), 'marker')} "
+            f"{'has' if unnamed == 1 else 'have'} no name, the first in column "
+            f"{3 + 3 * first}"
         )
         if wide.any() and not wide.all():
             lines = rows.lines[wide]
             message += f", in {counted(len(lines), 'row')} from line {lines[0]}"
         hint = "name the points with mocap label"
-        file.warn("TRC103", f"{message}: unlabelled points", hint)
+        file.warn("TRC103", f"{message}; read as unlabelled points", hint)
     return names
 
 
@@ -314,11 +322,11 @@ def _complete_rows(
     if not len(cut) and not dropped:
         return rows
     row = last if dropped else int(cut[0])
-    message = f"has {int(rows.cells[row])} values of {width}"
-    if dropped:
-        message += ", where the file ends: the row is skipped"
-    else:
-        more = counted(len(cut) - 1, "other row")
-        message += f", and ends within a marker, which is not seen there; {more} too"
+    cells = f"{int(rows.cells[row])} of {width} values"
+    message = f"the last row is truncated ({cells}) and is skipped"
+    if not dropped:
+        message = f"the row ends within a marker ({cells}), which is missing there"
+        if len(cut) > 1:
+            message += f", and so do {counted(len(cut) - 1, 'other row')}"
     file.warn("TRC109", message, "copy or export it again", int(rows.lines[row]))
     return rows.without_last() if dropped else rows

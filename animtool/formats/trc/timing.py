@@ -54,7 +54,7 @@ def frames_of_rows(
     if fps is not None or len(times) == 1 or np.isnan(times).all():
         rate = file.rate(stated, fps)
         if fps is None and len(times) > 1:
-            message = f"has no Time: rows are placed by Frame#, at {float(rate):g} fps"
+            message = f"Time is empty; rows are placed by Frame# at {float(rate):g} fps"
             file.warn("TRC107", message, "write Time, which other programs need")
         if counted_frames is None:
             _warn_numbers(file, numbers, lines, "each row is one frame")
@@ -139,17 +139,21 @@ def _rate(
     count = int(steps.frames[-1]) if steps.even else 1
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
-        message = f"has a row every {steps.step:g} s"
+        message = f"no frame rate fits a row every {steps.step:g} s"
         hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated is None or stated <= 0:
-        none = "states no DataRate" if stated is None else f"DataRate is {stated:g}"
+        none = (
+            "the header has no DataRate"
+            if stated is None
+            else f"DataRate is {stated:g}"
+        )
         message = f"{none}; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
     message = (
-        f"the Time step is {steps.step:.6g} s, {float(rate):g} fps, but DataRate is "
-        f"{stated:g}: using Time"
+        f"Time has a step of {steps.step:.6g} s, {float(rate):g} fps, but DataRate is "
+        f"{stated:g}; using Time"
     )
     hint = (
         f"{argument('source.fps', f'{float(rate_from_float(stated)):g}')} uses DataRate"
@@ -167,7 +171,7 @@ def _check_room(
     frames = float(at[-1]) + 1
     row = int(np.diff(at).argmax()) + 1
     message = (
-        f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
+        f"{len(at)} rows span {frames:.6g} frames; the largest gap is before this row"
     )
     hint = "repair Frame# and Time of the row, or end the file there"
     raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
@@ -182,14 +186,14 @@ def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> 
     row = int(rows[0])
     missing = int(at[row + 1] - at[row]) - 1
     message = (
-        f"{counted(missing, 'frame')} without a row before line {lines[row + 1]}, "
-        f"{missing / rate:.4g} s"
+        f"{counted(missing, 'missing frame')} ({missing / rate:.4g} s) before line "
+        f"{lines[row + 1]}"
     )
     if len(rows) > 1:
-        message += f", and {absent - missing} at {counted(len(rows) - 1, 'other gap')}"
+        message += f", and {absent - missing} in {counted(len(rows) - 1, 'other gap')}"
     hint = "mocap fill computes positions in gaps"
     file.warn(
-        "TRC105", f"{message}: no marker is seen there", hint, int(lines[row + 1])
+        "TRC105", f"{message}; markers are missing there", hint, int(lines[row + 1])
     )
 
 
@@ -204,8 +208,8 @@ def _warn_uneven(
     between = np.diff(times)
     row = int(np.abs(between - steps.step).argmax()) + 1
     message = (
-        f"rows are {between.min():.4g} to {between.max():.4g} s apart: resampled at "
-        f"{float(rate):g} fps, linearly between rows, but not over gaps"
+        f"rows are {between.min():.4g} to {between.max():.4g} s apart; resampled to "
+        f"{float(rate):g} fps by linear interpolation, except across gaps"
     )
     hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
     file.warn("TRC106", message, hint, int(lines[row]))
@@ -228,7 +232,7 @@ def _warn_numbers(
         message += f" after {numbers[row - 1]:g}"
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} too"
-    file.warn("TRC107", f"{message}: {result}", None, int(lines[row]))
+    file.warn("TRC107", f"{message}; {result}", None, int(lines[row]))
 
 
 def _compared(
@@ -247,7 +251,7 @@ def _compared(
     start = _start(numbers[0])
     by_time = times[0] * float(rate) + 1
     if _counted_frames(numbers) is None:
-        _warn_numbers(file, numbers, lines, "rows are placed by their Time")
+        _warn_numbers(file, numbers, lines, "rows are placed by Time")
         return start, float(times[0])
     off = np.flatnonzero(numbers - numbers[0] != at)
     if len(off):
@@ -255,13 +259,13 @@ def _compared(
         message = (
             f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
             f"{numbers[0]:g}; at {float(rate):g} fps it would be "
-            f"{numbers[0] + at[row]:g}: rows are placed by their Time"
+            f"{numbers[0] + at[row]:g}; rows are placed by Time"
         )
         file.warn("TRC107", message, None, int(lines[row]))
     elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
         message = (
-            f"frame {start} is at {times[0]:.6g} s: a TRC keeps that; a MOT would "
-            f"have it at {(start - 1) / float(rate):.6g} s, as its frame 1 is time 0"
+            f"frame {start} is at {times[0]:.6g} s; a TRC keeps that, but in a MOT "
+            f"it would be {(start - 1) / float(rate):.6g} s, as frame 1 is at 0 s"
         )
         file.note("TRC107", message)
         return start, float(times[0])

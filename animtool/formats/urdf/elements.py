@@ -93,7 +93,7 @@ def one_of(
     """Return the child with a tag; the first of several, None if missing."""
     elements = element.all(tag)
     if any(one.attributes != elements[0].attributes for one in elements):
-        message = f"<{tag}> is given {len(elements)} times, not alike"
+        message = f"<{tag}> is given {len(elements)} times with different values"
         notes.add("URD006", elements[1], message, "keep one", where=where)
     if not elements and needed:
         notes.add("URD006", element, f"<{tag}> is missing", where=where)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from animtool.core.errors import excerpt
-from animtool.formats.robots.notes import XmlNotes
+from animtool.core.errors import Severity, counted, excerpt
+from animtool.core.files.signatures import expects
+from animtool.formats.robots.notes import XmlNotes, to_number
 from animtool.formats.robots.xml import XmlElement, read_xml
 from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
 from animtool.formats.urdf.joints import add_joint
@@ -16,6 +18,7 @@ _XACRO = "${", "$("
 EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
 
 
+@expects("URD001", "a URDF file")
 def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     """Return a file's links and joints; record faults.
 
@@ -35,6 +38,7 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     if not links and not notes.faults:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
+    _note_degrees(root, notes)
     driven, drives = _driven(root)
     notes.leave_out(_not_read(root))
     name = root.attributes.get("name", "")
@@ -65,6 +69,40 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
 
 
+# Two revolutions, which angles of robots do not exceed [rad]; limits beyond two
+# revolutions in degrees stand for none.
+MAX_RADIANS = 4 * math.pi
+MAX_DEGREES = 720.0
+
+
+def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
+    """Record a warning about angles that are likely degrees, with the first of them."""
+    texts: list[tuple[XmlElement, str, str]] = []
+    for joint in root.all("joint"):
+        if joint.attributes.get("type") == "revolute":
+            for limit in joint.all("limit"):
+                texts += [(limit, n, limit.attributes.get(n, "")) for n in _LIMITS]
+    texts += [
+        (element, "rpy", element.attributes.get("rpy", ""))
+        for element in root.walk()
+        if element.tag == "origin"
+    ]
+    large = [
+        (element, name, value)
+        for element, name, text in texts
+        for value in map(to_number, text.split())
+        if value is not None and MAX_RADIANS < abs(value) <= MAX_DEGREES
+    ]
+    if not large:
+        return
+    element, name, value = large[0]
+    message = f"{counted(len(large), 'angle')} beyond two revolutions in radians, such "
+    message += f"as {name} {value:g} of <{element.tag}>"
+    hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
+    notes.add("URD111", element, message, hint, severity=Severity.WARNING)
+
+
+_LIMITS = ("lower", "upper")
 # Elements that are not read, and their labels.
 _KNOWN = {"link", "joint", "material"}
 _OF_JOINTS = {

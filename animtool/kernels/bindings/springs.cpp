@@ -9,72 +9,69 @@ namespace animtool {
 void bind_springs(nb::module_& m) {
   using A = SpringArrays;
   nb::class_<SpringNetwork> network(m, "SpringNetwork",
-                                    R"(Particles, springs between them and what acts on them.
+                                    R"(Particles, springs between them and external forces.
 
-Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
-``(N,)`` slow them, a second. Springs join ``ends`` ``(S, 2)``; ``limit`` is the length at
-which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T, 3)`` are over
-the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
-particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
-the wind ``(K or 1, 1, 3)``.)");
+Inverse masses ``(N,)`` are 0 for pinned particles; ``drags`` ``(N,)`` are [1/s]. Springs join
+``ends`` ``(S, 2)``; ``limit`` is the length at which they tear. ``air_drag`` and ``air_lift``
+of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times of ``knots``
+``(K,)``: positions of ``held`` (pinned) particles ``(K or 1, P, 3)``; target points of
+``anchors`` ``(K or 1, A, 3)``; the wind ``(K or 1, 1, 3)``.)");
   define_class(network,
          Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
          Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
          Field{"damping", &A::damping}, Field{"limit", &A::limit},
          Field{"triangles", &A::triangles}, Field{"gravity", &A::gravity},
          Field{"air_drag", &A::air_drag}, Field{"air_lift", &A::air_lift},
-         Field{"knots", &A::knots}, Field{"held", &A::held}, Field{"held_path", &A::held_path},
+         Field{"knots", &A::knots}, Field{"held", &A::pinned}, Field{"held_path", &A::pinned_path},
          Field{"anchors", &A::anchors}, Field{"anchor_stiffness", &A::anchor_stiffness},
          Field{"anchor_damping", &A::anchor_damping}, Field{"anchor_path", &A::anchor_path},
          Field{"winds", &A::winds});
   network.def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
-           "Put paths of held particles and anchors in the place of those over the knots.");
+           "Replace the paths of pinned particles and anchors over the same knots.");
 
   nb::class_<SpringLayers>(m, "SpringLayers",
-                           R"(A surface of springs that keeps apart from itself.
+                           R"(Self-contact of a spring surface.
 
 Particles keep the ``thickness`` from triangles, and edges three quarters of it from edges, or
-less: as far as they are from each other at ``rest`` ``(N, 3)``, and two thirds of that along
-the surface. With Coulomb's
-coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.)")
+less: their distance at ``rest`` ``(N, 3)``, and two thirds of that along the surface. With
+Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer parts.)")
       .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
            "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
       .def("least", &SpringLayers::checked_least, "triangle"_a, "particle"_a,
-           R"(Return the distance that a particle keeps, 0 from triangles that it is a corner of.)")
+           R"(Return the distance that a particle keeps; 0 for its triangles.)")
       .def("least_of_edges", &SpringLayers::checked_least_of_edges, "first"_a, "second"_a,
-           R"(Return the distance that edges keep, 0 of those that share a particle.
+           R"(Return the distance that edges keep; 0 if they share a particle.
 
 Edges are pairs of particles, the lower first, in order.)");
 
   m.def("part_springs", &part_springs, Unlocked(), "network"_a, "layers"_a, "before"_a,
         "after"_a, "h"_a,
-        R"(Take the step of h that a surface is kept apart in from itself.
+        R"(Resolve self-contact in a step of h.
 
-From positions ``(N, 3)`` to the state ``(2, N, 3)`` returned, of one that knows nothing.)");
+From positions ``(N, 3)``; returns the state ``(2, N, 3)``. No contact history is used.)");
 
   m.def("pierced_edges", &pierced_edges, Unlocked(), "positions"_a, "triangles"_a,
-        R"(How many edges go through triangles ``(T, 3)`` that have neither of their ends.
+        R"(Count pairs of an edge through a triangle ``(T, 3)`` that has neither of its ends.
 
-Each pair counts; at ``positions`` ``(N, 3)``.)");
+At ``positions`` ``(N, 3)``.)");
 
   m.def("spring_order", &spring_order, Unlocked(), "ends"_a, "particles"_a,
-        R"(The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
+        R"(Return the solver order ``(S,)`` of springs ``(S, 2)``.
 
-It is that of their particles, but for springs that do not wait for each other: these stand
-together, so that several are done at once.)");
+By particle, with independent springs next to each other, so that several are solved at
+once.)");
 
   m.def("spring_accelerations", &spring_accelerations, Unlocked(), "network"_a, "t"_a, "h"_a,
         "state"_a, "torn"_a,
-        R"(Accelerations ``(N, 3)`` at positions and velocities ``(2, N, 3)`` and a time.
+        R"(Return accelerations ``(N, 3)`` at a state ``(2, N, 3)`` and a time.
 
-Held particles have none; springs that are ``torn`` ``(S,)`` pull nothing. Speeds of what
-anchors are drawn to are those of the h before.)");
+They are 0 for pinned particles; ``torn`` springs ``(S,)`` have no force. Velocities of anchor
+targets are those of the preceding h.)");
 
   m.def("spring_energy", &spring_energy, Unlocked(), "network"_a, "positions"_a,
-        R"(Energy of springs at positions ``(N, 3)``, and their largest length.
+        R"(Return the energy of springs at positions ``(N, 3)``, and the largest length ratio.
 
-Returns ``(energy, longest)``: of those with a length at rest, over that; 0 where there are
-none.)");
+Returns ``(energy, longest)``: the largest ratio of length to rest length; 0 without springs.)");
 
   m.def("step_springs", &step_springs, Unlocked(), "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "colliders"_a.none(),
@@ -83,45 +80,44 @@ none.)");
 Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
 
 ``colliders``: those of `collide_particles`, their poses at both ends of each cell
-``(cells, C, 2, 7)``, the distance that particles keep, how deep each may be in each ``(C, N)``,
-0 or less, None is not at all, how much deeper counts as left inside, and meshes whose points
-move: a `MeshSurface`, its points at knots of time ``(K, P, 3)``, restitution, friction, margin,
-depenetration speed and the speed of what is put elsewhere ``(5,)``, how many cells a knot
-lasts, and how many cells of the first are over.
+``(cells, C, 2, 7)``, the distance that particles keep, allowed signed distances ``(C, N)``, at
+most 0, None for none, the extra depth that counts as unresolved, and moving meshes: a
+`MeshSurface`, its points at knots of time ``(K, P, 3)``, restitution, friction, margin,
+depenetration speed and teleport speed ``(5,)``, cells per knot, and elapsed cells of the first
+knot.
 
-Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.)");
+Returns ``(state, torn, unresolved, pushes)``: particles left inside colliders at the end, and
+impulses on colliders.)");
 
   m.def("project_springs", &project_springs, Unlocked(), "network"_a, "state"_a, "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
         "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a, "limit"_a = 0.0,
-        R"(Take steps of extended position based dynamics, each spring once a step, in order.
+        R"(Take steps of extended position based dynamics, each spring once per step, in order.
 
-Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
-than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
-up to ``most``; after many that go well half as many are tried, down to ``least``.
+Cells are those of `step_springs`. If a spring is strained beyond ``stretch`` and its compliance
+at the end of a cell, the cell is repeated in twice the steps, up to ``most``; after many calm
+cells half as many are tried, down to ``least``.
 
-``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
-with: a particle, the triangle that it went through, and the side of this that it came from;
-or an edge, numbered after the particles, another of a higher number, and its side.
+``layers`` is the self-contact; ``crossed`` ``(C, 3)`` are piercings to resume with: a particle,
+the triangle that it pierced, and the side that it came from; or an edge, numbered after the
+particles, another of a higher number, and its side.
 
-With a ``limit`` above 0 springs that hardly give are brought back to within this strain of
-their length at rest at the end of each step, and their ends then neither come apart nor
-together; steps are shortened only where that helps.
+A ``limit`` above 0 clamps the strain of stiff springs at the end of each step, and removes the
+relative velocity of their ends; steps are shortened only if that helps.
 
 Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
-through)``: steps a cell and cells that went well, to go on with; the largest stretch
-that is not a spring's own; steps in all; particles that colliders moved in a step, at most;
-the passages left; and of what went through the most particles and pairs of edges at the end
-of a cell, and how many steps a second would have seen all of it, 0 where these did.)");
+through, pushes)``: steps per cell and calm cells, to resume with; the largest strain beyond
+compliance; total steps; most particles in contact in a step; particles left inside; remaining
+piercings; the largest counts of piercing particles and pairs of edges at the end of a cell, and
+the step rate that would detect all of them, 0 if none was missed; impulses on colliders.)");
 
   nb::class_<SpringStrands>(m, "SpringStrands",
-                            R"(Strands of P particles of one mass, each held at its root.
+                            R"(Strands of P particles of equal mass, pinned at their roots.
 
-Lengths at rest of springs along them, ``rests`` ``(S, P - 1)``, which hardly give, and from
-each particle to the next but one, ``folds`` ``(S, P - 2)``. ``drag`` is what slows them, a
-second. Over the mass: ``stiffness`` along strands, of folds, and of the draw to where the
-animation has them, with its damping. ``stretch`` is the share by which springs along strands
-may be longer than at rest before a step corrects them once more.)")
+Rest lengths of stiff springs along them, ``rests`` ``(S, P - 1)``, and between every second
+particle, ``folds`` ``(S, P - 2)``. ``drag`` is [1/s]. Per mass: ``stiffness`` along strands, of
+folds, and of the pull to the animation, with its damping. ``stretch`` is the strain along
+strands above which a step is corrected once more.)")
       .def(nb::init<In<double, 2>, In<double, 2>, In<double, 1>, double, double, double, double,
                     double, double>(),
            "rests"_a, "folds"_a, "gravity"_a, "drag"_a, "stiffness"_a, "fold_stiffness"_a,
@@ -129,15 +125,15 @@ may be longer than at rest before a step corrects them once more.)")
 
   m.def("follow_strands", &follow_strands, Unlocked(), "strands"_a, "targets"_a, "state"_a,
         "span"_a, "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
-        R"(Take strands over a frame, from a state ``(2, N, 3)``.
+        R"(Advance strands over a frame, from a state ``(2, N, 3)``.
 
-The animation has their particles at ``targets`` ``(cells + 1, N, 3)`` as each even cell of the
-time begins and ends, straight between them; roots are there. Steps are those of
-`project_springs`, but for the springs along strands, which are solved together. ``colliders``
-are those of `step_springs`. How many ``threads`` share the strands makes no difference.
+``targets`` ``(cells + 1, N, 3)`` are animated positions at the ends of even cells, linear
+between them; roots follow them. Steps are those of `project_springs`, except that springs along
+strands are solved directly. ``colliders`` are those of `step_springs`. The number of
+``threads`` does not change the result.
 
-Returns ``(state, touched, unresolved, stretch)``: particles in contact in a step, at most; left
-inside at the end; how much longer than at rest a spring along them is there, over that.)");
+Returns ``(state, touched, unresolved, stretch)``: most particles in contact in a step;
+particles left inside at the end; the largest strain along strands at the end.)");
 
   m.def("solve_springs", &solve_springs, Unlocked(), "network"_a, "state"_a, "before"_a.none(), "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
@@ -145,10 +141,10 @@ inside at the end; how much longer than at rest a spring along them is there, ov
         R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.
 
 Cells are those of `step_springs`; ``before`` is the state a step before, None at the
-start. Newton's method goes on until a correction moves no particle by more than
-``tolerance``; a cell that is not solved is tried in shorter steps. With ``pulls`` ``(H, 6)``,
-impulses of the step before on what holds the held particles and their moments about the
-origin, 0 at the start, these are returned of all steps and of the last.
+start. Newton's method iterates until a correction moves no particle by more than
+``tolerance``; a cell that is not solved is repeated in shorter steps. With ``pulls``
+``(H, 6)``, impulses of the last step on the carriers of pinned particles and their moments
+about the origin, 0 at the start, these are returned for all steps and for the last.
 
 Returns ``(state, before, known, torn, steps, corrections, lost, unresolved, pushes, pulls)``:
 whether ``before`` is known; steps and corrections taken; whether a cell could not be solved.)");

@@ -27,7 +27,7 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
 
 // distances, normals, velocities
 using ColliderSamples = std::tuple<Out<double, 2>, Out<double, 3>, Out<double, 3>>;
-ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double share,
+ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double fraction,
                                  double step);
 
 }  // namespace animtool

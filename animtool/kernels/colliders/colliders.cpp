@@ -87,10 +87,10 @@ std::vector<Collider> read_colliders(const ColliderArrays& in) {
   const std::size_t count = kinds.shape(0);
   const collide::Mesh mesh{points.data(),       triangles.data(), corner_normals.data(),
                            edge_normals.data(), bounds.data(),    nodes.data()};
-  std::vector<Collider> made(count);
+  std::vector<Collider> built(count);
   for (std::size_t i = 0; i < count; ++i) {
     const std::int64_t* kind = kinds.data() + 3 * i;
-    Collider& c = made[i];
+    Collider& c = built[i];
     c.shape = static_cast<collide::Shape>(kind[0]);
     c.container = kind[1] == INSIDE_ALONE;
     c.two_sided = kind[1] == BOTH_SIDES && c.shape == collide::Shape::MESH;
@@ -103,7 +103,7 @@ std::vector<Collider> read_colliders(const ColliderArrays& in) {
     const double* pose = poses.data() + 2 * POSE * i;
     c.motion = collide::Motion(pose, pose + POSE);
   }
-  return made;
+  return built;
 }
 
 Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
@@ -115,7 +115,7 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
   check::shape("radii", radii, {count});
   check::shape("begins", begins, {count});
   check::not_negative("step", step);
-  const std::vector<Collider> made = read_colliders(colliders);
+  const std::vector<Collider> built = read_colliders(colliders);
   Out<double, 3> state(2, count, 3);
   Out<double, 2> normals(count, 3);
   Out<std::int64_t, 2> touches(count, 2);
@@ -124,7 +124,7 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
     const std::size_t x = 3 * i, v = 3 * (count + i);
     const collide::Particle start{load(from + x), load(from + v)};
     collide::Particle end{load(to + x), load(to + v)};
-    collide::Settling settling(made.data(), made.size(), step, radii.data()[i],
+    collide::Settling settling(built.data(), built.size(), step, radii.data()[i],
                                begins.data()[i]);
     const collide::Contact contact = settling.settle(start, end);
     store(end.position, state.get() + x);
@@ -137,23 +137,23 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
 }
 
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
-                                 double share, double step) {
+                                 double fraction, double step) {
   const std::size_t count = points.shape(0);
   check::shape("points", points, {check::ANY, 3});
-  check::between("share", share, 0, 1);
+  check::between("share", fraction, 0, 1);
   check::not_negative("step", step);
-  const std::vector<Collider> made = read_colliders(colliders);
-  Out<double, 2> distances(made.size(), count);
-  Out<double, 3> normals(made.size(), count, 3), velocities(made.size(), count, 3);
+  const std::vector<Collider> built = read_colliders(colliders);
+  Out<double, 2> distances(built.size(), count);
+  Out<double, 3> normals(built.size(), count, 3), velocities(built.size(), count, 3);
   const double rate = step > 0 ? 1 / step : 0.0;
-  for (std::size_t c = 0, row = 0; c < made.size(); ++c) {
-    const collide::Pose pose = made[c].motion.at(share);
+  for (std::size_t c = 0, row = 0; c < built.size(); ++c) {
+    const collide::Pose pose = built[c].motion.at(fraction);
     for (std::size_t i = 0; i < count; ++i, ++row) {
       const Vec point = load(points.data() + 3 * i);
-      const auto found = collide::sample(made[c], pose, point, 0, collide::FAR);
-      distances.get()[row] = found.distance;
-      store(found.normal, normals.get() + 3 * row);
-      store(made[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
+      const auto hit = collide::sample(built[c], pose, point, 0, collide::FAR);
+      distances.get()[row] = hit.distance;
+      store(hit.normal, normals.get() + 3 * row);
+      store(built[c].motion.displacement(point, pose) * rate, velocities.get() + 3 * row);
     }
   }
   return {std::move(distances), std::move(normals), std::move(velocities)};

@@ -51,7 +51,7 @@ constexpr int LOOKS = 64;
 // Halvings of a share of it in which a surface is passed.
 constexpr int HALVINGS = 24;
 // Colliders that are looked at once where they are far off.
-constexpr std::size_t TOLD_APART = 64;
+constexpr std::size_t DISTINGUISHABLE = 64;
 // Rounds of moving out of all colliders.
 constexpr int ROUNDS = 4;
 
@@ -69,24 +69,24 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
                      double reach) {
   const Vec p = pose.to_local(point);
   const double* size = c.size;
-  Sample found{};
+  Sample nearest_hit{};
   switch (c.shape) {
-    case Shape::PLANE: found = sample_plane(load(size), size[3], p); break;
-    case Shape::SPHERE: found = sample_sphere(load(size), size[3], p); break;
+    case Shape::PLANE: nearest_hit = sample_plane(load(size), size[3], p); break;
+    case Shape::SPHERE: nearest_hit = sample_sphere(load(size), size[3], p); break;
     case Shape::CAPSULE:
-      found = sample_capsule(load(size), load(size + 3), size[6], p);
+      nearest_hit = sample_capsule(load(size), load(size + 3), size[6], p);
       break;
-    case Shape::BOX: found = sample_box(load(size), p); break;
+    case Shape::BOX: nearest_hit = sample_box(load(size), p); break;
     case Shape::MESH:
       // Of what is out of reach it is not known whether it is inside.
-      found = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + kept(c, radius));
-      if (c.two_sided) found = unsided(found);
+      nearest_hit = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + kept(c, radius));
+      if (c.two_sided) nearest_hit = unsided(nearest_hit);
       break;
   }
-  const Vec out = pose.rotated(found.normal);
+  const Vec out = pose.rotated(nearest_hit.normal);
   const double side = c.container ? -1 : 1;
-  if (c.two_sided) return {found.distance - kept(c, radius), out};
-  return {side * found.distance - c.margin - radius, out * side};
+  if (c.two_sided) return {nearest_hit.distance - kept(c, radius), out};
+  return {side * nearest_hit.distance - c.margin - radius, out * side};
 }
 
 // Likewise of what was at a place of the frame of a collider before: what came through a mesh
@@ -95,9 +95,9 @@ inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec po
                            double radius, double reach) {
   if (!c.two_sided || !crosses_mesh(c.mesh, c.root, from, pose.to_local(point)))
     return sample(c, pose, point, radius, reach);
-  const Sample found = sample(c, pose, point, radius, FAR);
+  const Sample nearest_hit = sample(c, pose, point, radius, FAR);
   const double off = kept(c, radius);
-  return {-(found.distance + off) - off, -found.normal};
+  return {-(nearest_hit.distance + off) - off, -nearest_hit.normal};
 }
 
 // Where a particle goes in what is left of a step. Positions may be those of another method
@@ -127,7 +127,7 @@ class Settling {
     path_ = begun(before, after);
     resting_on_ = -1;
     far_ = 0;
-    for (std::size_t i = 0; i < std::min(count_, TOLD_APART); ++i)
+    for (std::size_t i = 0; i < std::min(count_, DISTINGUISHABLE); ++i)
       if (out_of_reach(colliders_[i])) far_ |= std::uint64_t{1} << i;
     for (int i = 0; i < MOST_CONTACTS; ++i) {
       double time = path_.left;
@@ -142,7 +142,7 @@ class Settling {
   }
 
  private:
-  bool is_far(std::size_t i) const { return i < TOLD_APART && (far_ >> i & 1); }
+  bool is_far(std::size_t i) const { return i < DISTINGUISHABLE && (far_ >> i & 1); }
 
   // Whether the path as it is cannot meet a collider.
   bool out_of_reach(const Collider& c) const {
@@ -153,9 +153,9 @@ class Settling {
   }
 
   bool beyond_box(const Collider& c, const Pose& pose, double reach) const {
-    const double whole = reach + kept(c, radius_);
+    const double full = reach + kept(c, radius_);
     const Vec local = pose.to_local(path_.position);
-    return squared_to_box(local, c.mesh.bounds + 6 * c.root) >= whole * whole;
+    return squared_to_box(local, c.mesh.bounds + 6 * c.root) >= full * full;
   }
 
   Path begun(const Particle& before, const Particle& after) const {
@@ -185,8 +185,8 @@ class Settling {
 
   // Most speed of the particle as the collider sees it [m/s].
   double closing_speed(const Collider& c, const Pose& pose) const {
-    const Vec own = c.motion.travel() * (1 / step_);
-    const Vec first = path_.heading - own;
+    const Vec surface_shift = c.motion.travel() * (1 / step_);
+    const Vec first = path_.heading - surface_shift;
     const Vec last = first + path_.acceleration * path_.left;
     const double straight = std::max(length(first), length(last));
     if (c.motion.angle() == 0) return straight;
@@ -199,13 +199,13 @@ class Settling {
   double hit_time(const Collider& c, double until) const {
     Pose pose = pose_at(c, 0);
     const double speed = closing_speed(c, pose), reach = speed * until + 2 * TOUCH;
-    Sample found = sample(c, pose, path_.position, radius_, reach);
-    if (found.distance > speed * until + TOUCH || found.distance < -INSIDE) return -1;
+    Sample nearest_hit = sample(c, pose, path_.position, radius_, reach);
+    if (nearest_hit.distance > speed * until + TOUCH || nearest_hit.distance < -INSIDE) return -1;
     double s = 0;
-    if (found.distance <= TOUCH) {
+    if (nearest_hit.distance <= TOUCH) {
       const Vec relative = path_.heading - surface_velocity(c, path_.position, pose);
-      const double out = dot(relative, found.normal);
-      const double bend = dot(path_.acceleration, found.normal);
+      const double out = dot(relative, nearest_hit.normal);
+      const double bend = dot(path_.acceleration, nearest_hit.normal);
       if (out < 0 || (out == 0 && bend < 0)) return 0;
       // On its way out: it comes back after the top of its path, if at all; but what has two
       // sides may be met elsewhere.
@@ -214,10 +214,10 @@ class Settling {
     for (int look = 0; s < until; ++look) {
       pose = pose_at(c, s);
       const Vec point = path_.at(s);
-      found = sample(c, pose, point, radius_, reach);
-      if (found.distance <= TOUCH && approaches(c, point, pose, found.normal, s)) return s;
+      nearest_hit = sample(c, pose, point, radius_, reach);
+      if (nearest_hit.distance <= TOUCH && approaches(c, point, pose, nearest_hit.normal, s)) return s;
       const double least = look < LOOKS ? TOUCH / 2 / speed : path_.left / LOOKS;
-      const double safe = found.distance / speed;
+      const double safe = nearest_hit.distance / speed;
       if (c.two_sided && least > safe && goes_through(c, s, std::min(s + least, until)))
         return last_before(c, s, std::min(s + least, until));
       s += std::max(safe, least);
@@ -250,8 +250,8 @@ class Settling {
   bool ends_inside(const Collider& c, double s) const {
     const Pose pose = pose_at(c, s);
     const Vec point = path_.at(s);
-    const Sample found = sample(c, pose, point, radius_, 2 * TOUCH);
-    return found.distance < 0 && approaches(c, point, pose, found.normal, s);
+    const Sample nearest_hit = sample(c, pose, point, radius_, 2 * TOUCH);
+    return nearest_hit.distance < 0 && approaches(c, point, pose, nearest_hit.normal, s);
   }
 
   // Goes on from a contact: bounces, or stays on the surface where it would be back on it
@@ -260,24 +260,24 @@ class Settling {
     const Collider& c = colliders_[index];
     const Pose pose = pose_at(c, s);
     Vec point = path_.at(s);
-    const Sample found = sample(c, pose, point, radius_, FAR);
-    if (found.distance < 0) point = point - found.normal * found.distance;
+    const Sample nearest_hit = sample(c, pose, point, radius_, FAR);
+    if (nearest_hit.distance < 0) point = point - nearest_hit.normal * nearest_hit.distance;
     const Vec surface = surface_velocity(c, point, pose);
     const Vec relative = path_.velocity_at(s) - surface;
-    const double into = dot(relative, found.normal);
-    const double bend = dot(path_.acceleration, found.normal), left = path_.left - s;
+    const double into = dot(relative, nearest_hit.normal);
+    const double bend = dot(path_.acceleration, nearest_hit.normal), left = path_.left - s;
     const double out = into < 0 ? -c.restitution * into : into;
     const bool bounces = !last && out > -bend * left / 2;
     const double pressed = into < 0 ? (bounces ? out - into : -into) : 0.0;
-    const Vec along = slowed(relative - found.normal * into, c.friction * pressed);
-    contact_ = {index, Touch::BOUNCED, found.normal};
+    const Vec along = slowed(relative - nearest_hit.normal * into, c.friction * pressed);
+    contact_ = {index, Touch::BOUNCED, nearest_hit.normal};
     if (bounces) {
-      const Vec velocity = surface + along + found.normal * out;
+      const Vec velocity = surface + along + nearest_hit.normal * out;
       path_ = {point, velocity, velocity, path_.acceleration, path_.clock + s, left};
       resting_on_ = -1;
       return;
     }
-    rest(index, pose, point, along, found.normal, s);
+    rest(index, pose, point, along, nearest_hit.normal, s);
   }
 
   static Vec slowed(Vec velocity, double by) {
@@ -291,13 +291,13 @@ class Settling {
     const double left = path_.left - s, bend = dot(path_.acceleration, normal);
     const Vec pull = path_.acceleration - normal * bend;
     const Vec free = along + pull * left;
-    const double held = c.friction * std::max(-bend, 0.0) * left;
-    const Vec slid = slowed(free, held);
-    const double speed = length(along), rest = held - length(free);
-    const double share = rest > 0 && speed + rest > 0 ? speed / (speed + rest) : 1.0;
+    const double pinned = c.friction * std::max(-bend, 0.0) * left;
+    const Vec slid = slowed(free, pinned);
+    const double speed = length(along), rest = pinned - length(free);
+    const double fraction = rest > 0 && speed + rest > 0 ? speed / (speed + rest) : 1.0;
     const Pose end = pose_at(c, path_.left);
     const Vec carried = end.to_world(pose.to_local(point));
-    const Vec goal = carried + (along + slid) * (left * share / 2);
+    const Vec goal = carried + (along + slid) * (left * fraction / 2);
     const Vec velocity = surface_velocity(c, carried, end) + slid;
     const Vec heading = left > 0 ? (goal - point) * (1 / left) : Vec{};
     path_ = {point, heading, velocity, {}, path_.clock + s, left};
@@ -322,26 +322,26 @@ class Settling {
   bool move_out_of(std::size_t i, const Particle& before, Particle& after) {
     const Collider& c = colliders_[i];
     const Pose end = c.motion.at(1);
-    const Sample found =
-        sample_since(c, seen(i), end, after.position, radius_, reach_inside(c));
-    if (found.distance >= -TOUCH) return false;
+    const Sample nearest_hit =
+        sample_since(c, view(i), end, after.position, radius_, reach_inside(c));
+    if (nearest_hit.distance >= -TOUCH) return false;
     const Sample start = sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
     const double goal = start.distance < -INSIDE
                             ? std::min(start.distance + c.depenetration * (step_ - begin_), 0.0)
                             : 0.0;
     const bool out = goal >= 0;
     contact_ = {static_cast<std::int64_t>(i), out ? Touch::RESTS : Touch::UNRESOLVED,
-                found.normal};
+                nearest_hit.normal};
     const double into =
-        dot(after.velocity - surface_velocity(c, after.position, end), found.normal);
-    if (into < 0) after.velocity = after.velocity - found.normal * into;
-    if (goal <= found.distance) return false;
-    after.position = after.position + found.normal * (goal - found.distance);
+        dot(after.velocity - surface_velocity(c, after.position, end), nearest_hit.normal);
+    if (into < 0) after.velocity = after.velocity - nearest_hit.normal * into;
+    if (goal <= nearest_hit.distance) return false;
+    after.position = after.position + nearest_hit.normal * (goal - nearest_hit.distance);
     return out;
   }
 
   // Where in the frame of a collider the particle was last, as far as its path was looked at.
-  Vec seen(std::size_t i) const {
+  Vec view(std::size_t i) const {
     const bool slid = static_cast<std::int64_t>(i) == resting_on_;
     return local_at(colliders_[i], slid ? 0 : path_.left);
   }
@@ -354,18 +354,18 @@ class Settling {
   // A particle that colliders hold from several sides goes with them.
   void give_up(Particle& after) {
     Vec sum;
-    int held = 0;
+    int pinned = 0;
     for (std::size_t i = 0; i < count_; ++i) {
       const Collider& c = colliders_[i];
       const Pose end = c.motion.at(1);
       if (sample(c, end, after.position, radius_, reach_inside(c)).distance < INSIDE) {
         sum = sum + surface_velocity(c, after.position, end);
-        ++held;
+        ++pinned;
       }
       if (sample(c, end, after.position, radius_, reach_inside(c)).distance < -INSIDE)
         contact_.touch = Touch::UNRESOLVED;
     }
-    if (contact_.touch == Touch::UNRESOLVED && held > 0) after.velocity = sum * (1.0 / held);
+    if (contact_.touch == Touch::UNRESOLVED && pinned > 0) after.velocity = sum * (1.0 / pinned);
   }
 
   const Collider* colliders_;

@@ -161,19 +161,19 @@ MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
     : points_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
   check_triangles(points, triangles);
   const auto count = static_cast<std::int32_t>(triangles.shape(0));
-  Tree made(points.data(), triangles.data(), count);
+  Tree built(points.data(), triangles.data(), count);
   for (std::int32_t k = 0; k < count; ++k)
-    std::copy_n(triangles.data() + 3 * made.order()[k], 3, triangles_.data() + 3 * k);
-  nodes_ = std::move(made.nodes);
+    std::copy_n(triangles.data() + 3 * built.order()[k], 3, triangles_.data() + 3 * k);
+  nodes_ = std::move(built.nodes);
   sides_ = sides_of(triangles_.data(), count, points_);
 }
 
-collide::Mesh MeshSurface::mesh(const double* points, const double* ways,
+collide::Mesh MeshSurface::mesh(const double* points, const double* shifts,
                                 const double* bounds) const {
-  collide::Mesh made{points, triangles_.data(), nullptr, nullptr, bounds, nodes_.data()};
-  made.ways = ways;
-  made.sides = &sides_;
-  return made;
+  collide::Mesh built{points, triangles_.data(), nullptr, nullptr, bounds, nodes_.data()};
+  built.shifts = shifts;
+  built.sides = &sides_;
+  return built;
 }
 
 void MeshSurface::fit(const double* begin, const double* end,
@@ -191,9 +191,9 @@ void MeshSurface::fit(const double* begin, const double* end,
     }
     for (int k = 0; k < 3; ++k) box[k] = HUGE_VAL, box[3 + k] = -HUGE_VAL;
     for (std::int32_t c = 3 * (-1 - left); c < 3 * (-1 - left + right); ++c)
-      for (const double* places : {begin, end})
+      for (const double* locations : {begin, end})
         for (int k = 0; k < 3; ++k) {
-          const double at = places[3 * triangles_[c] + k];
+          const double at = locations[3 * triangles_[c] + k];
           box[k] = std::min(box[k], at);
           box[3 + k] = std::max(box[3 + k], at);
         }
@@ -208,9 +208,9 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
   Out<double, 3> edge_normals(count, 3, 3);
   const std::int32_t rows = static_cast<std::int32_t>(count);
   const auto tree = [&] {
-    Tree made(points.data(), triangles.data(), rows);
+    Tree built(points.data(), triangles.data(), rows);
     for (std::int32_t k = 0; k < rows; ++k)
-      std::copy_n(triangles.data() + 3 * made.order()[k], 3, sorted.get() + 3 * k);
+      std::copy_n(triangles.data() + 3 * built.order()[k], 3, sorted.get() + 3 * k);
     const MeshSides sides = sides_of(sorted.get(), rows, point_count);
     const collide::Mesh mesh{points.data(), sorted.get(), nullptr, nullptr, nullptr, nullptr};
     for (std::size_t p = 0; p < point_count; ++p)
@@ -219,7 +219,7 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
     for (std::int32_t t = 0; t < rows; ++t)
       for (int side = 0; side < 3; ++side)
         store(edge_normal(mesh, sides, t, side), edge_normals.get() + 9 * t + 3 * side);
-    return made;
+    return built;
   }();
   Out<double, 2> bounds(tree.bounds.size() / 6, 6);
   Out<std::int32_t, 2> nodes(tree.nodes.size() / 2, 2);

@@ -34,13 +34,13 @@ struct Mesh {
   const std::int32_t* nodes;
   // Of one that changes shape: how far its points go, the share of that which they have
   // gone, and what tells its normals as it is then.
-  const double* ways = nullptr;
-  double share = 0;
+  const double* shifts = nullptr;
+  double fraction = 0;
   const MeshSides* sides = nullptr;
 
   Vec point(std::int32_t p) const {
     const Vec at = load(points + 3 * p);
-    return ways ? at + load(ways + 3 * p) * share : at;
+    return shifts ? at + load(shifts + 3 * p) * fraction : at;
   }
 };
 
@@ -83,16 +83,16 @@ inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
 }
 
 inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
-  const Shares found = shares_of_triangle(p, a, b, c);
-  feature = found.feature;
+  const Shares hit = shares_of_triangle(p, a, b, c);
+  feature = hit.feature;
   switch (feature) {
     case 0: return a;
     case 1: return b;
     case 2: return c;
-    case 3: return a + (b - a) * found.b;
-    case 4: return b + (c - b) * found.c;
-    case 5: return a + (c - a) * found.c;
-    default: return a + (b - a) * found.b + (c - a) * found.c;
+    case 3: return a + (b - a) * hit.b;
+    case 4: return b + (c - b) * hit.c;
+    case 5: return a + (c - a) * hit.c;
+    default: return a + (b - a) * hit.b + (c - a) * hit.c;
   }
 }
 
@@ -105,12 +105,12 @@ inline double squared_to_box(Vec p, const double* box) {
 
 inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec p) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  Nearest found;
-  found.triangle = triangle;
-  found.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
-                                    mesh.point(corner[2]), found.feature);
-  found.squared = dot(p - found.point, p - found.point);
-  return found;
+  Nearest hit;
+  hit.triangle = triangle;
+  hit.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
+                                    mesh.point(corner[2]), hit.feature);
+  hit.squared = dot(p - hit.point, p - hit.point);
+  return hit;
 }
 
 // Of two as near the first triangle, so that the order of looking makes no difference.
@@ -131,8 +131,8 @@ void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squa
   int depth = 0;
   stack[depth++] = {root, squared(root)};
   while (depth > 0) {
-    const auto [node, apart] = stack[--depth];
-    if (apart > limit) continue;
+    const auto [node, gap] = stack[--depth];
+    if (gap > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
       for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
@@ -157,8 +157,8 @@ inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, doubl
   Nearest best;
   best.squared = limit;
   visit_triangles(mesh, root, p, limit, [&](std::int32_t t) {
-    const Nearest found = nearest_of_triangle(mesh, t, p);
-    if (nearer(found, best)) best = found;
+    const Nearest hit = nearest_of_triangle(mesh, t, p);
+    if (nearer(hit, best)) best = hit;
     return best.squared;
   });
   return best;
@@ -230,14 +230,14 @@ inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double rea
 }
 
 // Distance and way out of whichever side a point is on.
-inline Sample unsided(const Sample& found) {
-  return found.distance < 0 ? Sample{-found.distance, -found.normal} : found;
+inline Sample unsided(const Sample& hit) {
+  return hit.distance < 0 ? Sample{-hit.distance, -hit.normal} : hit;
 }
 
 // Which side of an edge of a triangle a way is on; of a way through an edge of two triangles
 // one of them has it, whatever rounding does.
-inline bool passes_left(Vec a, Vec b, Vec way, bool ascends) {
-  const double side = dot(cross(a, b), way);
+inline bool passes_left(Vec a, Vec b, Vec shift, bool ascends) {
+  const double side = dot(cross(a, b), shift);
   return side > 0 || (side == 0 && ascends);
 }
 
@@ -245,13 +245,13 @@ inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, 
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
   Vec at[3];
   for (int k = 0; k < 3; ++k) at[k] = mesh.point(corner[k]) - from;
-  const Vec way = to - from, normal = cross(at[1] - at[0], at[2] - at[0]);
-  const double begin = dot(at[0], normal), end = begin - dot(way, normal);
+  const Vec shift = to - from, normal = cross(at[1] - at[0], at[2] - at[0]);
+  const double begin = dot(at[0], normal), end = begin - dot(shift, normal);
   if ((begin > 0) == (end > 0)) return false;
   bool left[3];
   for (int k = 0; k < 3; ++k) {
     const int next = (k + 1) % 3;
-    left[k] = passes_left(at[k], at[next], way, corner[k] < corner[next]);
+    left[k] = passes_left(at[k], at[next], shift, corner[k] < corner[next]);
   }
   return left[0] == left[1] && left[1] == left[2];
 }
@@ -280,10 +280,10 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, C
 inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
   const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
   const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
-  bool odd = false;
+  bool inside = false;
   visit_overlapping(mesh, root, low, high,
-                    [&](std::int32_t t) { odd ^= crosses_triangle(mesh, t, from, to); });
-  return odd;
+                    [&](std::int32_t t) { inside ^= crosses_triangle(mesh, t, from, to); });
+  return inside;
 }
 
 }  // namespace animtool::collide

@@ -17,7 +17,7 @@ class MeshSurface {
 
   std::size_t points() const { return points_; }
   // As its points go by these ways, with boxes that `fit` made.
-  collide::Mesh mesh(const double* points, const double* ways, const double* bounds) const;
+  collide::Mesh mesh(const double* points, const double* shifts, const double* bounds) const;
   // Boxes that hold it on the whole way from one place to another.
   void fit(const double* begin, const double* end, std::vector<double>& bounds) const;
 

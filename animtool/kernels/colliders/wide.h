@@ -17,7 +17,7 @@ struct Rod {
   Axis begin, end;
   double radius;  // with the distances that are kept
   // How it moves over the step: points p of it by travel + turn × (p - origin).
-  double travel[3], turn[3], origin[3];
+  double travel[3], rotation[3], origin[3];
   double friction;
   // How far what begins too deep comes out.
   double rise;
@@ -47,8 +47,8 @@ template <class N>
 WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>& p) {
   using V = Vector3<N>;
   const V off = p - V::spread(axis.from), along = V::spread(axis.along);
-  const N share = least(most(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
-  const V away = off - along * share;
+  const N fraction = least(most(dot(off, along) * axis.inverse, N(0.0)), N(1.0));
+  const V away = off - along * fraction;
   const N square = dot(away, away), length = root(square);
   const V normal = away * inverse(length);
   return {length - radius, chosen(below(N(0.0), length), normal, V::spread(axis.outward))};
@@ -59,25 +59,25 @@ WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>&
 // no speed: of those that began too deep, where they stood still goes along. Returns which are
 // moved.
 template <class N>
-unsigned push_out(const Rod& rod, const WideSample<N>& found, const N& begun, const N& depth,
-                  const Vector3<N>& from, Vector3<N>& to, Vector3<N>& still) {
+unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, const N& depth,
+                  const Vector3<N>& from, Vector3<N>& to, Vector3<N>& unmoved) {
   using V = Vector3<N>;
   const N slow = least(begun + rod.rise, depth);
   const auto deep = below(begun, depth - INSIDE);
   const N goal = chosen(deep, slow, depth);
-  const N out = goal - found.distance;
+  const N out = goal - hit.distance;
   const N pushed = below(N(TOUCH), out);
   const V carried =
-      V::spread(rod.travel) + cross(V::spread(rod.turn), to - V::spread(rod.origin));
-  const V place = to + found.normal * out, way = place - from - carried;
-  const V slip = way - found.normal * dot(way, found.normal);
-  const N most = root(dot(slip, slip)), held = out * rod.friction;
+      V::spread(rod.travel) + cross(V::spread(rod.rotation), to - V::spread(rod.origin));
+  const V location = to + hit.normal * out, shift = location - from - carried;
+  const V slip = shift - hit.normal * dot(shift, hit.normal);
+  const N most = root(dot(slip, slip)), pinned = out * rod.friction;
   // What friction holds does not slip at all.
-  const N share = chosen(below(held, most), held * inverse(most), N(1.0));
-  to = chosen(pushed, place - slip * share, to);
-  const N gained = dot(to - still - carried, found.normal);
-  const V beside = chosen(below(N(0.0), gained), still + found.normal * gained, still);
-  still = chosen(pushed, chosen(deep, beside, still), still);
+  const N fraction = chosen(below(pinned, most), pinned * inverse(most), N(1.0));
+  to = chosen(pushed, location - slip * fraction, to);
+  const N gained = dot(to - unmoved - carried, hit.normal);
+  const V relative = chosen(below(N(0.0), gained), unmoved + hit.normal * gained, unmoved);
+  unmoved = chosen(pushed, chosen(deep, relative, unmoved), unmoved);
   return bits(pushed);
 }
 

@@ -1,5 +1,5 @@
-// Springs that lead from each of many particles to the one that lies as many places on: those
-// of ropes, sheets and volumes, whose particles are numbered row by row.
+// Springs with a constant index offset between their ends, as in ropes, sheets and volumes
+// whose particles are numbered row by row.
 #pragma once
 
 #include <cstddef>
@@ -9,15 +9,15 @@
 
 namespace animtool {
 
-// Particles that are gone through together, whole fours, and which springs begin there.
+// Particles processed together, in multiples of four, and the springs that start there.
 struct BandPiece {
   std::size_t begin, end;
   std::size_t first, count;  // their offsets
   std::size_t number;        // where their numbers begin
 };
 
-// Springs in bands of one offset, between their ends. Where a particle has no such spring, one
-// that pulls nothing stands for it.
+// Springs in bands of one index offset. A particle without such a spring gets one without
+// force.
 struct BandPieces {
   const BandPiece* pieces;
   std::size_t count;
@@ -27,21 +27,21 @@ struct BandPieces {
   const double* numbers;
 };
 
-// Places, velocities and forces of particles as columns of x, y and z, one below the other.
+// Positions, velocities and forces of particles as columns of x, y and z, one below the other.
 struct BandPlanes {
   std::size_t height;
   double *x, *v, *f;
   double* kept;  // forces of a piece's springs, (offsets, 3, KEPT)
 };
 
-// What moves particles besides springs, and for how long.
+// Forces other than springs, and the step length.
 struct PlaneSteps {
   const double *inverse_masses, *drags;  // columns as high as planes
   double fall[3];
   double h;
 };
 
-// A whole number of fours, and one more: what stands for springs may reach beyond the end.
+// Rounded up to fours, and one more: padding springs may reach beyond the end.
 constexpr std::size_t plane_height(std::size_t particles) {
   return (particles + WIDE - 1) / WIDE * WIDE + WIDE;
 }
@@ -49,9 +49,9 @@ constexpr std::size_t plane_height(std::size_t particles) {
 // Most particles of a piece, so that its forces stay near.
 constexpr std::size_t BAND_PIECE = 16 * WIDE;
 // Offsets no farther from each other than this are taken together, so many at most.
-constexpr std::size_t ALIKE = WIDE, TOGETHER = 3;
+constexpr std::size_t GROUPED = WIDE, TOGETHER = 3;
 // Zeros before and after the forces that are kept, for those of other offsets.
-constexpr std::size_t EDGE = ALIKE + WIDE, KEPT = BAND_PIECE + 2 * EDGE;
+constexpr std::size_t EDGE = GROUPED + WIDE, KEPT = BAND_PIECE + 2 * EDGE;
 
 template <class On>
 void rows_to_planes(const double* rows, std::size_t count, std::size_t height, double* planes) {
@@ -104,7 +104,7 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
 
 // Add what was kept of some offsets to forces where their springs end.
 template <class On, std::size_t... B>
-void pull_alike(std::index_sequence<B...>, const std::size_t* offsets, const double* kept,
+void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const double* kept,
                 std::size_t begin, std::size_t end, double* forces) {
   const std::size_t last = offsets[sizeof...(B) - 1];
   const std::size_t back[] = {begin + offsets[B]...};
@@ -125,10 +125,10 @@ void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlan
   const std::size_t* offsets = springs.offsets + piece.first;
   for (std::size_t b = 0, count; b < piece.count; b += count) {
     for (count = 1; count < TOGETHER && b + count < piece.count; ++count)
-      if (offsets[b + count] > offsets[b] + ALIKE) break;
+      if (offsets[b + count] > offsets[b] + GROUPED) break;
     for (std::size_t k = 0; k < 3; ++k) {
-      const auto add = [&](auto alike) {
-        pull_alike<On>(alike, offsets + b, planes.kept + (3 * b + k) * KEPT, piece.begin,
+      const auto add = [&](auto grouped) {
+        pull_grouped<On>(grouped, offsets + b, planes.kept + (3 * b + k) * KEPT, piece.begin,
                       piece.end, planes.f + k * planes.height);
       };
       if (count == 1) add(std::make_index_sequence<1>());

@@ -1,5 +1,5 @@
-// Four strands side by side over a frame, in small steps: springs that give are gone through
-// one after the other, and those along the strand, which do not, are solved together.
+// Four strands side by side over a frame, in small steps: compliant springs are projected one
+// after the other, stiff springs along the strand are solved by a tridiagonal system.
 //
 // T.-H. Han, T. Harada, Tridiagonal Matrix Formulation for Inextensible Hair Strand
 // Simulation, 2013; M. Macklin et al., Small Steps in Physics Simulation, 2019.
@@ -22,23 +22,25 @@ struct OtherColliders {
   bool (*sweep)(const void* all, std::size_t row, const double* from, double* to);
 };
 
-// A frame as all strands cross it.
+// Constants of a frame, shared by all strands.
 struct StrandSteps {
   std::size_t points, cells, substeps;
   double h;
   double fall[3];  // what gravity adds to velocities in a step
   double slowed;   // what drag leaves of them
-  // What springs give way by: of folds, and of those at the root; of the draw to the
-  // animation, by place and by change; of those along the strand, that softens them.
+  // Compliances: of folds, and at the root; of the pull to the animation, by position and
+  // by velocity; of springs along the strand.
   double fold, root_fold, draw, draw_change, soft;
   double longest;  // that springs along the strand may be, over their length at rest
   std::size_t colliders;
   const collide::Rod* rods;   // (steps, C)
-  const unsigned char* is_rod;  // (C,)
+  // Which are rods, and of which it is known how far their surfaces move (C,).
+  const unsigned char *is_rod, *is_bounded;
+  std::size_t depth_rows;  // the first colliders, which have allowed depths
   const double* thicknesses;  // (C,)
   // How all go on in each step, (steps, 3), and how far the surfaces of rods go beside that
   // from each step on, to the end of the frame, (steps + 1, C).
-  const double *drifts, *ahead;
+  const double *drifts, *remaining;
   OtherColliders others;
   double tolerance;
 };
@@ -46,7 +48,7 @@ struct StrandSteps {
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
-  double* still;  // where those that are moved out slowly would have stood still from
+  double* unmoved;  // where those that are moved out slowly would have stood still from
   const double* goals;  // (cells + 1, P, 3, 4)
   const double *rests, *folds;
   // How deep particles may be: of each strand in the first collider, the next so much on.
@@ -57,20 +59,20 @@ struct StrandBundle {
   double *along, *matrix;
   // How far each particle went beside the drift (P,), at which way it may meet any collider
   // (P,), and each (P, C); those that are near (C,).
-  double *way, *due, *dues;
+  double *shift, *due, *dues;
   std::size_t* near;
-  // What came of it: particles moved by colliders in each step, added; left inside; the
-  // largest stretch.
+  // Results: particles moved by colliders in each step, summed; left inside; the largest
+  // strain.
   std::int64_t* touched;
   std::int64_t inside;
   double stretch;
 };
 
-// Corrections of lengths in a step, the first of all strands.
+// Length corrections in a step; the first is for all strands.
 constexpr int CORRECTIONS = 4;
-// Corrections of what colliders made too long, each with colliders behind it.
+// Length corrections after collisions, each followed by collisions.
 constexpr int YIELDS = 5;
-// Rounds of moving out of all colliders.
+// Rounds of resolving all colliders.
 constexpr int ROUNDS_OUT = 3;
 // Colliders that are farther off than this at the begin of a frame [m] are hardly met in it.
 constexpr double NEAR = 0.1;
@@ -102,7 +104,7 @@ class BundleCrossing {
         }
         keep_out(cell * plan_.substeps + j);
         for (std::size_t p = 0; p < plan_.points; ++p)
-          ((at(b_.x, p) - at(b_.still, p)) * rate).store(b_.v + WIDE_VECTOR * p);
+          ((at(b_.x, p) - at(b_.unmoved, p)) * rate).store(b_.v + WIDE_VECTOR * p);
       }
     b_.inside = left_inside();
     b_.stretch = longest();
@@ -112,19 +114,19 @@ class BundleCrossing {
   static V at(const double* rows, std::size_t p) { return V::of(rows + WIDE_VECTOR * p); }
 
   // Where the animation has a particle at a share of the cell; at its ends to the bit.
-  V goal(std::size_t p, double share) const {
-    return at(first_, p) * (1 - share) + at(first_ + WIDE_VECTOR * plan_.points, p) * share;
+  V goal(std::size_t p, double fraction) const {
+    return at(first_, p) * (1 - fraction) + at(first_ + WIDE_VECTOR * plan_.points, p) * fraction;
   }
 
   void predict() {
     const V fall = V::spread(plan_.fall);
     at(b_.x, 0).store(b_.before);
-    at(b_.x, 0).store(b_.still);
+    at(b_.x, 0).store(b_.unmoved);
     goal(0, is_).store(b_.x);
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V x = at(b_.x, p);
       x.store(b_.before + WIDE_VECTOR * p);
-      x.store(b_.still + WIDE_VECTOR * p);
+      x.store(b_.unmoved + WIDE_VECTOR * p);
       const V v = (at(b_.v, p) + fall) * plan_.slowed;
       (x + v * plan_.h).store(b_.x + WIDE_VECTOR * p);
     }
@@ -155,13 +157,13 @@ class BundleCrossing {
 
   // Which strands have a spring that is longer than it may be: those that turn far in a step.
   N too_long() const {
-    N found = below(N(0.0), N(0.0));
+    N hit = below(N(0.0), N(0.0));
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N most = N::of(b_.rests + WIDE * (p - 1)) * plan_.longest;
-      found = either(found, below(most * most, dot(d, d)));
+      hit = either(hit, below(most * most, dot(d, d)));
     }
-    return found;
+    return hit;
   }
 
   // One correction of Newton's for all lengths along some of the strands: each spring's pull
@@ -170,20 +172,20 @@ class BundleCrossing {
   template <bool Noted>
   void correct(const N& some) {
     V before{0.0, 0.0, 0.0};
-    N share(0.0), sum(0.0);
+    N fraction(0.0), sum(0.0);
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N size = length(d);
       const V along = d * inverse(size);
       // Between springs that share a particle; the root gives way to none.
       const N shared = dot(before, along);
-      const N whole = N((p == 1 ? 1 : 2) + plan_.soft) - shared * shared * share;
-      sum = size - N::of(b_.rests + WIDE * (p - 1)) + shared * share * sum;
-      share = N(1.0) / whole;
+      const N full = N((p == 1 ? 1 : 2) + plan_.soft) - shared * shared * fraction;
+      sum = size - N::of(b_.rests + WIDE * (p - 1)) + shared * fraction * sum;
+      fraction = N(1.0) / full;
       along.store(b_.along + WIDE_VECTOR * p);
       double* row = b_.matrix + WIDE_VECTOR * p;
       shared.store(row);
-      share.store(row + WIDE);
+      fraction.store(row + WIDE);
       sum.store(row + 2 * WIDE);
       before = along;
     }
@@ -196,7 +198,7 @@ class BundleCrossing {
       const V back = at(b_.along, p) * pull;
       const V x = at(b_.x, p), move = chosen(some, behind - back, V{0.0, 0.0, 0.0});
       (x + move).store(b_.x + WIDE_VECTOR * p);
-      if constexpr (Noted) b_.way[p] += largest(length(move));
+      if constexpr (Noted) b_.shift[p] += largest(length(move));
       behind = back;
     }
   }
@@ -242,7 +244,7 @@ class BundleCrossing {
       if (plan_.is_rod[c]) {
         const collide::Rod& rod = plan_.rods[c];
         const N away = sample_rod(rod.begin, rod.radius, centre).distance - radius;
-        (most(away, N(0.0)) - plan_.ahead[c]).store(off);
+        (most(away, N(0.0)) - plan_.remaining[c]).store(off);
       }
       double nearest = NEVER;
       for (std::size_t g = 0; g < WIDE; ++g)
@@ -256,7 +258,7 @@ class BundleCrossing {
         b_.dues[p * plan_.colliders + c] = off[part(p)];
     }
     for (std::size_t p = 0; p < plan_.points; ++p) {
-      b_.way[p] = 0;
+      b_.shift[p] = 0;
       b_.due[p] = next_due(p);
     }
   }
@@ -277,7 +279,7 @@ class BundleCrossing {
     if (plan_.colliders == 0) return;
     const V drift = V::spread(plan_.drifts + 3 * step);
     for (std::size_t p = 1; p < plan_.points; ++p)
-      b_.way[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
+      b_.shift[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
     unsigned touched = 0;
     allow(ALL);
     unsigned moved = meet(step, touched);
@@ -299,12 +301,12 @@ class BundleCrossing {
     allowed_bits_ = some;
   }
 
-  // Brings particles out of colliders; returns in which strands there were any.
+  // Moves particles out of colliders; returns in which strands.
   unsigned meet(std::size_t step, unsigned& touched) {
     unsigned lanes = 0;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      if (b_.way[p] < b_.due[p]) continue;
-      if (b_.way[p] >= far_) look_at_all();
+      if (b_.shift[p] < b_.due[p]) continue;
+      if (b_.shift[p] >= far_) look_at_all();
       const double went = largest(length(at(b_.x, p) - at(b_.before, p)));
       const unsigned moved = settle(step, p, went);
       touched += count(moved);
@@ -326,74 +328,74 @@ class BundleCrossing {
   }
 
   unsigned count(unsigned bits) const {
-    unsigned found = 0;
-    for (bits &= b_.counted; bits; bits &= bits - 1) ++found;
-    return found;
+    unsigned hit = 0;
+    for (bits &= b_.counted; bits; bits &= bits - 1) ++hit;
+    return hit;
   }
 
   // Brings four particles out of what they may be in; returns which were moved.
   unsigned settle(std::size_t step, std::size_t p, double went) {
-    double &way = b_.way[p], *dues = b_.dues + p * plan_.colliders;
+    double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
     const V from = at(b_.before, p);
-    V to = at(b_.x, p), still = at(b_.still, p);
+    V to = at(b_.x, p), unmoved = at(b_.unmoved, p);
     unsigned moved = sweep(step, p, went, from, to);
     for (int round = 0; round < ROUNDS_OUT; ++round) {
       unsigned pushed = 0;
       std::size_t looked = 0, only = 0;
       for (std::size_t k = 0; k < near_; ++k) {
         const std::size_t c = b_.near[k];
-        if (dues[c] > way) continue;
+        if (dues[c] > shift) continue;
         ++looked;
         only = c;
-        pushed |= push(step, p, c, from, to, still);
+        pushed |= push(step, p, c, from, to, unmoved);
       }
       // What is pushed may come near what was far.
-      if (way >= far_) look_at_all();
+      if (shift >= far_) look_at_all();
       moved |= pushed;
-      if (!pushed || (looked == 1 && !any_due(dues, way, only))) break;
+      if (!pushed || (looked == 1 && !any_due(dues, shift, only))) break;
     }
     b_.due[p] = next_due(p);
     to.store(b_.x + WIDE_VECTOR * p);
-    still.store(b_.still + WIDE_VECTOR * p);
+    unmoved.store(b_.unmoved + WIDE_VECTOR * p);
     return moved;
   }
 
-  bool any_due(const double* dues, double way, std::size_t but) const {
+  bool any_due(const double* dues, double shift, std::size_t but) const {
     for (std::size_t k = 0; k < near_; ++k)
-      if (b_.near[k] != but && dues[b_.near[k]] <= way) return true;
+      if (b_.near[k] != but && dues[b_.near[k]] <= shift) return true;
     return false;
   }
 
   unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to,
-                V& still) {
+                V& unmoved) {
     const std::size_t row = step * plan_.colliders + c;
     const collide::Rod& rod = plan_.rods[row];
-    double &way = b_.way[p], &due = b_.dues[p * plan_.colliders + c];
-    const auto found = sample(row, c, true, to);
-    const double ahead = plan_.ahead[row + plan_.colliders];
-    const double nearest = smallest(found.distance);
-    due = plan_.is_rod[c] && nearest > ahead ? way + (nearest - ahead) : way;
+    double &shift = b_.shift[p], &due = b_.dues[p * plan_.colliders + c];
+    const auto hit = sample(row, c, true, to);
+    const double remaining = plan_.remaining[row + plan_.colliders];
+    const double nearest = smallest(hit.distance);
+    due = plan_.is_bounded[c] && nearest > remaining ? shift + (nearest - remaining) : shift;
     if (!(nearest < -collide::TOUCH)) return 0;
     const N depth = depths(p, c);
-    if (!(smallest(found.distance - depth) < -collide::TOUCH)) return 0;
+    if (!(smallest(hit.distance - depth) < -collide::TOUCH)) return 0;
     const N begun = sample(row, c, false, from).distance;
-    V place = to, stood = still;
+    V location = to, stood = unmoved;
     const unsigned pushed =
-        allowed_bits_ & collide::push_out(rod, found, begun, depth, from, place, stood);
+        allowed_bits_ & collide::push_out(rod, hit, begun, depth, from, location, stood);
     if (!pushed) return 0;
-    place = chosen(allowed_, place, to);
-    still = chosen(allowed_, stood, still);
-    way += largest(length(place - to));
-    due = way;
-    to = place;
+    location = chosen(allowed_, location, to);
+    unmoved = chosen(allowed_, stood, unmoved);
+    shift += largest(length(location - to));
+    due = shift;
+    to = location;
     return pushed;
   }
 
   N depths(std::size_t p, std::size_t c) const {
-    if (!b_.depths[0]) return N(0.0);
-    double found[WIDE];
-    for (std::size_t l = 0; l < WIDE; ++l) found[l] = b_.depths[l][c * b_.next_depths + p];
-    return N::of(found);
+    if (!b_.depths[0] || c >= plan_.depth_rows) return N(0.0);
+    double hit[WIDE];
+    for (std::size_t l = 0; l < WIDE; ++l) hit[l] = b_.depths[l][c * b_.next_depths + p];
+    return N::of(hit);
   }
 
   collide::WideSample<N> sample(std::size_t row, std::size_t c, bool end, const V& at) const {
@@ -412,13 +414,13 @@ class BundleCrossing {
     return {N::of(columns[0]), {N::of(columns[1]), N::of(columns[2]), N::of(columns[3])}};
   }
 
-  // Stops what goes farther than colliders are thick.
+  // Stops particles that move farther than the thickness of colliders (continuous collision).
   unsigned sweep(std::size_t step, std::size_t p, double went, const V& from, V& to) {
-    double &way = b_.way[p], *dues = b_.dues + p * plan_.colliders;
+    double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
     unsigned stopped = 0;
     for (std::size_t k = 0; k < near_; ++k) {
       const std::size_t c = b_.near[k];
-      if (dues[c] > way || went <= plan_.thicknesses[c]) continue;
+      if (dues[c] > shift || went <= plan_.thicknesses[c]) continue;
       double begins[WIDE_VECTOR], ends[WIDE_VECTOR];
       from.store(begins);
       to.store(ends);
@@ -431,9 +433,9 @@ class BundleCrossing {
         for (std::size_t k = 0; k < 3; ++k) ends[k * WIDE + l] = end[k];
         stopped |= 1u << l;
       }
-      const V place = V::of(ends);
-      way += largest(length(place - to));
-      to = place;
+      const V location = V::of(ends);
+      shift += largest(length(location - to));
+      to = location;
     }
     return stopped;
   }
@@ -445,7 +447,7 @@ class BundleCrossing {
       unsigned deep = 0;
       for (std::size_t k = 0; k < near_; ++k) {
         const std::size_t c = b_.near[k];
-        if (b_.dues[p * plan_.colliders + c] > b_.way[p]) continue;
+        if (b_.dues[p * plan_.colliders + c] > b_.shift[p]) continue;
         const std::size_t row = (steps - 1) * plan_.colliders + c;
         const N off = sample(row, c, true, at(b_.x, p)).distance - depths(p, c);
         deep |= bits(below(off, N(-plan_.tolerance)));

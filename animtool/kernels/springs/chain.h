@@ -1,5 +1,5 @@
-// Equations of particles whose springs lead to the next ones in number, such as those of
-// ropes and strands: symmetric positive 3 by 3 blocks in a narrow band, solved directly.
+// Banded direct solver for chains, such as ropes and strands: symmetric positive 3 by 3
+// blocks in a narrow band.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace animtool {
 
-// Numbers that the ends of springs may lie apart: of ropes two where they resist bending.
+// Largest index distance of spring ends: two for ropes that resist bending.
 constexpr std::size_t WIDEST_CHAIN = 4;
 
 // L D Lᵀ of a band, row by row: `width_` entries left of the diagonal, then the diagonal.

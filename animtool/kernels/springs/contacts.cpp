@@ -20,13 +20,13 @@ using collide::Vec;
 using collide::load;
 using collide::store;
 
-// Steps of weight whose speed into a surface is taken for resting on it.
+// Impact speed, in steps of gravity, below which a contact is resting.
 constexpr double RESTING = 2;
-// Rounds of moving out of all colliders.
+// Rounds of resolving all colliders.
 constexpr int TRIES = 3;
 // Impulse, moment, mass.
 constexpr std::size_t PUSH = 7;
-// Of what particles keep, how much nearer middles of edges come: those cut corners.
+// Factor of the kept distance for edge middles, which cut corners.
 constexpr double MIDDLES_NEARER = 0.25;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
@@ -68,13 +68,18 @@ Rod::Axis axis_between(Vec a, Vec b) {
 Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
                double radius) {
   if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
-  const auto found = collide::sample_rod(axis, c.rod.radius, point);
-  return {found.distance, found.normal};
+  const auto hit = collide::sample_rod(axis, c.rod.radius, point);
+  return {hit.distance, hit.normal};
 }
 
 }  // namespace
 
 Sample StepCollider::before(Vec point, double radius) const {
+  if (surface >= 0) {
+    Collider begun_mesh = collider;
+    begun_mesh.mesh.fraction = begun;
+    return sample(begun_mesh, begin, point, radius, collide::FAR);
+  }
   return sampled(*this, rod.begin, begin, point, radius);
 }
 
@@ -83,9 +88,9 @@ Sample StepCollider::after(Vec point, double radius) const {
 }
 
 double StepCollider::travel(Vec drift) const {
-  if (surface >= 0) return way + length(drift);
+  if (surface >= 0) return shift + length(drift);
   if (!is_rod) return length(collider.motion.travel() - drift);
-  // The axis goes no farther than its ends.
+  // Clamp to the ends of the axis.
   const Vec first = load(rod.end.from) - load(rod.begin.from) - drift;
   const Vec last = first + (load(rod.end.along) - load(rod.begin.along));
   return std::max(length(first), length(last));
@@ -96,13 +101,15 @@ double StepCollider::thickness(double radius) const {
 }
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
-  if (!(length(to - from) > thickness(radius))) return false;
-  // What begins inside comes out at its own pace.
+  // A moving mesh is tested at the end of the step, in a frame that moves with it.
+  const Vec carried = surface >= 0 ? load(rod.travel) : Vec{}, start = from + carried;
+  if (!(length(to - start) > thickness(radius))) return false;
+  // Particles that start inside are moved out at the depenetration speed.
   if (before(from, radius).distance < -collide::INSIDE) return false;
-  const Vec speed = (to - from) * (1 / h);
+  const Vec speed = (to - start) * (1 / h);
   collide::Particle last{to, speed};
   collide::Settling settling(&collider, 1, h, radius);
-  if (settling.settle({from, speed}, last).collider < 0) return false;
+  if (settling.settle({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity, v);
   return true;
@@ -138,40 +145,40 @@ bool MovingColliders::goes_on(std::int64_t cell) const {
 
 void MovingColliders::steps(std::int64_t cell, int substeps, double h,
                             std::vector<StepCollider>& out) const {
-  std::vector<Motion> whole;
+  std::vector<Motion> full;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
     const double* pose = poses(cell) + 14 * c;
-    whole.emplace_back(pose, pose + 7);
+    full.emplace_back(pose, pose + 7);
   }
   for (int step = 0; step < substeps; ++step)
     for (std::size_t c = 0; c < colliders_.size(); ++c)
       out.push_back(over(colliders_[c],
-                         whole[c].part(double(step) / substeps, double(step + 1) / substeps),
+                         full[c].part(double(step) / substeps, double(step + 1) / substeps),
                          h));
 }
 
 StepCollider MovingColliders::over(const Collider& c, const Motion& motion, double h) const {
-  StepCollider made{};
-  made.collider = c;
-  made.collider.motion = motion;
-  made.begin = motion.at(0);
-  made.end = motion.at(1);
-  made.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
-  Rod& rod = made.rod;
+  StepCollider built{};
+  built.collider = c;
+  built.collider.motion = motion;
+  built.begin = motion.at(0);
+  built.end = motion.at(1);
+  built.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
+  Rod& rod = built.rod;
   store(motion.travel(), rod.travel);
-  store(motion.turn(), rod.turn);
-  store(made.end.origin, rod.origin);
+  store(motion.turn(), rod.rotation);
+  store(built.end.origin, rod.origin);
   rod.friction = c.friction;
   rod.rise = c.depenetration * h;
-  if (!made.is_rod) return made;
+  if (!built.is_rod) return built;
   const bool ball = c.shape == Shape::SPHERE;
   const Vec a = load(c.size), b = ball ? a : load(c.size + 3);
-  const Vec a0 = made.begin.to_world(a), b0 = made.begin.to_world(b);
-  const Vec a1 = made.end.to_world(a), b1 = made.end.to_world(b);
+  const Vec a0 = built.begin.to_world(a), b0 = built.begin.to_world(b);
+  const Vec a1 = built.end.to_world(a), b1 = built.end.to_world(b);
   rod.begin = axis_between(a0, b0);
   rod.end = axis_between(a1, b1);
   rod.radius = c.size[ball ? 3 : 6] + c.margin + radius_;
-  return made;
+  return built;
 }
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
@@ -221,7 +228,7 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   std::fill(pushing_.begin(), pushing_.end(), 0.0);
   rigid_.clear();
   colliders_.steps(cell, substeps, h, rigid_);
-  // Where a collider is put elsewhere, nothing is known.
+  // A teleported collider invalidates the cache.
   const bool again = cell == last_;
   bool known = again || (cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell)));
   enter_surfaces(cell, known);
@@ -246,17 +253,17 @@ void SpringContacts::add_surfaces() {
     const auto first = rigid_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
     cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
-      StepCollider made{};
+      StepCollider built{};
       const double begun = surfaces_[s].gone(double(step) / substeps_);
       const double ended = surfaces_[s].gone(double(step + 1) / substeps_);
-      made.collider = surfaces_[s].collider(ended);
-      made.surface = static_cast<std::int32_t>(s);
-      made.begun = begun;
-      made.lasts = ended - begun;
-      made.way = surfaces_[s].travel() * made.lasts;
-      made.rod.friction = made.collider.friction;
-      made.rod.rise = made.collider.depenetration * h_;
-      cell_.push_back(made);
+      built.collider = surfaces_[s].collider(ended);
+      built.surface = static_cast<std::int32_t>(s);
+      built.begun = begun;
+      built.lasts = ended - begun;
+      built.shift = surfaces_[s].travel() * built.lasts;
+      built.rod.friction = built.collider.friction;
+      built.rod.rise = built.collider.depenetration * h_;
+      cell_.push_back(built);
     }
   }
 }
@@ -275,7 +282,7 @@ bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<d
   double travel = 0, angle = 0;
   for (std::size_t c = 0; c < count_; ++c) {
     travel = std::max(travel, now_[c].travel({}));
-    angle = std::max(angle, now_[c].turn());
+    angle = std::max(angle, now_[c].rotation());
   }
   masses_.assign(colliders_.size(), 0.0);
   least_blow_ = RESTING * h_ * std::sqrt(dot3(network_.gravity, network_.gravity));
@@ -288,10 +295,10 @@ bool SpringContacts::settle(int step, std::vector<double>& before, std::vector<d
       continue;
     }
     if (marks && !(*marks)[n]) continue;
-    double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
+    double *at = x.data() + ROW * n, shift = travel + angle * arm_[n];
     double* from = before.data() + ROW * n;
-    for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
-    clear_[n] -= way;
+    for (std::size_t k = 0; k < 3; ++k) shift += std::abs(at[k] - from[k]);
+    clear_[n] -= shift;
     if (clear_[n] <= reach) near_.push_back(static_cast<std::int32_t>(n));
     if (clear_[n] > 0) continue;
     const double mass = 1 / network_.inverse_masses[n];
@@ -322,12 +329,12 @@ void SpringContacts::settle_middles(double travel, double angle, StepRows rows,
     if (marks && !(*marks)[first] && !(*marks)[last]) continue;
     double *p = &rows.x[ROW * first], *q = &rows.x[ROW * last];
     double *was = &rows.before[ROW * first], *stood = &rows.before[ROW * last];
-    double to[3], from[3], way = travel + angle * arm_[particles + e];
+    double to[3], from[3], shift = travel + angle * arm_[particles + e];
     for (std::size_t k = 0; k < 3; ++k) {
       to[k] = (p[k] + q[k]) / 2, from[k] = (was[k] + stood[k]) / 2;
-      way += std::abs(to[k] - from[k]);
+      shift += std::abs(to[k] - from[k]);
     }
-    clear_[particles + e] -= way;
+    clear_[particles + e] -= shift;
     if (clear_[particles + e] > 0) continue;
     const Vec ended = load(to), begun = load(from);
     if (!settle_one(particles + e, 4 / (i + j), from, to, nullptr)) continue;
@@ -356,7 +363,7 @@ bool SpringContacts::settle_faces(StepRows rows) {
     moved = true;
     for (const FaceContacts::Moved& one : faces_.moved) {
       const auto n = static_cast<std::size_t>(one.particle);
-      clear_[n] -= one.way;
+      clear_[n] -= one.shift;
       note_push(c, 1 / network_.inverse_masses[n], load(&rows.x[ROW * n]), one.change);
     }
   }
@@ -379,11 +386,11 @@ void SpringContacts::note(std::size_t n, Vec x, double clear) {
 
 Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
   Mesh mesh = c.collider.mesh;
-  if (!end) mesh.share = c.begun;
+  if (!end) mesh.fraction = c.begun;
   return mesh;
 }
 
-SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, bool end,
+SpringContacts::PatchHit SpringContacts::look(std::size_t index, std::size_t n, bool end,
                                            Vec point) {
   const StepCollider& c = now_[index];
   const double radius = colliders_.radius();
@@ -391,28 +398,28 @@ SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, boo
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
   const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
-  MeshWay gone;
+  MeshShift gone;
   KnotBoxes boxes{};
   if (c.surface >= 0) {
     const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-    gone = surface.way_until(mesh.share);
+    gone = surface.shift_until(mesh.fraction);
     boxes = surface.boxes(c.lasts);
   }
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
-  Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone,
+  PatchHit hit = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone,
                              gone.knot < 0 ? nullptr : &boxes, kept, !c.collider.container);
-  if (c.collider.two_sided) found.sample = collide::unsided(found.sample);
-  const Vec out = pose.rotated(found.sample.normal) * side;
-  return {{side * found.sample.distance - kept, out}, found.triangle};
+  if (c.collider.two_sided) hit.sample = collide::unsided(hit.sample);
+  const Vec out = pose.rotated(hit.sample.normal) * side;
+  return {{side * hit.sample.distance - kept, out}, hit.triangle};
 }
 
-Vec SpringContacts::carried(const StepCollider& c, const Found& found, bool end,
+Vec SpringContacts::carried(const StepCollider& c, const PatchHit& hit, bool end,
                             Vec point) const {
   if (c.surface < 0)
     return c.collider.motion.displacement(point, end ? c.end : c.begin);
-  if (found.triangle < 0) return {};
+  if (hit.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-  return surface.way(mesh_at(c, end), found.triangle, point) * c.lasts;
+  return surface.shift(mesh_at(c, end), hit.triangle, point) * c.lasts;
 }
 
 void SpringContacts::note_push(std::size_t c, double mass, Vec point, Vec change) {
@@ -428,10 +435,10 @@ void SpringContacts::note_push(std::size_t c, double mass, Vec point, Vec change
 bool SpringContacts::settle_one(std::size_t n, double mass, double* before, double* x,
                                 double* v) {
   const Vec from = load(before);
-  Vec to = load(x), still = from;
+  Vec to = load(x), unmoved = from;
   bool moved = false, pushed = true;
-  // Where a solver has no velocities, it takes them from the way of the step.
-  auto speed = [&] { return v ? load(v) : (to - still) * (1 / h_); };
+  // Solvers without velocities derive them from the displacement of the step.
+  auto speed = [&] { return v ? load(v) : (to - unmoved) * (1 / h_); };
   Vec last = speed();
   auto note_change = [&](std::size_t c) {
     const Vec now = speed();
@@ -446,7 +453,7 @@ bool SpringContacts::settle_one(std::size_t n, double mass, double* before, doub
     pushed = false;
     nearest_ = collide::FAR;
     for (std::size_t c = 0; c < count_; ++c) {
-      pushed |= push(c, n, from, to, still, v);
+      pushed |= push(c, n, from, to, unmoved, v);
       note_change(c);
     }
     moved |= pushed;
@@ -455,7 +462,7 @@ bool SpringContacts::settle_one(std::size_t n, double mass, double* before, doub
   note(n, to, nearest_);
   if (moved) {
     store(to, x);
-    store(still, before);
+    store(unmoved, before);
   }
   return moved;
 }
@@ -469,13 +476,13 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
                                 double* v) {
   const StepCollider& c = now_[index];
   const double arm = length(from - c.begin.origin);
-  const double most = length(to - from) + c.travel({}) + c.turn() * arm;
+  const double most = length(to - from) + c.travel({}) + c.rotation() * arm;
   const double radius = colliders_.radius();
   if (!(most > c.thickness(radius))) return false;
-  const Found found = look(index, n, false, from);
-  // What begins inside comes out at its own pace.
-  if (found.sample.distance > most || found.sample.distance < -collide::INSIDE) return false;
-  const Vec gone = carried(c, found, false, from);
+  const PatchHit hit = look(index, n, false, from);
+  // Particles that start inside are moved out at the depenetration speed.
+  if (hit.sample.distance > most || hit.sample.distance < -collide::INSIDE) return false;
+  const Vec gone = carried(c, hit, false, from);
   if (!(length(to - from - gone) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
   // It is seen from what of the surface is nearest: the rest of that stands as at the end.
@@ -488,43 +495,43 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
   return true;
 }
 
-// What came through a surface with two sides in a step is inside of it.
-void SpringContacts::turn_back(const StepCollider& c, Vec from, Vec to, Sample& found) const {
+// A particle that crossed a two-sided surface in a step counts as inside.
+void SpringContacts::push_back_out(const StepCollider& c, Vec from, Vec to, Sample& hit) const {
   const double off = collide::kept(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
-  if (found.distance + off > length(after - before)) return;
+  if (hit.distance + off > length(after - before)) return;
   if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
-  found = {-(found.distance + off) - off, -found.normal};
+  hit = {-(hit.distance + off) - off, -hit.normal};
 }
 
 bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
-                          Vec& still, double* v) {
+                          Vec& unmoved, double* v) {
   const StepCollider& c = now_[index];
   const double allowed = depth(index, n);
-  Found seen = look(index, n, true, to);
-  if (c.collider.two_sided) turn_back(c, from, to, seen.sample);
-  const Sample& found = seen.sample;
-  nearest_ = std::min(nearest_, found.distance - allowed);
-  if (!(found.distance < allowed - collide::TOUCH)) return false;
-  const Vec way = carried(c, seen, true, to);
+  PatchHit view = look(index, n, true, to);
+  if (c.collider.two_sided) push_back_out(c, from, to, view.sample);
+  const Sample& hit = view.sample;
+  nearest_ = std::min(nearest_, hit.distance - allowed);
+  if (!(hit.distance < allowed - collide::TOUCH)) return false;
+  const Vec shift = carried(c, view, true, to);
   if (v) {
-    const Vec surface = way * (1 / h_), speed = load(v) - surface;
-    const double into = dot(speed, found.normal);
+    const Vec surface = shift * (1 / h_), speed = load(v) - surface;
+    const double into = dot(speed, hit.normal);
     if (into < 0) {
       const double restitution = c.collider.restitution;
-      const double held = c.collider.friction * -into * (1 + restitution);
-      Vec along = speed - found.normal * into;
+      const double pinned = c.collider.friction * -into * (1 + restitution);
+      Vec along = speed - hit.normal * into;
       const double most = length(along);
-      along = along * (most > held ? 1 - held / most : 0.0);
+      along = along * (most > pinned ? 1 - pinned / most : 0.0);
       // What a step of its weight brings is no blow: it rests.
       const double back = -into > least_blow_ ? restitution * into : 0.0;
-      store(surface + along - found.normal * back, v);
+      store(surface + along - hit.normal * back, v);
     }
   }
   const double begun = look(index, n, false, from).sample.distance;
   Rod rod = c.rod;
-  if (c.surface >= 0) store(way, rod.travel);
-  return collide::push_out(rod, {found.distance, found.normal}, begun, allowed, from, to, still);
+  if (c.surface >= 0) store(shift, rod.travel);
+  return collide::push_out(rod, {hit.distance, hit.normal}, begun, allowed, from, to, unmoved);
 }
 
 }  // namespace animtool

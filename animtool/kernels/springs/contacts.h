@@ -1,4 +1,4 @@
-// Particles of springs against colliders, at the end of each short step.
+// Collisions of particles at the end of each substep.
 #pragma once
 
 #include <cstdint>
@@ -15,9 +15,8 @@
 namespace animtool {
 
 // Colliders, their poses at both ends of each cell (cells, C, 2, 7), the distance that
-// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all, and
-// after these in the meshes, where rows are given for them; how much deeper counts as left
-// inside; and meshes whose points move.
+// particles keep, allowed signed distances (C, N), at most 0, None for none, followed by rows
+// for meshes; the extra depth that counts as unresolved; and moving meshes.
 using SpringColliders =
     std::tuple<ColliderArrays, In<double, 4>, double, std::optional<In<double, 2>>, double,
                std::vector<SpringSurface>>;
@@ -29,24 +28,24 @@ struct StepCollider {
   // Of a capsule or a ball with particles outside, all of it; of others, how it moves.
   collide::Rod rod;
   bool is_rod;
-  // Of a mesh whose points move, which one, the share of its knot that is gone as the step
-  // begins, the share that the step is, and how far it goes.
+  // Of a mesh whose points move: its index, the elapsed fraction of its knot as the step
+  // begins, the fraction that the step takes, and the largest displacement of a point.
   std::int32_t surface = -1;
-  double begun = 0, lasts = 0, way = 0;
+  double begun = 0, lasts = 0, shift = 0;
 
   bool is_mesh() const { return collider.shape == collide::Shape::MESH; }
   // How far its surface goes at most, beside a drift; of what is no rod without its turn, by
   // the arm from its origin.
   double travel(collide::Vec drift) const;
-  double turn() const { return is_rod ? 0.0 : collider.motion.angle(); }
+  double rotation() const { return is_rod ? 0.0 : collider.motion.angle(); }
 
   // Distances and ways out as the step begins and as it ends.
   collide::Sample before(collide::Vec point, double radius) const;
   collide::Sample after(collide::Vec point, double radius) const;
   // A way longer than this may lead through within the step.
   double thickness(double radius) const;
-  // Stops what goes so far that it may lead through: whether it did. With a velocity, that
-  // is stopped too.
+  // Stops a particle whose displacement may cross the collider; returns whether it did. With
+  // a velocity, that is stopped too.
   bool sweep(double h, double radius, collide::Vec from, collide::Vec& to,
              double* v) const;
 };
@@ -61,16 +60,17 @@ class MovingColliders {
   const collide::Collider& operator[](std::size_t c) const { return colliders_[c]; }
   double radius() const { return radius_; }
   double tolerance() const { return tolerance_; }
-  // Depths (C, N), null where none may be inside.
+  // Allowed depths (C, N); null if none may be inside.
   const double* depths() const { return depths_; }
   // How deep a particle may be in one of them, or of the surfaces after these.
+  std::size_t depth_rows() const { return depth_rows_; }
   double depth(std::size_t c, std::size_t n) const {
     return c < depth_rows_ ? depths_[c * particles_ + n] : 0.0;
   }
 
-  // Whether all begin a cell where they were at the end of the one before.
+  // Whether all colliders start a cell where they ended the last one.
   bool goes_on(std::int64_t cell) const;
-  // One step of the even ones of a cell, of length h each.
+  // One of the even steps of a cell, of length h.
   void steps(std::int64_t cell, int substeps, double h, std::vector<StepCollider>& out) const;
 
  private:
@@ -103,14 +103,14 @@ class SpringContacts {
   // marked.
   bool settle(int step, std::vector<double>& before, std::vector<double>& x,
               std::vector<double>* v, std::vector<std::uint8_t>* marks = nullptr);
-  // What colliders, surfaces apart, were pushed by (C, 7): impulse and moment about the
-  // origin, and the mass that touched each in one step, at most.
+  // Impulses on rigid colliders (C, 7): impulse and moment about the origin, and the largest
+  // mass in contact in one step.
   Out<double, 2> pushes() const;
   // Particles that were moved in a step, at most, and that were left inside at the end.
   std::int64_t touched = 0, unresolved = 0;
 
  private:
-  using Found = MeshPatches::Found;
+  using PatchHit = MeshPatches::PatchHit;
 
   void make_patches(std::size_t particles);
   void enter_surfaces(std::int64_t cell, bool& known);
@@ -124,16 +124,16 @@ class SpringContacts {
   // Whether it is moved; looks how far off all colliders are then.
   bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
-            collide::Vec& still, double* v);
-  void turn_back(const StepCollider& c, collide::Vec from, collide::Vec to,
-                 collide::Sample& found) const;
+            collide::Vec& unmoved, double* v);
+  void push_back_out(const StepCollider& c, collide::Vec from, collide::Vec to,
+                 collide::Sample& hit) const;
   bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   bool sweep_mesh(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   // A collider as a particle sees it as the step begins or ends.
-  Found look(std::size_t c, std::size_t n, bool end, collide::Vec point);
+  PatchHit look(std::size_t c, std::size_t n, bool end, collide::Vec point);
   collide::Mesh mesh_at(const StepCollider& c, bool end) const;
   // How what is found there goes in the step.
-  collide::Vec carried(const StepCollider& c, const Found& found, bool end,
+  collide::Vec carried(const StepCollider& c, const PatchHit& hit, bool end,
                        collide::Vec point) const;
   // Takes note of what a collider does to a particle there.
   void note_push(std::size_t c, double mass, collide::Vec point, collide::Vec change);

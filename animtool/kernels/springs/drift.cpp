@@ -1,4 +1,4 @@
-// How far near particles moved over each other.
+// Relative displacement of nearby particles.
 #include "springs/drift.h"
 
 #include <algorithm>
@@ -37,12 +37,12 @@ void NearMotion::build(const std::vector<double>& x, double width) {
     cells_.push_back(numbers.insert({at, number}).first->second);
   }
   ranges_.resize(numbers.size());
-  beside_.clear();
+  adjacent_.clear();
   for (const auto& [at, number] : numbers)
     for (std::int32_t k = 0; k < 27; ++k) {
       const auto other = numbers.find({at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1});
       if (other != numbers.end() && other->second > number)
-        beside_.push_back({number, other->second});
+        adjacent_.push_back({number, other->second});
     }
 }
 
@@ -53,19 +53,19 @@ double NearMotion::spread(const Range& one, const Range& other) {
   return std::sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]) * ROUNDING;
 }
 
-template <class Way>
-Drift NearMotion::beside(const std::vector<double>& from, const std::vector<double>& to,
-                         Way way) {
+template <class Shift>
+Drift NearMotion::relative(const std::vector<double>& from, const std::vector<double>& to,
+                         Shift shift) {
   constexpr double FAR = std::numeric_limits<double>::infinity();
   std::fill(ranges_.begin(), ranges_.end(), Range{{FAR, FAR, FAR}, {-FAR, -FAR, -FAR}});
   for (std::size_t n = 0; n < cells_.size(); ++n) {
     Range& range = ranges_[cells_[n]];
-    const collide::Vec at = way(collide::load(&from[ROW * n]));
+    const collide::Vec at = shift(collide::load(&from[ROW * n]));
     const double came[3] = {at.x, at.y, at.z};
     for (std::size_t k = 0; k < 3; ++k) {
-      const double beside = to[ROW * n + k] - came[k];
-      range.low[k] = std::min(range.low[k], beside);
-      range.high[k] = std::max(range.high[k], beside);
+      const double relative = to[ROW * n + k] - came[k];
+      range.low[k] = std::min(range.low[k], relative);
+      range.high[k] = std::max(range.high[k], relative);
     }
   }
   Drift drift;
@@ -77,19 +77,19 @@ Drift NearMotion::beside(const std::vector<double>& from, const std::vector<doub
       all.high[k] = std::max(all.high[k], range.high[k]);
     }
   }
-  for (const auto& [c, d] : beside_)
+  for (const auto& [c, d] : adjacent_)
     drift.near = std::max(drift.near, spread(ranges_[c], ranges_[d]));
   drift.all = spread(all, all);
   return drift;
 }
 
 Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to) {
-  return beside(from, to, [](collide::Vec p) { return p; });
+  return relative(from, to, [](collide::Vec p) { return p; });
 }
 
 Drift NearMotion::between(const std::vector<double>& from, const std::vector<double>& to,
-                          const RigidWay& way) {
-  return beside(from, to, way);
+                          const RigidMotion& shift) {
+  return relative(from, to, shift);
 }
 
 }  // namespace animtool

@@ -1,4 +1,4 @@
-// How far particles that are near each other moved over each other.
+// Relative displacement of nearby particles.
 #pragma once
 
 #include <cstdint>
@@ -10,13 +10,13 @@
 
 namespace animtool {
 
-// Bounds of how far any two particles moved over each other: those that were near, and all.
+// Bounds of the relative displacement of two particles: nearby ones, and any.
 struct Drift {
   double near = 0, all = 0;
 };
 
-// Particles in wide cells. What goes along as a whole, or turns slowly, hardly moves over what
-// is near it, however fast it is.
+// Particles in wide cells. Parts in common rigid motion have little relative displacement,
+// however fast they are.
 class NearMotion {
  public:
   // Near is in the same cell or in one beside it: all that is no farther than its width.
@@ -25,20 +25,20 @@ class NearMotion {
   Drift between(const std::vector<double>& from, const std::vector<double>& to);
   // Beside what a rigid motion of all does, which brings none nearer to another.
   Drift between(const std::vector<double>& from, const std::vector<double>& to,
-                const RigidWay& way);
+                const RigidMotion& shift);
 
  private:
   // What ways there are in a cell, at least and at most along each axis.
   struct Range {
     double low[3], high[3];
   };
-  template <class Way>
-  Drift beside(const std::vector<double>& from, const std::vector<double>& to, Way way);
+  template <class Shift>
+  Drift relative(const std::vector<double>& from, const std::vector<double>& to, Shift shift);
   static double spread(const Range& one, const Range& other);
 
   double width_ = 0;
   std::vector<std::uint32_t> cells_;                             // of particles
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> beside_;  // cells
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> adjacent_;  // cells
   std::vector<Range> ranges_;                                    // of cells
 };
 

@@ -129,7 +129,7 @@ class Explicit {
     run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
     keep_rows();
     spring_loops().advance(network.particles(), h, rate_.data(), run_.x.data(), run_.v.data());
-    network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+    network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
     contacts_.settle(j, before_, run_.x, &run_.v);
   }
 
@@ -139,7 +139,7 @@ class Explicit {
       before_ = run_.x;
       return;
     }
-    for (const std::int32_t particle : run_.network.held) {
+    for (const std::int32_t particle : run_.network.pinned) {
       const std::size_t at = ROW * static_cast<std::size_t>(particle);
       std::copy_n(run_.x.data() + at, ROW, before_.data() + at);
     }
@@ -162,7 +162,7 @@ class Explicit {
         pulls.read(rate_.data(), room_.f);
       }
       pulls.step(steps, room_);
-      network.place_held(t + h, h, room_.x.data(), room_.x.data(), room_.v.data(), strides_);
+      network.set_pinned(t + h, h, room_.x.data(), room_.x.data(), room_.v.data(), strides_);
       if (met) before_ = run_.x;
       if (in_rows_) write();
       if (!met) continue;

@@ -1,4 +1,4 @@
-// Edges and faces of surfaces against what of colliders is finer than they are.
+// Edges and faces of surfaces against fine collider features.
 #include "springs/faces.h"
 
 #include <algorithm>
@@ -26,7 +26,7 @@ constexpr double NEAR = 1.2;
 constexpr double LEAST_KEPT = 1e-3;
 // Sides of boxes and meshes that turn by less are flat [rad].
 constexpr double FLAT = 1e-3;
-// Looks for what meets, and rounds of moving that out, in a step.
+// Searches for contacts, and rounds of resolving them, in a step.
 constexpr int LOOKS = 2, ROUNDS = 6;
 
 Vec least_of(Vec a, Vec b) {
@@ -73,7 +73,7 @@ double radius_over(const Mesh& mesh, std::int32_t triangle, int side, double wid
 
 FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
   FineParts parts;
-  std::vector<std::array<std::int32_t, 4>> found;  // both ends, triangle, side
+  std::vector<std::array<std::int32_t, 4>> touches;  // both ends, triangle, side
   std::int32_t triangles = 0;
   const Vec all{collide::FAR, collide::FAR, collide::FAR};
   collide::visit_overlapping(c.mesh, c.root, -all, all, [&](std::int32_t t) {
@@ -82,12 +82,12 @@ FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
       if (!(radius_over(c.mesh, t, side, longest) + kept < longest)) continue;
       const std::int32_t* corner = c.mesh.triangles + 3 * t;
       const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
-      found.push_back({i, j, t, side});
+      touches.push_back({i, j, t, side});
     }
   });
-  std::sort(found.begin(), found.end());
+  std::sort(touches.begin(), touches.end());
   std::vector<std::int32_t> points;
-  for (const auto& one : found) points.insert(points.end(), {one[0], one[1]});
+  for (const auto& one : touches) points.insert(points.end(), {one[0], one[1]});
   std::sort(points.begin(), points.end());
   points.erase(std::unique(points.begin(), points.end()), points.end());
   for (const std::int32_t p : points) parts.points.push_back(c.mesh.point(p));
@@ -95,17 +95,17 @@ FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
     return static_cast<std::int32_t>(std::lower_bound(points.begin(), points.end(), p) -
                                      points.begin());
   };
-  if (found.empty()) return parts;
+  if (touches.empty()) return parts;
   parts.of_triangle.assign(static_cast<std::size_t>(triangles), {-1, -1, -1, -1, -1, -1});
-  for (const auto& [i, j, t, side] : found) {
+  for (const auto& [i, j, t, side] : touches) {
     const std::array<std::int32_t, 2> line{number(i), number(j)};
     if (parts.lines.empty() || parts.lines.back() != line) parts.lines.push_back(line);
-    auto& own = parts.of_triangle[static_cast<std::size_t>(t)];
+    auto& entry = parts.of_triangle[static_cast<std::size_t>(t)];
     const auto k = static_cast<std::size_t>(side);
-    own[k] = static_cast<std::int32_t>(parts.lines.size()) - 1;
+    entry[k] = static_cast<std::int32_t>(parts.lines.size()) - 1;
     const std::int32_t* corner = c.mesh.triangles + 3 * t;
-    own[3 + k] = number(corner[k]);
-    own[3 + (k + 1) % 3] = number(corner[(k + 1) % 3]);
+    entry[3 + k] = number(corner[k]);
+    entry[3 + (k + 1) % 3] = number(corner[(k + 1) % 3]);
   }
   return parts;
 }
@@ -249,16 +249,16 @@ bool FaceContacts::mark(const FineParts& parts, const StepCollider& c,
 
 std::int32_t FaceContacts::slot(std::int32_t particle, const StepCollider& c,
                                 const StepRows& rows) {
-  std::int32_t& own = slots_[static_cast<std::size_t>(particle)];
-  if (own >= 0) return own;
-  own = static_cast<std::int32_t>(particles_.size());
+  std::int32_t& entry = slots_[static_cast<std::size_t>(particle)];
+  if (entry >= 0) return entry;
+  entry = static_cast<std::int32_t>(particles_.size());
   particles_.push_back(particle);
   inverse_masses_.push_back(network_.inverse_masses[static_cast<std::size_t>(particle)]);
   from_.resize(from_.size() + ROW, 0.0);
   to_.resize(to_.size() + ROW, 0.0);
   store(c.begin.to_local(row_of(rows.before.data(), particle)), &from_[from_.size() - ROW]);
   store(c.end.to_local(row_of(rows.x.data(), particle)), &to_[to_.size() - ROW]);
-  return own;
+  return entry;
 }
 
 void FaceContacts::add_element(const std::int32_t* corners, int count, const StepCollider& c,
@@ -293,7 +293,7 @@ void FaceContacts::find(const FineParts& parts, const StepCollider& c) {
   }
   const auto count = static_cast<std::int32_t>(parts.points.size());
   const auto lines = static_cast<std::int32_t>(parts.lines.size());
-  std::vector<std::int32_t> own;
+  std::vector<std::int32_t> entry;
   for (const Element& one : elements_) {
     if (c.collider.shape == Shape::BOX &&
         sides_reached(c.collider.size, one.low, one.high, parts.kept) < one.count)
@@ -304,16 +304,16 @@ void FaceContacts::find(const FineParts& parts, const StepCollider& c) {
     }
     const Vec off{parts.kept, parts.kept, parts.kept};
     const std::size_t first = one.count == 2 ? 0 : 3;
-    own.clear();
+    entry.clear();
     collide::visit_overlapping(c.collider.mesh, c.collider.root, one.low - off, one.high + off,
                                [&](std::int32_t t) {
                                  const auto& of = parts.of_triangle[static_cast<std::size_t>(t)];
                                  for (std::size_t k = first; k < first + 3; ++k)
-                                   if (of[k] >= 0) own.push_back(of[k]);
+                                   if (of[k] >= 0) entry.push_back(of[k]);
                                });
-    std::sort(own.begin(), own.end());
-    own.erase(std::unique(own.begin(), own.end()), own.end());
-    for (const std::int32_t k : own) meet(parts, one, k);
+    std::sort(entry.begin(), entry.end());
+    entry.erase(std::unique(entry.begin(), entry.end()), entry.end());
+    for (const std::int32_t k : entry) meet(parts, one, k);
   }
 }
 
@@ -342,10 +342,10 @@ void FaceContacts::meet_four(const FourParticles& who, double kept) {
   for (const std::int32_t n : who)
     travel = std::max(travel, length(row_of(to_.data(), n) - row_of(from_.data(), n)));
   const shapes::Nearest near = now.nearest();
-  const double apart = length(near.off);
-  if (!(apart < kept + travel)) return;
-  LayerHit hit{0, 0, 0, who, apart, travel, kept};
-  if (apart <= travel) hit.side = shapes::crossed_from(Shape(who.data(), from_.data()), now);
+  const double gap = length(near.off);
+  if (!(gap < kept + travel)) return;
+  LayerHit hit{0, 0, 0, who, gap, travel, kept};
+  if (gap <= travel) hit.side = shapes::crossed_from(Shape(who.data(), from_.data()), now);
   if (!hit.side && !near.inside) return;
   (std::is_same_v<Shape, shapes::EdgePair> ? edges_ : corners_).push_back(hit);
 }
@@ -359,12 +359,12 @@ bool FaceContacts::part(Parting& parting) const {
 
 void FaceContacts::write(const StepCollider& c, double h, StepRows& rows) {
   for (std::size_t k = 0; k < particles_.size(); ++k) {
-    const Vec way = load(&to_[ROW * k]) - load(&ended_[ROW * k]);
+    const Vec moved_by = load(&to_[ROW * k]) - load(&ended_[ROW * k]);
     const Vec back = load(&from_[ROW * k]) - load(&begun_[ROW * k]);
-    if (dot(way, way) == 0 && dot(back, back) == 0) continue;
+    if (dot(moved_by, moved_by) == 0 && dot(back, back) == 0) continue;
     const std::int32_t n = particles_[k];
     const std::size_t at = ROW * static_cast<std::size_t>(n);
-    const Vec out = c.end.rotated(way), shift = c.begin.rotated(back);
+    const Vec out = c.end.rotated(moved_by), shift = c.begin.rotated(back);
     store(load(&rows.x[at]) + out, &rows.x[at]);
     store(load(&rows.before[at]) + shift, &rows.before[at]);
     const Vec change = (out - shift) * (1 / h);

@@ -1,8 +1,8 @@
-// Edges and faces of surfaces against what of colliders is finer than they are.
+// Edges and faces of surfaces against collider features finer than the cloth cells.
 //
-// Particles meet colliders by themselves; what passes between them is met here: balls and rods
-// that are thinner than cells, edges and corners of boxes and meshes. All is looked at in the
-// frame of the collider, in which its parts stand still, on the way of the whole step.
+// Particles collide by themselves. Features that pass between particles are handled here: thin
+// balls and rods, edges and corners of boxes and meshes. Tests are continuous over the step,
+// in the frame of the collider, where its features are static.
 #pragma once
 
 #include <array>
@@ -45,13 +45,13 @@ class FaceContacts {
   // A particle this far from all colliders over a step has no edge or face at them.
   double reach() const { return any_ ? reach_ : -collide::FAR; }
 
-  // Moves edges and faces of particles that are near out of parts of a collider: whether any.
-  // Those moved are noted, with how their velocity changed.
+  // Moves edges and faces out of the features of a collider; returns whether any moved.
+  // Moved particles are recorded with their change of velocity.
   bool settle(std::size_t index, const StepCollider& c, double h,
               const std::vector<std::int32_t>& near, StepRows rows);
   struct Moved {
     std::int32_t particle;
-    double way;
+    double shift;
     collide::Vec change;
   };
   std::vector<Moved> moved;

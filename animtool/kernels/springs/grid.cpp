@@ -1,4 +1,4 @@
-// Points in cells of a grid.
+// Spatial hash of points.
 #include "springs/grid.h"
 
 namespace animtool {
@@ -23,13 +23,13 @@ void PointGrid::build(const double* rows, std::size_t count, double cell) {
   for (std::size_t b = 0; b < size; ++b) starts_[b + 1] += starts_[b];
   keys_.resize(count);
   points_.resize(count);
-  places_.resize(ROW * count);
+  locations_.resize(ROW * count);
   std::vector<std::uint32_t> next(starts_.begin(), starts_.end() - 1);
   for (std::size_t n = 0; n < count; ++n) {
     const std::size_t to = next[bucket(keys[n])]++;
     keys_[to] = keys[n];
     points_[to] = static_cast<std::int32_t>(n);
-    std::copy_n(rows + ROW * n, ROW, places_.data() + ROW * to);
+    std::copy_n(rows + ROW * n, ROW, locations_.data() + ROW * to);
   }
 }
 

@@ -1,4 +1,4 @@
-// Points in cells of a grid, found by their cell's hash.
+// Spatial hash of points.
 #pragma once
 
 #include <algorithm>
@@ -27,9 +27,9 @@ class PointGrid {
   std::size_t bucket(std::uint64_t key) const {
     return static_cast<std::size_t>((key * 0x9e3779b97f4a7c15u) >> 32) & mask_;
   }
-  std::int64_t cell_of(double place, std::size_t axis) const {
+  std::int64_t cell_of(double location, std::size_t axis) const {
     // What is no number is in the first.
-    const double cell = (place - low_[axis]) * over_;
+    const double cell = (location - low_[axis]) * over_;
     return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MOST_CELLS))) : 0;
   }
 
@@ -41,7 +41,7 @@ class PointGrid {
   std::vector<std::uint32_t> starts_;
   std::vector<std::uint64_t> keys_;
   std::vector<std::int32_t> points_;
-  std::vector<double> places_;  // as the rows, sorted
+  std::vector<double> locations_;  // as the rows, sorted
 };
 
 template <class Function>
@@ -55,17 +55,17 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
   }
   // A box of more cells than there are points is looked through faster without them.
   if (cells > static_cast<double>(count_)) {
-    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &places_[ROW * i]);
+    for (std::size_t i = 0; i < count_; ++i) function(points_[i], &locations_[ROW * i]);
     return;
   }
   std::int64_t at[3];
   for (at[2] = first[2]; at[2] <= last[2]; ++at[2])
     for (at[1] = first[1]; at[1] <= last[1]; ++at[1])
       for (at[0] = first[0]; at[0] <= last[0]; ++at[0]) {
-        const std::uint64_t wanted = key(at);
-        const std::size_t b = bucket(wanted);
+        const std::uint64_t hash = key(at);
+        const std::size_t b = bucket(hash);
         for (std::size_t i = starts_[b]; i < starts_[b + 1]; ++i)
-          if (keys_[i] == wanted) function(points_[i], &places_[ROW * i]);
+          if (keys_[i] == hash) function(points_[i], &locations_[ROW * i]);
       }
 }
 

@@ -1,4 +1,4 @@
-// How far parts of a surface keep from each other.
+// Distances that parts of a surface keep from each other.
 #include "springs/layers.h"
 
 #include <algorithm>
@@ -25,18 +25,18 @@ constexpr double EDGES = 0.75;
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
 // Neighbours of particles along edges and springs, with the length of the way.
-class Ways {
+class PathLengths {
  public:
-  Ways(const SpringNetwork& network, const std::vector<double>& rest)
-      : beside_(network.particles()),
+  PathLengths(const SpringNetwork& network, const std::vector<double>& rest)
+      : adjacent_(network.particles()),
         longest_(network.particles(), 0),
         away_(network.particles(), INFINITE) {
     const auto join = [&](std::int32_t i, std::int32_t j, bool edge) {
-      const double way = length(row_of(rest.data(), i) - row_of(rest.data(), j));
+      const double shift = length(row_of(rest.data(), i) - row_of(rest.data(), j));
       for (const auto& [from, to] : {std::pair(i, j), std::pair(j, i)}) {
         const std::size_t n = static_cast<std::size_t>(from);
-        beside_[n].push_back({to, way});
-        if (edge) longest_[n] = std::max(longest_[n], way);
+        adjacent_[n].push_back({to, shift});
+        if (edge) longest_[n] = std::max(longest_[n], shift);
       }
     };
     const auto& corners = network.triangles;
@@ -47,35 +47,35 @@ class Ways {
 
   // Particles no farther from one than this, beside its longest edge; they ascend.
   const std::vector<std::int32_t>& around(std::int32_t from, double farthest) {
-    for (const std::int32_t n : found_) away(n) = INFINITE;
-    found_.clear();
+    for (const std::int32_t n : hits_) away(n) = INFINITE;
+    hits_.clear();
     farthest += longest_[static_cast<std::size_t>(from)];
-    using Way = std::pair<double, std::int32_t>;
-    std::priority_queue<Way, std::vector<Way>, std::greater<Way>> waiting;
-    const auto reach = [&](std::int32_t n, double way) {
-      if (way > farthest || way >= away(n)) return;
-      if (away(n) == INFINITE) found_.push_back(n);
-      away(n) = way;
-      waiting.push({way, n});
+    using Shift = std::pair<double, std::int32_t>;
+    std::priority_queue<Shift, std::vector<Shift>, std::greater<Shift>> waiting;
+    const auto reach = [&](std::int32_t n, double shift) {
+      if (shift > farthest || shift >= away(n)) return;
+      if (away(n) == INFINITE) hits_.push_back(n);
+      away(n) = shift;
+      waiting.push({shift, n});
     };
     reach(from, 0);
     while (!waiting.empty()) {
-      const auto [way, n] = waiting.top();
+      const auto [shift, n] = waiting.top();
       waiting.pop();
-      if (way > away(n)) continue;
-      for (const auto& [next, step] : beside_[static_cast<std::size_t>(n)])
-        reach(next, way + step);
+      if (shift > away(n)) continue;
+      for (const auto& [next, step] : adjacent_[static_cast<std::size_t>(n)])
+        reach(next, shift + step);
     }
-    std::sort(found_.begin(), found_.end());
-    return found_;
+    std::sort(hits_.begin(), hits_.end());
+    return hits_;
   }
 
  private:
   double& away(std::int32_t n) { return away_[static_cast<std::size_t>(n)]; }
 
-  std::vector<std::vector<std::pair<std::int32_t, double>>> beside_;
+  std::vector<std::vector<std::pair<std::int32_t, double>>> adjacent_;
   std::vector<double> longest_, away_;
-  std::vector<std::int32_t> found_;
+  std::vector<std::int32_t> hits_;
 };
 
 }  // namespace
@@ -87,7 +87,7 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
       speed(speed0),
       particles_(network.particles()),
       corners_(network.triangles),
-      beside_starts_{0} {
+      adjacent_starts_{0} {
   check::numbers("rest", rest, {particles_, 3});
   check::positive("thickness", thickness);
   check::not_negative("friction", friction);
@@ -96,32 +96,32 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
   for (std::size_t n = 0; n < particles_; ++n)
     std::copy_n(rest.data() + 3 * n, 3, rest_.data() + ROW * n);
   note_edges();
-  note_beside(network);
+  collect_adjacent(network);
 }
 
 void SpringLayers::note_edges() {
-  std::vector<std::pair<std::int32_t, std::int32_t>> found;
+  std::vector<std::pair<std::int32_t, std::int32_t>> hit;
   for (std::size_t t = 0; t < corners_.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k)
-      found.push_back(std::minmax({corners_[t + k], corners_[t + (k + 1) % 3]}));
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
-  for (const auto& [i, j] : found) ends_.insert(ends_.end(), {i, j});
+      hit.push_back(std::minmax({corners_[t + k], corners_[t + (k + 1) % 3]}));
+  std::sort(hit.begin(), hit.end());
+  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
+  for (const auto& [i, j] : hit) ends_.insert(ends_.end(), {i, j});
 }
 
-void SpringLayers::note_beside(const SpringNetwork& network) {
-  Ways ways(network, rest_);
+void SpringLayers::collect_adjacent(const SpringNetwork& network) {
+  PathLengths shifts(network, rest_);
   for (std::size_t n = 0; n < particles_; ++n) {
-    const auto& found = ways.around(static_cast<std::int32_t>(n), DETOUR * NEIGHBOURS * thickness);
-    beside_.insert(beside_.end(), found.begin(), found.end());
-    beside_starts_.push_back(beside_.size());
+    const auto& hit = shifts.around(static_cast<std::int32_t>(n), DETOUR * NEIGHBOURS * thickness);
+    adjacent_.insert(adjacent_.end(), hit.begin(), hit.end());
+    adjacent_starts_.push_back(adjacent_.size());
   }
 }
 
 bool SpringLayers::joined(std::int32_t i, std::int32_t j) const {
   const auto from = static_cast<std::size_t>(i);
-  return std::binary_search(beside_.begin() + static_cast<std::ptrdiff_t>(beside_starts_[from]),
-                            beside_.begin() + static_cast<std::ptrdiff_t>(beside_starts_[from + 1]),
+  return std::binary_search(adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from]),
+                            adjacent_.begin() + static_cast<std::ptrdiff_t>(adjacent_starts_[from + 1]),
                             j);
 }
 
@@ -132,9 +132,9 @@ double SpringLayers::kept(double at_rest, bool joined) const {
 double SpringLayers::least(std::size_t triangle, std::int32_t particle) const {
   const std::int32_t* of = corners(triangle);
   if (std::find(of, of + 3, particle) != of + 3) return 0;
-  const double apart = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
-  if (!(apart < NEIGHBOURS * thickness)) return thickness;
-  return kept(apart, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
+  const double gap = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
+  if (!(gap < NEIGHBOURS * thickness)) return thickness;
+  return kept(gap, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
 }
 
 double SpringLayers::checked_least(std::int64_t triangle, std::int64_t particle) const {
@@ -155,10 +155,10 @@ double SpringLayers::least_of_edges(std::size_t first, std::size_t second) const
   const std::int32_t *one = ends(first), *other = ends(second);
   const std::int32_t who[4] = {one[0], one[1], other[0], other[1]};
   if (who[0] == who[2] || who[0] == who[3] || who[1] == who[2] || who[1] == who[3]) return 0;
-  const double apart = length(shapes::EdgePair(who, rest_.data()).nearest().off);
-  if (!(apart < NEIGHBOURS * thickness)) return most_of_edges();
-  const auto beside = [&](std::int32_t n) { return joined(n, who[2]) || joined(n, who[3]); };
-  return EDGES * kept(apart, beside(who[0]) || beside(who[1]));
+  const double gap = length(shapes::EdgePair(who, rest_.data()).nearest().off);
+  if (!(gap < NEIGHBOURS * thickness)) return most_of_edges();
+  const auto relative = [&](std::int32_t n) { return joined(n, who[2]) || joined(n, who[3]); };
+  return EDGES * kept(gap, relative(who[0]) || relative(who[1]));
 }
 
 }  // namespace animtool

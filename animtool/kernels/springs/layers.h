@@ -1,4 +1,4 @@
-// What of a surface that keeps apart from itself does not change: how far who keeps from whom.
+// Constants of self-contact: the distance that each pair keeps.
 #pragma once
 
 #include <cstdint>
@@ -8,9 +8,9 @@
 
 namespace animtool {
 
-// Corners are kept from triangles, and edges from edges; what shares a particle is not. All
-// keep the thickness, but what is nearer at rest keeps no more than that distance; along the
-// surface, where springs hold it, less, so that it bends and shortens before it touches.
+// Corners are kept from triangles, and edges from edges, unless they share a particle. All
+// keep the thickness, except that pairs closer at rest keep their rest distance; along the
+// surface they keep less, so that it can bend and compress before it touches.
 class SpringLayers {
  public:
   // Rest: where particles are at rest (N, 3). Speed: with which what is nearer than it may
@@ -28,7 +28,7 @@ class SpringLayers {
   double least(std::size_t triangle, std::int32_t particle) const;
   double least_of_edges(std::size_t first, std::size_t second) const;
   double most_of_edges() const;
-  // The same for callers who may name what there is not.
+  // The same with checked indices.
   double checked_least(std::int64_t triangle, std::int64_t particle) const;
   double checked_least_of_edges(std::int64_t first, std::int64_t second) const;
 
@@ -36,7 +36,7 @@ class SpringLayers {
 
  private:
   void note_edges();
-  void note_beside(const SpringNetwork& network);
+  void collect_adjacent(const SpringNetwork& network);
   // Whether the surface joins two particles by a short way.
   bool joined(std::int32_t i, std::int32_t j) const;
   double kept(double at_rest, bool joined) const;
@@ -45,8 +45,8 @@ class SpringLayers {
   std::vector<std::int32_t> corners_, ends_;
   std::vector<double> rest_;  // rows
   // Of each particle, those that are near along the surface; they ascend.
-  std::vector<std::size_t> beside_starts_;
-  std::vector<std::int32_t> beside_;
+  std::vector<std::size_t> adjacent_starts_;
+  std::vector<std::int32_t> adjacent_;
 };
 
 }  // namespace animtool

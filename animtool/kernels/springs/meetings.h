@@ -1,4 +1,4 @@
-// Pairs of one kind that meet, over the steps of a run.
+// Self-contact pairs of one kind over the steps of a run.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace animtool {
 
-// What went through another, and the side of it (1 or -1) that it came from.
+// A piercing pair, and the side (1 or -1) that the first came from.
 struct Passage {
   std::int32_t first, second, side;
 
@@ -19,8 +19,8 @@ struct Passage {
   }
 };
 
-// Kind: TrianglesAndCorners or EdgesAndEdges. Lists of pairs only save time: what is found in
-// a step does not depend on when they were made.
+// Kind: TrianglesAndCorners or EdgesAndEdges. Neighbour lists only save time: contacts of a
+// step do not depend on when the lists were built.
 template <class Kind>
 class Meetings {
  public:
@@ -50,14 +50,14 @@ class Meetings {
   void note_passed(const SpringLayers& layers, const std::vector<double>& from,
                    const std::vector<double>& x, const std::vector<std::uint8_t>& moved,
                    const Tangles& tangles, std::vector<LayerHit>& passed) const;
-  // Forgets who is back on the side that it came from, or went off to where there is none.
+  // Drops piercing pairs that are back on their side, or moved away.
   void drop_those_back(const SpringLayers& layers, const std::vector<double>& x);
   // Notes who is on another side than when the step began.
   void look(const std::vector<double>& before, const std::vector<double>& x);
 
  private:
   // How far the parts moved over each other, at most.
-  static double way_over(const FourParticles& who, const std::vector<double>& before,
+  static double relative_shift(const FourParticles& who, const std::vector<double>& before,
                          const std::vector<double>& x);
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
@@ -83,7 +83,7 @@ void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>&
   for (const LayerPair& one : listed_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
     const double nearer = most(&who[0], &who[Kind::FIRST]) + most(&who[Kind::FIRST], who.data() + 4);
-    if (one.apart - nearer - one.least > reach) continue;
+    if (one.gap - nearer - one.least > reach) continue;
     if (length(Shape(who.data(), x.data()).nearest().off) - one.least <= reach)
       picked_.push_back(one);
   }
@@ -101,11 +101,11 @@ void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>&
   for (const LayerPair& one : picked_) {
     const FourParticles who = Kind::who(layers, one.first, one.second);
     const shapes::Nearest near = Shape(who.data(), x.data()).nearest();
-    const double apart = length(near.off);
-    if (!(apart < one.least + most + more)) continue;
-    const double travel = way_over(who, before, x);
-    if (!(apart < one.least + travel + more)) continue;
-    LayerHit hit{one.first, one.second, 0, who, apart, travel, one.least};
+    const double gap = length(near.off);
+    if (!(gap < one.least + most + more)) continue;
+    const double travel = relative_shift(who, before, x);
+    if (!(gap < one.least + travel + more)) continue;
+    LayerHit hit{one.first, one.second, 0, who, gap, travel, one.least};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !near.inside) continue;
     if (tangles && !hit.side && tangled(&who[0], &who[Kind::FIRST]) &&
@@ -118,15 +118,15 @@ void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>&
 }
 
 template <class Kind>
-double Meetings<Kind>::way_over(const FourParticles& who, const std::vector<double>& before,
+double Meetings<Kind>::relative_shift(const FourParticles& who, const std::vector<double>& before,
                                 const std::vector<double>& x) {
-  collide::Vec ways[4];
+  collide::Vec shifts[4];
   for (std::size_t k = 0; k < 4; ++k)
-    ways[k] = shapes::row_of(x.data(), who[k]) - shapes::row_of(before.data(), who[k]);
+    shifts[k] = shapes::row_of(x.data(), who[k]) - shapes::row_of(before.data(), who[k]);
   double most = 0;
   for (std::size_t i = 0; i < Kind::FIRST; ++i)
     for (std::size_t j = Kind::FIRST; j < 4; ++j) {
-      const collide::Vec over = ways[i] - ways[j];
+      const collide::Vec over = shifts[i] - shifts[j];
       most = std::max(most, dot(over, over));
     }
   return std::sqrt(most);
@@ -139,7 +139,7 @@ std::int32_t Meetings<Kind>::side_of(const LayerHit& hit, const std::vector<doub
                                       Passage{hit.first, hit.second, 0});
   if (known != crossed.end() && known->first == hit.first && known->second == hit.second)
     return known->side;
-  if (hit.apart > hit.travel) return 0;
+  if (hit.gap > hit.travel) return 0;
   return shapes::crossed_from(Shape(hit.who.data(), before.data()),
                               Shape(hit.who.data(), x.data()));
 }
@@ -175,7 +175,7 @@ void Meetings<Kind>::note_passed(const SpringLayers& layers, const std::vector<d
     const FourParticles who = Kind::who(layers, one.first, one.second);
     if (std::none_of(who.begin(), who.end(), [&](std::int32_t n) { return moved[static_cast<std::size_t>(n)]; }))
       continue;
-    if (!shapes::ways_meet(who.data(), Kind::FIRST, from.data(), x.data())) continue;
+    if (!shapes::paths_overlap(who.data(), Kind::FIRST, from.data(), x.data())) continue;
     const std::int32_t side =
         shapes::passed_from(Shape(who.data(), from.data()), Shape(who.data(), x.data()));
     if (!side) continue;
@@ -198,7 +198,7 @@ template <class Kind>
 void Meetings<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
   crossed.clear();
   for (const LayerHit& hit : hits_) {
-    if (!hit.side && hit.apart > 2 * hit.travel) continue;
+    if (!hit.side && hit.gap > 2 * hit.travel) continue;
     const Shape now(hit.who.data(), x.data());
     std::int32_t side = hit.side;
     if (side) {

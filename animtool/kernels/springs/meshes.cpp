@@ -1,4 +1,4 @@
-// Meshes as particles of springs meet them.
+// Mesh collisions of particles.
 #include "springs/meshes.h"
 
 #include <algorithm>
@@ -12,21 +12,21 @@ using collide::Nearest;
 using collide::Vec;
 using collide::load;
 
-double MeshPatches::since(const Patch& patch, Vec p, const MeshWay& gone, bool& in_knot) {
-  const MeshWay& then = patch.gone;
+double MeshPatches::since(const Patch& patch, Vec p, const MeshShift& gone, bool& in_knot) {
+  const MeshShift& then = patch.gone;
   const double went =
       length(p - patch.at - (gone.drift - then.drift)) + std::abs(gone.spread - then.spread);
   in_knot = false;
   if (went <= patch.slack) return went;
-  const double share = gone.share - then.share;
-  if (gone.knot < 0 || gone.knot != then.knot || share < -patch.back) return -1;
-  const double beside = length(p - patch.at - patch.way * share);
-  in_knot = beside <= patch.knot_slack;
-  return in_knot ? beside : -1;
+  const double fraction = gone.fraction - then.fraction;
+  if (gone.knot < 0 || gone.knot != then.knot || fraction < -patch.back) return -1;
+  const double relative = length(p - patch.at - patch.shift * fraction);
+  in_knot = relative <= patch.knot_slack;
+  return in_knot ? relative : -1;
 }
 
-MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::size_t n, Vec p,
-                                     const MeshWay& gone, const KnotBoxes* boxes, double kept,
+MeshPatches::PatchHit MeshPatches::look(const Mesh& mesh, std::int32_t root, std::size_t n, Vec p,
+                                     const MeshShift& gone, const KnotBoxes* boxes, double kept,
                                      bool bound) {
   Patch& patch = patches_[n];
   bool in_knot;
@@ -46,12 +46,12 @@ MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::s
 
 Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p, double went) const {
   Nearest best;
-  const Candidates& candidates = candidates_[static_cast<std::size_t>(patch.place)];
+  const Candidates& candidates = candidates_[static_cast<std::size_t>(patch.location)];
   double enough = collide::FAR;
   for (int k = 0; k < patch.count && candidates[k].distance <= enough; ++k) {
-    const Nearest found = collide::nearest_of_triangle(mesh, candidates[k].triangle, p);
-    if (!collide::nearer(found, best)) continue;
-    best = found;
+    const Nearest hit = collide::nearest_of_triangle(mesh, candidates[k].triangle, p);
+    if (!collide::nearer(hit, best)) continue;
+    best = hit;
     enough = std::sqrt(best.squared) + went + collide::TOUCH;
   }
   return best;
@@ -61,7 +61,7 @@ void MeshPatches::forget() {
   for (Patch& patch : patches_) patch.slack = patch.knot_slack = -1;
 }
 
-MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root,
+MeshPatches::PatchHit MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root,
                                        Vec p, const KnotBoxes* boxes, double kept,
                                        bool bound) {
   patch.count = 0;
@@ -76,12 +76,12 @@ MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int3
   }
   const Nearest near = look_around(patch, mesh, root, p, boxes, bound ? kept : collide::FAR);
   if (near.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
-  const collide::Sample found = collide::sample_nearest(mesh, near, p);
+  const collide::Sample hit = collide::sample_nearest(mesh, near, p);
   // What is far on the inside has to be known as well as what is near.
-  if (bound && found.distance < 0) look_around(patch, mesh, root, p, boxes, collide::FAR);
+  if (bound && hit.distance < 0) look_around(patch, mesh, root, p, boxes, collide::FAR);
   patch.distance = std::sqrt(near.squared);
   patch.last = last_ = near.triangle;
-  const double beyond = found.distance - kept, least = least_ - kept, reach = 2 * patch.fine;
+  const double beyond = hit.distance - kept, least = least_ - kept, reach = 2 * patch.fine;
   if (bound && beyond > reach) {
     // It is far: that is enough to know, in the knot or as long as all goes alike.
     patch.slack = beyond / 2;
@@ -93,10 +93,10 @@ MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int3
     patch.slack = patch.fine;
   } else {
     patch.fine /= 2;
-    return {found, near.triangle};
+    return {hit, near.triangle};
   }
   if (4 * patch.count < MOST && patch.count > 0) patch.fine *= 1.5;
-  return {found, near.triangle};
+  return {hit, near.triangle};
 }
 
 Nearest MeshPatches::look_around(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p,
@@ -117,39 +117,39 @@ Nearest MeshPatches::look_around(Patch& patch, const Mesh& mesh, std::int32_t ro
   if (patch.last < 0) return best;
   best = collide::nearest_of_triangle(mesh, patch.last, p);
   look_to();
-  const double share = mesh.share, ahead = 1 - share;
-  patch.way = {};
+  const double fraction = mesh.fraction, remaining = 1 - fraction;
+  patch.shift = {};
   if (boxes) {
     const std::int32_t* corner = mesh.triangles + 3 * patch.last;
-    for (int k = 0; k < 3; ++k) patch.way = patch.way + load(mesh.ways + 3 * corner[k]) * (1.0 / 3);
+    for (int k = 0; k < 3; ++k) patch.shift = patch.shift + load(mesh.shifts + 3 * corner[k]) * (1.0 / 3);
   }
-  const double way[3] = {patch.way.x, patch.way.y, patch.way.z};
+  const double shift[3] = {patch.shift.x, patch.shift.y, patch.shift.z};
   patch.back = boxes ? boxes->back : 0;
   // Over what is left of the knot, beside the way of what was nearest.
   const auto squared = [&](std::int32_t node) {
     if (!boxes) return collide::squared_to_box(p, mesh.bounds + 6 * node);
-    const double *at = boxes->begins + 6 * node, *go = boxes->ways + 6 * node;
+    const double *at = boxes->begins + 6 * node, *go = boxes->shifts + 6 * node;
     double box[6];
     for (int k = 0; k < 3; ++k) {
-      const double low = go[k] - way[k], high = go[3 + k] - way[k];
-      box[k] = at[k] + share * go[k] + std::min({0.0, ahead * low, -patch.back * high});
-      box[3 + k] = at[3 + k] + share * go[3 + k] + std::max({0.0, ahead * high, -patch.back * low});
+      const double low = go[k] - shift[k], high = go[3 + k] - shift[k];
+      box[k] = at[k] + fraction * go[k] + std::min({0.0, remaining * low, -patch.back * high});
+      box[3 + k] = at[3 + k] + fraction * go[3 + k] + std::max({0.0, remaining * high, -patch.back * low});
     }
     return collide::squared_to_box(p, box);
   };
-  const double span = std::max(ahead, patch.back);
+  const double span = std::max(remaining, patch.back);
   collide::visit_boxes(mesh, root, farthest, squared, [&](std::int32_t t) {
-    const Nearest found = collide::nearest_of_triangle(mesh, t, p);
-    if (collide::nearer(found, best)) {
-      best = found;
+    const Nearest hit = collide::nearest_of_triangle(mesh, t, p);
+    if (collide::nearer(hit, best)) {
+      best = hit;
       look_to();
     }
-    const double distance = std::sqrt(found.squared);
+    const double distance = std::sqrt(hit.squared);
     double over = 0;
     if (boxes) {
       const std::int32_t* corner = mesh.triangles + 3 * t;
       for (int k = 0; k < 3; ++k)
-        over = std::max(over, length(load(mesh.ways + 3 * corner[k]) - patch.way));
+        over = std::max(over, length(load(mesh.shifts + 3 * corner[k]) - patch.shift));
     }
     around_.push_back({distance, distance - span * over, t});
     return farthest;
@@ -160,11 +160,11 @@ Nearest MeshPatches::look_around(Patch& patch, const Mesh& mesh, std::int32_t ro
 }
 
 bool MeshPatches::keep(Patch& patch, double reach, bool in_knot) {
-  if (patch.place < 0) {
-    patch.place = static_cast<std::int32_t>(candidates_.size());
+  if (patch.location < 0) {
+    patch.location = static_cast<std::int32_t>(candidates_.size());
     candidates_.emplace_back();
   }
-  Candidates& candidates = candidates_[static_cast<std::size_t>(patch.place)];
+  Candidates& candidates = candidates_[static_cast<std::size_t>(patch.location)];
   int count = 0;
   for (const Around& one : around_) {
     const double distance = in_knot ? one.least : one.distance;
@@ -196,7 +196,7 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
   const std::int64_t knots = (first_ + cells + lasts_ - 1) / lasts_ + 1;
   check::numbers("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
   check::finite("colliders.surfaces", numbers_.data(), numbers_.size());
-  ways_.resize(3 * surface_->points());
+  shifts_.resize(3 * surface_->points());
   surface_->fit(points_.data(), points_.data(), bounds_);
   if (bounds_.empty()) check::refuse("colliders.surfaces", "a surface has no triangle");
 }
@@ -207,11 +207,11 @@ bool MovingSurface::enter(std::int64_t cell, double length) {
   if (begin_ && knot == last_) return true;
   const bool follows = begin_ && knot == last_ + 1, begins = !begin_;
   if (follows) {
-    before_.drift = before_.drift + whole_.drift;
-    before_.spread += whole_.spread;
+    before_.drift = before_.drift + full_.drift;
+    before_.spread += full_.spread;
   }
   last_ = knot;
-  const std::size_t row = ways_.size();
+  const std::size_t row = shifts_.size();
   const double* begin = points_.data() + static_cast<std::size_t>(knot) * row;
   const double* end = begin + row;
   const bool stays = follows && travel_ == 0 && std::equal(begin, end, end);
@@ -220,55 +220,62 @@ bool MovingSurface::enter(std::int64_t cell, double length) {
   measure(begin, end);
   const bool jumps = travel_ > numbers_[4] * length * static_cast<double>(lasts_);
   if (jumps) {
-    // What is put elsewhere is there from the beginning.
+    // A teleported mesh is at its goal from the start of the cell.
     begin_ = end;
     measure(end, end);
   }
   surface_->fit(begin_, end, bounds_);
   if (travel_ > 0) {
     surface_->fit(begin_, begin_, begins_);
-    surface_->fit(ways_.data(), ways_.data(), way_bounds_);
+    surface_->fit(shifts_.data(), shifts_.data(), shift_bounds_);
   }
   return (begins || follows) && !jumps;
 }
 
 void MovingSurface::measure(const double* begin, const double* end) {
-  const std::size_t count = ways_.size() / 3;
+  const std::size_t count = shifts_.size() / 3;
   Vec sum;
   travel_ = 0;
   for (std::size_t p = 0; p < 3 * count; p += 3) {
-    const Vec way = load(end + p) - load(begin + p);
-    store(way, ways_.data() + p);
-    sum = sum + way;
-    travel_ = std::max(travel_, length(way));
+    const Vec shift = load(end + p) - load(begin + p);
+    store(shift, shifts_.data() + p);
+    sum = sum + shift;
+    travel_ = std::max(travel_, length(shift));
   }
-  whole_.drift = sum * (1 / static_cast<double>(count));
-  whole_.spread = 0;
+  full_.drift = sum * (1 / static_cast<double>(count));
+  full_.spread = 0;
   for (std::size_t p = 0; travel_ > 0 && p < 3 * count; p += 3)
-    whole_.spread = std::max(whole_.spread, length(load(ways_.data() + p) - whole_.drift));
+    full_.spread = std::max(full_.spread, length(load(shifts_.data() + p) - full_.drift));
 }
 
-collide::Collider MovingSurface::collider(double share) const {
-  collide::Collider made;
-  made.shape = collide::Shape::MESH;
-  made.mesh = surface_->mesh(begin_, ways_.data(), bounds_.data());
-  made.mesh.share = share;
-  made.restitution = numbers_[0], made.friction = numbers_[1];
-  made.margin = numbers_[2], made.depenetration = numbers_[3];
-  return made;
+double MovingSurface::travel_beside(Vec drift, double fraction) const {
+  double most = 0;
+  for (std::size_t p = 0; p < shifts_.size(); p += 3)
+    most = std::max(most, length(load(shifts_.data() + p) * fraction - drift));
+  return most;
 }
 
-MeshWay MovingSurface::way_until(double share) const {
-  return {before_.drift + whole_.drift * share, before_.spread + whole_.spread * share,
-          travel_ > 0 ? last_ : -1, share};
+collide::Collider MovingSurface::collider(double fraction) const {
+  collide::Collider built;
+  built.shape = collide::Shape::MESH;
+  built.mesh = surface_->mesh(begin_, shifts_.data(), bounds_.data());
+  built.mesh.fraction = fraction;
+  built.restitution = numbers_[0], built.friction = numbers_[1];
+  built.margin = numbers_[2], built.depenetration = numbers_[3];
+  return built;
 }
 
-Vec MovingSurface::way(const Mesh& mesh, std::int32_t triangle, Vec p) const {
+MeshShift MovingSurface::shift_until(double fraction) const {
+  return {before_.drift + full_.drift * fraction, before_.spread + full_.spread * fraction,
+          travel_ > 0 ? last_ : -1, fraction};
+}
+
+Vec MovingSurface::shift(const Mesh& mesh, std::int32_t triangle, Vec p) const {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
   const collide::Shares at = collide::shares_of_triangle(
       p, mesh.point(corner[0]), mesh.point(corner[1]), mesh.point(corner[2]));
-  const Vec a = load(&ways_[3 * corner[0]]), b = load(&ways_[3 * corner[1]]),
-            c = load(&ways_[3 * corner[2]]);
+  const Vec a = load(&shifts_[3 * corner[0]]), b = load(&shifts_[3 * corner[1]]),
+            c = load(&shifts_[3 * corner[2]]);
   return a + (b - a) * at.b + (c - a) * at.c;
 }
 

@@ -1,4 +1,4 @@
-// Meshes as particles of springs meet them, step after step.
+// Mesh collisions of particles, with caches over the steps.
 #pragma once
 
 #include <array>
@@ -13,26 +13,26 @@
 namespace animtool {
 
 // How a mesh has gone: all points by a drift, each by no more than a spread beside it.
-struct MeshWay {
+struct MeshShift {
   collide::Vec drift;
   double spread = 0;
   // In a knot in which all goes straight, its number and the share that is gone; -1 in none.
   std::int64_t knot = -1;
-  double share = 0;
+  double fraction = 0;
 };
 
 // A mesh in such a knot: boxes of its nodes as it begins, and of the ways of their points,
 // and how far before a moment particles are looked at [share of the knot].
 struct KnotBoxes {
-  const double *begins, *ways;
+  const double *begins, *shifts;
   double back;
 };
 
-// What of a mesh is near each particle. It is found by the tree, and serves for as long as
-// particle and mesh go no farther than some slack; whatever it is, the answer is the same.
+// Cache of mesh parts near each particle. Filled by the tree, and valid as long as particle and
+// mesh move less than a slack; the slack does not change the result.
 class MeshPatches {
  public:
-  struct Found {
+  struct PatchHit {
     collide::Sample sample;
     std::int32_t triangle = -1;  // none where the distance is only a bound
   };
@@ -44,9 +44,9 @@ class MeshPatches {
 
   // The mesh from a point of its frame: its distance, or, where that is more than is kept
   // and asked for, one that is less but still more than is kept.
-  Found look(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
-             const MeshWay& gone, const KnotBoxes* boxes, double kept, bool bound);
-  // Nothing is known any more.
+  PatchHit look(const collide::Mesh& mesh, std::int32_t root, std::size_t n, collide::Vec p,
+             const MeshShift& gone, const KnotBoxes* boxes, double kept, bool bound);
+  // Invalidates the cache.
   void forget();
 
  private:
@@ -59,14 +59,14 @@ class MeshPatches {
   using Candidates = std::array<Candidate, MOST>;
   struct Patch {
     collide::Vec at;
-    MeshWay gone;
+    MeshShift gone;
     // How far it serves, less than 0 not at all; how far the next is to serve.
     double slack = -1, fine = 0;
     double distance = 0;
     // The same for what is left of the knot, beside the way of what was nearest.
     double knot_slack = -1, least = 0, back = 0;
-    collide::Vec way;
-    std::int32_t count = 0, place = -1;
+    collide::Vec shift;
+    std::int32_t count = 0, location = -1;
     std::int32_t last = -1;  // a triangle that was near
   };
   // Near a particle: how far, and how far at least in what is left of the knot.
@@ -77,10 +77,10 @@ class MeshPatches {
 
   // How far a particle went since it was looked at, where what was found then serves; else
   // less than 0. With whether that is beside the way of what was nearest.
-  static double since(const Patch& patch, collide::Vec p, const MeshWay& gone, bool& in_knot);
+  static double since(const Patch& patch, collide::Vec p, const MeshShift& gone, bool& in_knot);
   collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
                            double went) const;
-  Found gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
+  PatchHit gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
                const KnotBoxes* boxes, double kept, bool bound);
   // The nearest, by what was near before, and what else is near, unless it is farther than
   // what is kept by more than that.
@@ -104,7 +104,7 @@ class MeshPatches {
 using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
                                  std::int64_t, std::int64_t>;
 
-// Such a mesh over cells of time.
+// A moving mesh over cells of time.
 class MovingSurface {
  public:
   MovingSurface(const SpringSurface& surface, std::int64_t cells);
@@ -112,17 +112,19 @@ class MovingSurface {
   // Goes on to a cell of some length. Returns whether it goes on from where it was.
   bool enter(std::int64_t cell, double length);
   // What share of its knot is gone when a share of the cell is.
-  double gone(double share) const { return begun_ + share / static_cast<double>(lasts_); }
+  double gone(double fraction) const { return begun_ + fraction / static_cast<double>(lasts_); }
   // As what is met when a share of the knot is gone, and how it has gone until then.
-  collide::Collider collider(double share) const;
-  MeshWay way_until(double share) const;
+  collide::Collider collider(double fraction) const;
+  MeshShift shift_until(double fraction) const;
   // Boxes of the knot, none where it stands; a part of a cell is looked back.
-  KnotBoxes boxes(double back) const { return {begins_.data(), way_bounds_.data(), back}; }
+  KnotBoxes boxes(double back) const { return {begins_.data(), shift_bounds_.data(), back}; }
   // The most that a point goes in the whole knot, and how its nearest point goes.
   double travel() const { return travel_; }
+  // The largest displacement of a point beside a drift, over a fraction of the knot.
+  double travel_beside(collide::Vec drift, double fraction) const;
   const double* box() const { return bounds_.data(); }
   double margin() const { return numbers_[2]; }
-  collide::Vec way(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;
+  collide::Vec shift(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;
 
  private:
   void measure(const double* begin, const double* end);
@@ -130,10 +132,10 @@ class MovingSurface {
   const MeshSurface* surface_;
   In<double, 3> points_;
   std::array<double, 5> numbers_;
-  std::vector<double> ways_, bounds_, begins_, way_bounds_;
+  std::vector<double> shifts_, bounds_, begins_, shift_bounds_;
   std::int64_t lasts_, first_;
   const double* begin_ = nullptr;
-  MeshWay before_, whole_;  // until the knot, and in it
+  MeshShift before_, full_;  // until the knot, and in it
   double travel_ = 0, begun_ = 0;
   std::int64_t last_ = -1;
 };

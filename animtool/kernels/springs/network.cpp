@@ -50,15 +50,15 @@ std::vector<double> listed(const In<double, 1>& column) {
 
 }  // namespace
 
-SpringNetwork::SpringNetwork(const SpringArrays& given)
-    : inverse_masses(listed(given.inverse_masses)),
-      drags(listed(given.drags)),
-      air_drag(given.air_drag),
-      air_lift(given.air_lift),
-      knots(listed(given.knots)) {
+SpringNetwork::SpringNetwork(const SpringArrays& arrays)
+    : inverse_masses(listed(arrays.inverse_masses)),
+      drags(listed(arrays.drags)),
+      air_drag(arrays.air_drag),
+      air_lift(arrays.air_lift),
+      knots(listed(arrays.knots)) {
   const auto& [masses, slowing, ends, rest, stiffness, damping, limit, faces, pull, drag, lift,
-               times, pins, held_path, tied, tied_stiffness, tied_damping, anchor_path, winds] =
-      given;
+               times, pins, pinned_path, tied, tied_stiffness, tied_damping, anchor_path, winds] =
+      arrays;
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MOST_ROWS);
@@ -94,8 +94,8 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
   lines.line_up(count);
   triangles = particles_of("triangles", faces.data(), faces.size(), count);
   std::copy_n(pull.data(), 3, gravity);
-  held = particles_of("held", pins.data(), pins.size(), count);
-  held_track = track_of("held_path", held_path, held.size(), knots.size());
+  pinned = particles_of("held", pins.data(), pins.size(), count);
+  pinned_track = track_of("held_path", pinned_path, pinned.size(), knots.size());
   anchors = particles_of("anchors", tied.data(), tied.size(), count);
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
   wind_track = track_of("winds", winds, 1, knots.size());
@@ -103,28 +103,28 @@ SpringNetwork::SpringNetwork(const SpringArrays& given)
 }
 
 void SpringNetwork::note_edges() {
-  std::vector<std::array<std::int32_t, 2>> found;
+  std::vector<std::array<std::int32_t, 2>> hit;
   for (std::size_t t = 0; t < triangles.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k) {
       const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
-      found.push_back({i, j});
+      hit.push_back({i, j});
     }
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
-  for (const auto& pair : found) edges.insert(edges.end(), pair.begin(), pair.end());
-  if (found.empty()) return;
+  std::sort(hit.begin(), hit.end());
+  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
+  for (const auto& pair : hit) edges.insert(edges.end(), pair.begin(), pair.end());
+  if (hit.empty()) return;
   for (const Spring& spring : lines.springs) {
     if (!(spring.rest > longest_edge)) continue;
     const auto [i, j] = std::minmax(spring.i, spring.j);
-    if (std::binary_search(found.begin(), found.end(), std::array<std::int32_t, 2>{i, j}))
+    if (std::binary_search(hit.begin(), hit.end(), std::array<std::int32_t, 2>{i, j}))
       longest_edge = spring.rest;
   }
 }
 
-void SpringNetwork::lead(In<double, 3> held_path, In<double, 3> anchor_path) {
-  Track holds = track_of("held_path", held_path, held.size(), knots.size());
+void SpringNetwork::lead(In<double, 3> pinned_path, In<double, 3> anchor_path) {
+  Track holds = track_of("held_path", pinned_path, pinned.size(), knots.size());
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
-  held_track = std::move(holds);
+  pinned_track = std::move(holds);
 }
 
 Spot spot_of(const std::vector<double>& knots, double t) {
@@ -137,12 +137,12 @@ Spot spot_of(const std::vector<double>& knots, double t) {
 
 void SpringNetwork::follow(const Track& track, const Spot& spot, double* out) {
   const std::size_t width = 3 * track.points;
-  const double* a = track.rows.data() + (track.still ? 0 : spot.row * width);
-  if (track.still || spot.share == 0) {
+  const double* a = track.rows.data() + (track.constant ? 0 : spot.row * width);
+  if (track.constant || spot.fraction == 0) {
     std::copy_n(a, width, out);
     return;
   }
-  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.share;
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.fraction;
 }
 
 void SpringNetwork::add_anchor_forces(const double* points, const double* speeds,
@@ -184,19 +184,19 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
   }
 }
 
-void SpringNetwork::place_held(double t, double h, const double* before, double* x, double* v,
+void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
-  if (held.empty()) return;
+  if (pinned.empty()) return;
   const Spot now = spot(t);
-  const std::size_t width = 3 * held.size();
-  const double* a = held_track.rows.data() + (held_track.still ? 0 : now.row * width);
-  const bool between = !held_track.still && now.share != 0;
-  for (std::size_t p = 0; p < held.size(); ++p)
+  const std::size_t width = 3 * pinned.size();
+  const double* a = pinned_track.rows.data() + (pinned_track.constant ? 0 : now.row * width);
+  const bool between = !pinned_track.constant && now.fraction != 0;
+  for (std::size_t p = 0; p < pinned.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t at =
-          strides.particle * static_cast<std::size_t>(held[p]) + strides.number * k;
+          strides.particle * static_cast<std::size_t>(pinned[p]) + strides.number * k;
       double here = a[3 * p + k];
-      if (between) here += (a[width + 3 * p + k] - here) * now.share;
+      if (between) here += (a[width + 3 * p + k] - here) * now.fraction;
       v[at] = (here - before[at]) / h;
       x[at] = here;
     }
@@ -221,7 +221,7 @@ SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const doubl
 
 bool SpringRun::tear() {
   if (!lines().tear) return false;
-  bool found = false;
+  bool hit = false;
   const SpringLines& now = lines();
   for (std::size_t s = 0; s < now.springs.size(); ++s) {
     const Spring& spring = now.springs[s];
@@ -230,10 +230,10 @@ bool SpringRun::tear() {
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     if (!(dot3(d, d) > spring.limit * spring.limit)) continue;
     torn[static_cast<std::size_t>(now.numbers[s])] = 1;
-    found = true;
+    hit = true;
   }
-  if (found) leave_out_torn();
-  return found;
+  if (hit) leave_out_torn();
+  return hit;
 }
 
 void SpringRun::leave_out_torn() {
@@ -244,7 +244,7 @@ void SpringRun::leave_out_torn() {
     left.numbers.push_back(static_cast<std::int32_t>(s));
   }
   left.line_up(network.particles());
-  own_ = std::move(left);
+  untorn_ = std::move(left);
 }
 
 void SpringLines::line_up(std::size_t particles) {
@@ -256,7 +256,7 @@ void SpringLines::line_up(std::size_t particles) {
     rest.push_back(spring.rest);
     tear = tear || std::isfinite(spring.limit);
   }
-  const auto apart = [&](std::size_t s) {
+  const auto gap = [&](std::size_t s) {
     if (s + WIDE > count) return false;
     for (std::size_t a = 2 * s; a < 2 * (s + WIDE); ++a)
       for (std::size_t b = 2 * s; b < a; ++b)
@@ -265,8 +265,8 @@ void SpringLines::line_up(std::size_t particles) {
   };
   for (std::size_t s = 0; s < count;) {
     SpringRunLength run{s, 0, 0};
-    for (; apart(s); s += WIDE) ++run.fours;
-    for (; s < count && !apart(s); ++s) ++run.ones;
+    for (; gap(s); s += WIDE) ++run.fours;
+    for (; s < count && !gap(s); ++s) ++run.ones;
     runs.push_back(run);
   }
 }
@@ -276,7 +276,7 @@ void SpringRun::look(double t, double h) {
   SpringNetwork::follow(network.wind_track, now, wind);
   if (network.anchors.empty()) return;
   SpringNetwork::follow(network.anchor_track, now, points.data());
-  if (network.anchor_track.still) {
+  if (network.anchor_track.constant) {
     points_before = points;
     return;
   }
@@ -335,16 +335,16 @@ std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t sp
   });
   // A spring waits for those before it that it shares a particle with.
   std::vector<std::int64_t> waits(particles, 0);
-  std::int64_t whole = 0, filled = 0, last = -1;
+  std::int64_t full = 0, filled = 0, last = -1;
   for (const std::int64_t s : order) {
     const std::int64_t from = component[static_cast<std::size_t>(s)];
-    if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++whole, filled = 0;
+    if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++full, filled = 0;
     last = from;
     ++filled;
     std::int64_t& a = waits[static_cast<std::size_t>(low(s))];
     std::int64_t& b = waits[static_cast<std::size_t>(high(s))];
     level[static_cast<std::size_t>(s)] = std::max(a, b);
-    block[static_cast<std::size_t>(s)] = whole;
+    block[static_cast<std::size_t>(s)] = full;
     a = b = std::max(a, b) + 1;
   }
   std::stable_sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {

@@ -1,4 +1,4 @@
-// A network of springs between particles, and what acts on them.
+// A network of springs between particles, with external forces.
 #pragma once
 
 #include <cmath>
@@ -13,7 +13,7 @@
 
 namespace animtool {
 
-// Springs in the order in which they are gone through, and in columns.
+// Springs in solver order, as columns.
 struct SpringLines {
   std::vector<Spring> springs;
   std::vector<std::int32_t> numbers;  // theirs in the network
@@ -26,17 +26,17 @@ struct SpringLines {
   void line_up(std::size_t particles);
 };
 
-// Points over the times of knots, straight between two, held outside them.
+// Points over knots of time, linear between them and constant outside.
 struct Track {
   std::vector<double> rows;  // (K or 1, P, 3)
   std::size_t points = 0;
-  bool still = true;
+  bool constant = true;
 };
 
 // Where a time lies between knots.
 struct Spot {
   std::size_t row;
-  double share;
+  double fraction;
 };
 
 Spot spot_of(const std::vector<double>& knots, double t);
@@ -46,7 +46,7 @@ struct Strides {
   std::size_t particle, number;
 };
 
-// What a network is made of.
+// Arrays of a network.
 struct SpringArrays {
   In<double, 1> inverse_masses, drags;
   In<std::int64_t, 2> ends;
@@ -55,8 +55,8 @@ struct SpringArrays {
   In<double, 1> gravity;
   double air_drag, air_lift;
   In<double, 1> knots;
-  In<std::int64_t, 1> held;
-  In<double, 3> held_path;
+  In<std::int64_t, 1> pinned;
+  In<double, 3> pinned_path;
   In<std::int64_t, 1> anchors;
   In<double, 1> anchor_stiffness, anchor_damping;
   In<double, 3> anchor_path, winds;
@@ -64,12 +64,12 @@ struct SpringArrays {
 
 class SpringNetwork {
  public:
-  explicit SpringNetwork(const SpringArrays& given);
+  explicit SpringNetwork(const SpringArrays& arrays);
 
   std::size_t particles() const { return inverse_masses.size(); }
 
   // Other paths over the same knots.
-  void lead(In<double, 3> held_path, In<double, 3> anchor_path);
+  void lead(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
   Spot spot(double t) const { return spot_of(knots, t); }
   // Points of a track at a spot, into (P, 3).
@@ -84,10 +84,10 @@ class SpringNetwork {
 
   // Put held particles where their track is at a time, their velocity that of the way from
   // where they were before: that may be the same place in memory.
-  void place_held(double t, double h, const double* before, double* x, double* v) const {
-    place_held(t, h, before, x, v, {ROW, 1});
+  void set_pinned(double t, double h, const double* before, double* x, double* v) const {
+    set_pinned(t, h, before, x, v, {ROW, 1});
   }
-  void place_held(double t, double h, const double* before, double* x, double* v,
+  void set_pinned(double t, double h, const double* before, double* x, double* v,
                   const Strides& strides) const;
 
   std::vector<double> inverse_masses, drags;
@@ -98,8 +98,8 @@ class SpringNetwork {
   double gravity[3];
   double air_drag, air_lift;
   std::vector<double> knots;
-  std::vector<std::int32_t> held;
-  Track held_track;
+  std::vector<std::int32_t> pinned;
+  Track pinned_track;
   std::vector<std::int32_t> anchors;
   std::vector<double> anchor_stiffness, anchor_damping;
   Track anchor_track;
@@ -109,13 +109,13 @@ class SpringNetwork {
   void note_edges();
 };
 
-// Steps of a network under way: where it stands, and room to work in.
+// State and workspace of a running network.
 class SpringRun {
  public:
   SpringRun(const SpringNetwork& network, const double* x, const double* v,
             const std::uint8_t* torn);
 
-  // Take out what is stretched beyond its limit, and return whether anything was.
+  // Tear springs beyond their limit; returns whether any tore.
   bool tear();
 
   const SpringNetwork& network;
@@ -124,7 +124,7 @@ class SpringRun {
   std::vector<std::uint8_t> torn;
 
   // Springs that are not torn.
-  const SpringLines& lines() const { return own_ ? *own_ : network.lines; }
+  const SpringLines& lines() const { return untorn_ ? *untorn_ : network.lines; }
 
   // Anchors and wind at a time; speeds are those of the h before it.
   void look(double t, double h);
@@ -142,12 +142,11 @@ class SpringRun {
   void leave_out_torn();
 
   // Where some are torn, the others.
-  std::optional<SpringLines> own_;
+  std::optional<SpringLines> untorn_;
   PullRoom room_;
 };
 
-// The order in which springs are gone through: as by their particles, but with those that do
-// not wait for each other next to each other.
+// Solver order of springs: by particle, with independent springs next to each other.
 std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
                                         std::size_t particles);
 

@@ -1,4 +1,4 @@
-// Pairs that are near, by a grid.
+// Broad phase of self-contact by a grid.
 #include "springs/pairs.h"
 
 #include <initializer_list>
@@ -78,22 +78,22 @@ std::vector<LayerPair> TrianglesAndCorners::near(const SpringLayers& layers,
     widths += box(shapes::Triangle(layers.corners(t), x.data())).widest();
   PointGrid grid;
   fill(grid, x, widths, layers.triangles());
-  std::vector<LayerPair> found;
+  std::vector<LayerPair> hit;
   for (std::size_t t = 0; t < layers.triangles(); ++t) {
     const std::int32_t* corners = layers.corners(t);
     const shapes::Triangle triangle(corners, x.data());
     const Box about = box(triangle);
-    grid.visit(about.low, about.high, [&](std::int32_t n, const double* place) {
-      if (!about.has(place) || std::find(corners, corners + 3, n) != corners + 3) return;
-      const double apart = triangle.distance(load(place));
-      if (!(apart <= farthest)) return;
+    grid.visit(about.low, about.high, [&](std::int32_t n, const double* location) {
+      if (!about.has(location) || std::find(corners, corners + 3, n) != corners + 3) return;
+      const double gap = triangle.distance(load(location));
+      if (!(gap <= farthest)) return;
       const double least = layers.least(t, n);
-      if (least > 0 && apart - least <= reach)
-        found.push_back({static_cast<std::int32_t>(t), n, least, apart});
+      if (least > 0 && gap - least <= reach)
+        hit.push_back({static_cast<std::int32_t>(t), n, least, gap});
     });
   }
-  sort(found, layers.triangles());
-  return found;
+  sort(hit, layers.triangles());
+  return hit;
 }
 
 std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
@@ -108,23 +108,23 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const shapes::Segment edge(layers.ends(e), x.data());
     collide::store(edge.at(0.5), &middles[ROW * e]);
-    lengths[e] = length(edge.way());
+    lengths[e] = length(edge.shift());
     widths += box(edge, lengths[e]).widest();
   }
   PointGrid grid;
   fill(grid, middles, widths, layers.edges());
-  std::vector<LayerPair> found;
+  std::vector<LayerPair> hit;
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
     const Box about = box(edge, lengths[e]), close = box(edge, 0);
     const Vec middle = load(&middles[ROW * e]);
-    grid.visit(about.low, about.high, [&](std::int32_t n, const double* place) {
+    grid.visit(about.low, about.high, [&](std::int32_t n, const double* location) {
       const auto f = static_cast<std::size_t>(n);
-      const auto own = std::pair(lengths[e], e), other = std::pair(lengths[f], f);
-      if (!(other < own)) return;
+      const auto self = std::pair(lengths[e], e), other = std::pair(lengths[f], f);
+      if (!(other < self)) return;
       const double most = farthest + (lengths[e] + lengths[f]) / 2;
-      const Vec off = load(place) - middle;
+      const Vec off = load(location) - middle;
       if (dot(off, off) > most * most) return;
       const auto [first, second] = std::minmax(e, f);
       const std::int32_t *one = layers.ends(first), *two = layers.ends(second);
@@ -132,16 +132,16 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
       const std::int32_t* others = layers.ends(f);
       if (!close.meets(row_of(x.data(), others[0]), row_of(x.data(), others[1]))) return;
       const std::int32_t who[4] = {one[0], one[1], two[0], two[1]};
-      const double apart = length(shapes::EdgePair(who, x.data()).nearest().off);
-      if (!(apart <= farthest)) return;
+      const double gap = length(shapes::EdgePair(who, x.data()).nearest().off);
+      if (!(gap <= farthest)) return;
       const double least = layers.least_of_edges(first, second);
-      if (least > 0 && apart - least <= reach)
-        found.push_back({static_cast<std::int32_t>(first), static_cast<std::int32_t>(second),
-                         least, apart});
+      if (least > 0 && gap - least <= reach)
+        hit.push_back({static_cast<std::int32_t>(first), static_cast<std::int32_t>(second),
+                         least, gap});
     });
   }
-  sort(found, layers.edges());
-  return found;
+  sort(hit, layers.edges());
+  return hit;
 }
 
 }  // namespace animtool

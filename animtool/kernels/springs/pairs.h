@@ -1,4 +1,4 @@
-// Which parts of a surface may come near each other.
+// Broad phase of self-contact.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace animtool {
 // apart they were.
 struct LayerPair {
   std::int32_t first, second;
-  double least, apart;
+  double least, gap;
 };
 
 using FourParticles = std::array<std::int32_t, 4>;
@@ -69,14 +69,14 @@ struct EdgesAndEdges {
   template <class IsThrough>
   static bool came_round(const SpringLayers& layers, std::int32_t first, std::int32_t second,
                          IsThrough is_through) {
-    const auto beside = [&](std::int32_t edge) {
+    const auto relative = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {
         const std::int32_t *one = layers.ends(static_cast<std::size_t>(edge)),
                            *two = layers.ends(static_cast<std::size_t>(other));
         return std::find_first_of(one, one + 2, two, two + 2) != one + 2;
       };
     };
-    return is_through(first, beside(second)) || is_through(second, beside(first));
+    return is_through(first, relative(second)) || is_through(second, relative(first));
   }
   static std::vector<LayerPair> near(const SpringLayers& layers, const std::vector<double>& x,
                                      double reach);

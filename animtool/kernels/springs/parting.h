@@ -1,4 +1,4 @@
-// How two parts of a surface that came too near are moved apart in a step.
+// Separation of two parts of a surface in self-contact.
 #pragma once
 
 #include <algorithm>
@@ -23,12 +23,11 @@ constexpr double NEARLY = 1e-2;
 struct LayerHit {
   std::int32_t first, second, side;
   FourParticles who;
-  double apart, travel, least;
+  double gap, travel, least;
 };
 
-// One step. What one gains in momentum the other loses; where they only come
-// back to the distance that they are to keep, what they were before moves too, so that it
-// gives no speed.
+// One step. Momentum is conserved. Where parts only return to the kept distance, the previous
+// positions move too, so that no velocity is added.
 class Parting {
  public:
   // Back: how far those that are too near come apart in the step without speed. At ends:
@@ -52,7 +51,7 @@ class Parting {
 
  private:
   // Moves four particles by their shares: pressed as a contact, back without speed.
-  void move(const LayerHit& hit, const double* share, collide::Vec out, double pressed,
+  void move(const LayerHit& hit, const double* fraction, collide::Vec out, double pressed,
             double back);
 
   double friction_, back_;
@@ -68,13 +67,13 @@ bool Parting::part(const LayerHit& hit) {
   const Shape now(hit.who.data(), x_.data());
   const shapes::Nearest near = now.nearest();
   if (!near.inside && !(at_ends_ && hit.side)) return false;
-  double apart = length(near.off);
-  const double height = hit.side ? hit.side * now.height() : apart;
-  if (!(std::min(height, apart) < hit.least)) return false;
+  double gap = length(near.off);
+  const double height = hit.side ? hit.side * now.height() : gap;
+  if (!(std::min(height, gap) < hit.least)) return false;
   const bool through = height < 0;
-  collide::Vec out = near.off * (1 / apart);
-  if (through || !(apart > 0)) out = collide::direction(now.normal(), {0, 0, 1});
-  if (through) out = out * hit.side, apart = height;
+  collide::Vec out = near.off * (1 / gap);
+  if (through || !(gap > 0)) out = collide::direction(now.normal(), {0, 0, 1});
+  if (through) out = out * hit.side, gap = height;
   const auto distance = [&](const std::vector<double>& rows) {
     const Shape was(hit.who.data(), rows.data());
     return through ? hit.side * was.height() : length(was.nearest().off);
@@ -82,35 +81,35 @@ bool Parting::part(const LayerHit& hit) {
   const double first = distance(before_);
   const double goal = std::min(hit.least, first + back_);
   const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
-  const double pressed = std::max(0.0, begun - apart);
-  const double back = std::max(0.0, goal - std::max(apart, begun));
-  move(hit, near.share, out, pressed, back);
+  const double pressed = std::max(0.0, begun - gap);
+  const double back = std::max(0.0, goal - std::max(gap, begun));
+  move(hit, near.fraction, out, pressed, back);
   return pressed + back > hit.least * NEARLY;
 }
 
-inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec out,
+inline void Parting::move(const LayerHit& hit, const double* fraction, collide::Vec out,
                           double pressed, double back) {
   if (back > 0 && !shifts_) shifted_ = before_, shifts_ = true;
   std::vector<double>& was = shifts_ ? shifted_ : before_;
-  double weights[4], whole = 0, farthest = 0, lightest = 0;
+  double weights[4], full = 0, farthest = 0, lightest = 0;
   double *to[4], *from[4];
   collide::Vec along;
   for (std::size_t k = 0; k < 4; ++k) {
     const auto particle = static_cast<std::size_t>(hit.who[k]);
     to[k] = &x_[ROW * particle], from[k] = &was[ROW * particle];
-    weights[k] = inverse_masses_[particle] * share[k];
-    whole += weights[k] * share[k];
+    weights[k] = inverse_masses_[particle] * fraction[k];
+    full += weights[k] * fraction[k];
     farthest = std::max(farthest, std::abs(weights[k]));
     lightest = std::max(lightest, inverse_masses_[particle]);
-    along = along + (collide::load(to[k]) - collide::load(from[k])) * share[k];
+    along = along + (collide::load(to[k]) - collide::load(from[k])) * fraction[k];
   }
-  whole = std::max({whole, farthest / FARTHEST, lightest * LEAST});
-  if (!(whole > 0)) return;
+  full = std::max({full, farthest / FARTHEST, lightest * LEAST});
+  if (!(full > 0)) return;
   along = along - out * dot(along, out);
-  const double slid = length(along), held = friction_ * pressed;
-  const double stop = slid > held ? held / slid : 1;
-  const collide::Vec back_by = out * (back / whole);
-  const collide::Vec by = out * (pressed / whole) - along * (stop / whole) + back_by;
+  const double slid = length(along), pinned = friction_ * pressed;
+  const double stop = slid > pinned ? pinned / slid : 1;
+  const collide::Vec back_by = out * (back / full);
+  const collide::Vec by = out * (pressed / full) - along * (stop / full) + back_by;
   for (std::size_t k = 0; k < 4; ++k) {
     collide::store(collide::load(to[k]) + by * weights[k], to[k]);
     if (back > 0) collide::store(collide::load(from[k]) + back_by * weights[k], from[k]);

@@ -12,14 +12,14 @@ namespace animtool {
 namespace {
 
 std::vector<std::int32_t> edges_of(const std::vector<std::int32_t>& corners) {
-  std::vector<std::pair<std::int32_t, std::int32_t>> found;
+  std::vector<std::pair<std::int32_t, std::int32_t>> hit;
   for (std::size_t t = 0; t < corners.size(); t += 3)
     for (std::size_t k = 0; k < 3; ++k)
-      found.push_back(std::minmax({corners[t + k], corners[t + (k + 1) % 3]}));
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
+      hit.push_back(std::minmax({corners[t + k], corners[t + (k + 1) % 3]}));
+  std::sort(hit.begin(), hit.end());
+  hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
   std::vector<std::int32_t> ends;
-  for (const auto& [i, j] : found) ends.insert(ends.end(), {i, j});
+  for (const auto& [i, j] : hit) ends.insert(ends.end(), {i, j});
   return ends;
 }
 

@@ -1,4 +1,4 @@
-// Extended position based dynamics in small steps: each spring once a step, in order.
+// Extended position based dynamics in small steps: each spring once per step, in order.
 //
 // M. Macklin, M. Müller, N. Chentanez, XPBD, 2016; M. Macklin et al., Small Steps in
 // Physics Simulation, 2019. Strain limits: X. Provot, Deformation Constraints in a Mass-Spring
@@ -16,17 +16,17 @@ namespace animtool {
 
 namespace {
 
-// Cells without need of as many steps after which half as many are tried.
+// Calm cells after which half as many steps are tried.
 constexpr int CALM_CELLS = 120;
-// Stretch, over what is allowed, below which a cell has no need.
-constexpr double CALM_SHARE = 0.125;
-// Of a stretch, over what is beyond the spring's own give, from where on it is its own.
-constexpr double OWN = 2;
-// Springs that give by less than this share of what they are asked to do not give [1].
+// Strain, relative to the limit, below which a cell is calm.
+constexpr double CALM_FRACTION = 0.125;
+// Ratio of strain to its part beyond compliance above which it counts as compliance.
+constexpr double COMPLIANT = 2;
+// Springs with a compliance below this fraction of the correction count as stiff [1].
 constexpr double RIGID = 0.1;
-// Rounds over limited springs in a step.
+// Rounds of strain limiting in a step.
 constexpr int LIMIT_ROUNDS = 4;
-// What contacts may strain over a limit, and rounds of bringing that back.
+// Strain that contacts may add over the limit, and rounds of reducing it.
 constexpr double LAST_LIMIT = 1.4;
 constexpr int LAST_ROUNDS = 2;
 // Of a limit, from where on a cell is worth shorter steps, and what is left of the stretch
@@ -40,8 +40,8 @@ struct Give {
 
 Give give(double stiffness, double damping, double weight, double h) {
   const double k = stiffness * h * h, c = damping * h;
-  const double whole = (k + c) * weight + 1;
-  return {k / whole, c / whole};
+  const double full = (k + c) * weight + 1;
+  return {k / full, c / full};
 }
 
 class Projection {
@@ -67,11 +67,11 @@ class Projection {
       run_.look(t + h, h);
       if (limit_ > 0) start_ = run_.x;
       predict(h);
-      run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+      run_.network.set_pinned(t + h, h, before_.data(), run_.x.data(), run_.v.data());
       project(j + 1 < substeps ? nullptr : gives_.data());
       pull_anchors();
       limit_strains(limit_);
-      self_.keep_apart(h, before_, run_.x);
+      self_.separate(h, before_, run_.x);
       settle(j, h);
       self_.look(before_, run_.x);
       const double rate = 1 / h;
@@ -96,9 +96,9 @@ class Projection {
       weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
       weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
       const double both = *(weights_.end() - 2) + weights_.back();
-      const Give own = give(spring.stiffness, spring.damping, both, h);
-      lengths_.push_back(own.length);
-      changes_.push_back(own.change);
+      const Give compliance = give(spring.stiffness, spring.damping, both, h);
+      lengths_.push_back(compliance.length);
+      changes_.push_back(compliance.change);
     }
     anchor_gives_.clear();
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
@@ -162,12 +162,12 @@ class Projection {
     if (!(limit_ > 0)) return;
     const auto meet = [&] { contacts_.settle(step, before_, run_.x, nullptr, &moved_); };
     moved_.assign(run_.network.particles(), 1);
-    self_.keep_whole(h, start_, before_, run_.x, moved_, meet);
+    self_.prevent_piercing(h, start_, before_, run_.x, moved_, meet);
     for (int round = 0; round < LAST_ROUNDS; ++round) {
       std::fill(moved_.begin(), moved_.end(), 0);
       if (!limit_strains(LAST_LIMIT * limit_, &moved_)) return;
       meet();
-      self_.keep_whole(h, start_, before_, run_.x, moved_, meet);
+      self_.prevent_piercing(h, start_, before_, run_.x, moved_, meet);
     }
   }
 
@@ -241,8 +241,8 @@ class Projection {
       const double square = dot3(d, d), bound = spring.rest * (1 + most);
       if (square <= bound * bound) continue;
       const double beyond = std::sqrt(square) - spring.rest;
-      const double own = std::max(0.0, gives_[s]);
-      most = std::max(most, std::min(beyond, OWN * (beyond - own)) / spring.rest);
+      const double compliance = std::max(0.0, gives_[s]);
+      most = std::max(most, std::min(beyond, COMPLIANT * (beyond - compliance)) / spring.rest);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
     return most;
@@ -293,27 +293,27 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   for (std::int64_t i = 0; i < cells; ++i) {
     x = run.x;
     v = run.v;
-    double found = projection.cross(i, grid.start(i), substeps);
+    double hit = projection.cross(i, grid.start(i), substeps);
     taken += substeps;
     const double bound = limit > 0 ? std::max(stretch, BEYOND_LIMIT * limit) : stretch;
     const auto more_through = [&] { return limit > 0 && self.crossings() > self.begun_crossings(); };
     bool helped = true;
-    while ((!(found <= bound) || more_through()) && substeps < most && helped) {
+    while ((!(hit <= bound) || more_through()) && substeps < most && helped) {
       substeps = std::min(2 * substeps, most);
       calm = 0;
       run.x = x;
       run.v = v;
-      const double last = found;
-      found = projection.cross(i, grid.start(i), substeps);
+      const double last = hit;
+      hit = projection.cross(i, grid.start(i), substeps);
       taken += substeps;
       // What contacts and held particles ask for, shorter steps do not mend.
-      if (limit > 0) helped = more_through() || found <= HELPED * last;
+      if (limit > 0) helped = more_through() || hit <= HELPED * last;
     }
-    if (limit > 0 && found <= bound && !more_through() && substeps > least)
+    if (limit > 0 && hit <= bound && !more_through() && substeps > least)
       substeps = std::max(substeps / 2, least);
-    worst = std::max(worst, found);
+    worst = std::max(worst, hit);
     self.note_through();
-    calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
+    calm = hit <= CALM_FRACTION * stretch ? calm + 1 : 0;
     if (calm >= CALM_CELLS && substeps > least) {
       substeps = std::max(substeps / 2, least);
       calm = 0;

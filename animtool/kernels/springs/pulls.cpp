@@ -79,8 +79,8 @@ std::vector<SpringPulls::Band> SpringPulls::lay_bands(const std::vector<Spring>&
       // Of several springs between two particles one is in a band.
       if (low(next) != low(last)) chosen.push_back(order[k]);
     }
-    const std::size_t places = low(springs[chosen.back()]) - low(first) + 1;
-    if (chosen.size() < LEAST || 2 * chosen.size() < places) continue;
+    const std::size_t locations = low(springs[chosen.back()]) - low(first) + 1;
+    if (chosen.size() < LEAST || 2 * chosen.size() < locations) continue;
     bands.push_back(band_of(springs, chosen));
     banded.insert(banded.end(), chosen.begin(), chosen.end());
   }
@@ -106,13 +106,13 @@ SpringPulls::Band SpringPulls::band_of(const std::vector<Spring>& springs,
 void SpringPulls::lay_pieces(std::vector<Band> bands) {
   std::stable_sort(bands.begin(), bands.end(),
                    [](const Band& a, const Band& b) { return a.first < b.first; });
-  const std::size_t whole = plane_height(particles_) - WIDE;
+  const std::size_t full = plane_height(particles_) - WIDE;
   std::vector<const Band*> here;
-  for (std::size_t begin = 0, next = 0, end; begin < whole; begin = end) {
+  for (std::size_t begin = 0, next = 0, end; begin < full; begin = end) {
     std::erase_if(here, [&](const Band* band) { return band->last <= begin; });
     for (; next < bands.size() && bands[next].first == begin; ++next)
       here.push_back(&bands[next]);
-    end = std::min(whole, begin + BAND_PIECE);
+    end = std::min(full, begin + BAND_PIECE);
     if (next < bands.size()) end = std::min(end, bands[next].first);
     for (const Band* band : here) end = std::min(end, band->last);
     lay_piece(begin, end, here);
@@ -127,8 +127,8 @@ void SpringPulls::lay_piece(std::size_t begin, std::size_t end, std::vector<cons
   for (const Band* band : bands) offsets_.push_back(band->offset);
   for (std::size_t n = begin; n < end; n += WIDE)
     for (const Band* band : bands) {
-      const Numbers& own = band->numbers;
-      for (const std::vector<double>* column : {&own.rest, &own.stiffness, &own.damping})
+      const Numbers& padded = band->numbers;
+      for (const std::vector<double>* column : {&padded.rest, &padded.stiffness, &padded.damping})
         for (std::size_t l = 0; l < WIDE; ++l)
           numbers_.push_back((*column)[n - band->first + l]);
     }

@@ -1,4 +1,4 @@
-// The rigid motion that comes nearest to how points went.
+// Best-fit rigid motion of point displacements.
 //
 // M. Müller et al., A Robust Method to Extract the Rotational Part of Deformations, 2016.
 #pragma once
@@ -10,24 +10,24 @@
 
 namespace animtool {
 
-class RigidWay {
+class RigidMotion {
  public:
   // Of points by number, each with a weight: where they were, and where they are.
   template <class From, class To, class Weight>
-  RigidWay(std::size_t count, From from, To to, Weight weight) {
-    double whole = 0;
+  RigidMotion(std::size_t count, From from, To to, Weight weight) {
+    double full = 0;
     for (std::size_t i = 0; i < count; ++i) {
       start_ = start_ + from(i) * weight(i), end_ = end_ + to(i) * weight(i);
-      whole += weight(i);
+      full += weight(i);
     }
-    if (!(whole > 0)) return;
-    start_ = start_ * (1 / whole), end_ = end_ * (1 / whole);
+    if (!(full > 0)) return;
+    start_ = start_ * (1 / full), end_ = end_ * (1 / full);
     Vec sums[3];  // of ends, times the components of starts
     for (std::size_t i = 0; i < count; ++i) {
       const Vec arm = (from(i) - start_) * weight(i), at = to(i) - end_;
       sums[0] = sums[0] + at * arm.x, sums[1] = sums[1] + at * arm.y, sums[2] = sums[2] + at * arm.z;
     }
-    for (int k = 0; k < MOST_TURNS; ++k) {
+    for (int k = 0; k < MAX_ROTATIONS; ++k) {
       Vec axis;
       double along = 0;
       for (int c = 0; c < 3; ++c) {
@@ -37,7 +37,7 @@ class RigidWay {
       axis = axis * (1 / (std::abs(along) + LEAST));
       const double angle = length(axis);
       if (!(angle > TURNED) || !std::isfinite(angle)) break;
-      turn(axis * (1 / angle), angle);
+      rotation(axis * (1 / angle), angle);
     }
   }
 
@@ -49,10 +49,10 @@ class RigidWay {
 
  private:
   // Turns are made better so often, until they change by less than this [rad].
-  static constexpr int MOST_TURNS = 20;
+  static constexpr int MAX_ROTATIONS = 20;
   static constexpr double TURNED = 1e-10, LEAST = 1e-300;
 
-  void turn(Vec n, double angle) {
+  void rotation(Vec n, double angle) {
     const double c = std::cos(angle), s = std::sin(angle);
     for (Vec& v : columns_) v = v * c + cross(n, v) * s + n * (dot(n, v) * (1 - c));
   }

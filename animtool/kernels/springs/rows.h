@@ -43,10 +43,10 @@ Vector3<One<On>> row_at(const double* from) {
   return {from[0], from[1], from[2]};
 }
 template <class On>
-void add_to_row(const Vector3<One<On>>& way, double* row) {
-  (One<On>::of(row) + way.x).store(row);
-  (One<On>::of(row + 1) + way.y).store(row + 1);
-  (One<On>::of(row + 2) + way.z).store(row + 2);
+void add_to_row(const Vector3<One<On>>& shift, double* row) {
+  (One<On>::of(row) + shift.x).store(row);
+  (One<On>::of(row + 1) + shift.y).store(row + 1);
+  (One<On>::of(row + 2) + shift.z).store(row + 2);
 }
 
 // Add the forces of springs to rows of particles.
@@ -102,8 +102,8 @@ void accelerate_rows(const ParticleColumns& particles, std::size_t count, const 
   const N falling = N::of(fall);
   for (std::size_t n = 0; n < count; ++n, v += ROW, rows += ROW) {
     const double inverse = particles.inverse_masses[n];
-    const N whole = N::of(rows) * inverse + (falling - particles.drags[n] * N::of(v));
-    (inverse > 0 ? whole : N(0.0)).store(rows);
+    const N full = N::of(rows) * inverse + (falling - particles.drags[n] * N::of(v));
+    (inverse > 0 ? full : N(0.0)).store(rows);
   }
 }
 

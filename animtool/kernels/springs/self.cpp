@@ -1,4 +1,4 @@
-// Contacts of a surface of springs with itself.
+// Self-contact of spring surfaces.
 #include "springs/self.h"
 
 #include <algorithm>
@@ -20,13 +20,13 @@ constexpr double FASTEST = 4;
 // How much farther pairs are listed than they come in a step [thickness].
 constexpr double LISTED = 4;
 // Steps that those which are near are picked from them for, and bounds of that [thickness].
-constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
+constexpr double PICK_STEPS = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
 // How fast what is tangled comes free [m/s].
 constexpr double FREED = 1;
 // Width of cells that hold what may come near [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
 
-RigidWay way_of_all(const std::vector<double>& from, const std::vector<double>& to) {
+RigidMotion common_motion(const std::vector<double>& from, const std::vector<double>& to) {
   return {
       from.size() / ROW, [&](std::size_t n) { return load(&from[ROW * n]); },
       [&](std::size_t n) { return load(&to[ROW * n]); }, [](std::size_t) { return 1.0; }};
@@ -97,7 +97,7 @@ void SelfContacts::look_around(double h, const std::vector<double>& before,
                                const std::vector<double>& x) {
   longest_ = 0;
   for (std::size_t e = 0; e < layers_->edges(); ++e)
-    longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).way()));
+    longest_ = std::max(longest_, length(shapes::Segment(layers_->ends(e), x.data()).shift()));
   const double back = layers_->speed * h;
   motion_.build(x, CELL_EDGES * longest_ + CELL * layers_->thickness + 2 * back);
   listed_.reach = picked_.reach = -1;
@@ -111,9 +111,9 @@ void SelfContacts::measure(double h, const std::vector<double>& before,
   need_ = most_ + layers_->speed * h;
   far_ = 0;
   if (listed_.reach < 0) return;
-  const Drift drift = motion_.between(listed_.at, x, way_of_all(listed_.at, x));
+  const Drift drift = motion_.between(listed_.at, x, common_motion(listed_.at, x));
   listed_.drift = drift.near, far_ = drift.all;
-  picked_.drift = motion_.between(picked_.at, x, way_of_all(picked_.at, x)).near;
+  picked_.drift = motion_.between(picked_.at, x, common_motion(picked_.at, x)).near;
 }
 
 bool SelfContacts::cells_cover() const {
@@ -130,17 +130,17 @@ void SelfContacts::list(double h, const std::vector<double>& before,
     corners_.list(*layers_, x, listed_.reach);
     edges_.list(*layers_, x, listed_.reach);
   }
-  const double reach = need_ + std::clamp(PICK_AHEAD * travel_, LEAST_PICK * d, MOST_PICK * d);
+  const double reach = need_ + std::clamp(PICK_STEPS * travel_, LEAST_PICK * d, MOST_PICK * d);
   picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
-  const RigidWay way = way_of_all(listed_.at, x);
+  const RigidMotion shift = common_motion(listed_.at, x);
   went_.resize(x.size() / ROW);
   for (std::size_t n = 0; n < went_.size(); ++n)
-    went_[n] = length(load(&x[ROW * n]) - way(load(&listed_.at[ROW * n])));
+    went_[n] = length(load(&x[ROW * n]) - shift(load(&listed_.at[ROW * n])));
   corners_.pick(*layers_, x, went_, picked_.reach);
   edges_.pick(*layers_, x, went_, picked_.reach);
 }
 
-void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector<double>& x) {
+void SelfContacts::separate(double h, std::vector<double>& before, std::vector<double>& x) {
   if (!layers_ || x.empty()) return;
   corners_.forget();
   edges_.forget();
@@ -152,7 +152,7 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
     measure(h, before, x);
   list(h, before, x);
   const double most = FASTEST * layers_->thickness, more = layers_->speed * h;
-  if (travel_ > most) rate_wanted_ = std::max(rate_wanted_, travel_ / (most * h));
+  if (travel_ > most) rate_needed_ = std::max(rate_needed_, travel_ / (most * h));
   const Tangles* tangles = tangles_ && tangles_->any() ? &*tangles_ : nullptr;
   if (tangles) tangles->part(FREED * h, before, x);
   corners_.find(*layers_, before, x, most_, more, tangles);
@@ -238,13 +238,13 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
     std::copy_n(after.data() + 3 * n, 3, &x[ROW * n]);
   }
   Out<double, 3> result(2, count, 3);
-  SelfContacts(layers, network).keep_apart(h, from, x);
-  const double *places = after.data(), *speeds = places + 3 * count;
+  SelfContacts(layers, network).separate(h, from, x);
+  const double *locations = after.data(), *speeds = locations + 3 * count;
   for (std::size_t n = 0; n < count; ++n)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t row = ROW * n + k, at = 3 * n + k;
       // What friction and pressing took from the way, they take from the speed.
-      const double taken = (x[row] - places[at]) - (from[row] - before.data()[at]);
+      const double taken = (x[row] - locations[at]) - (from[row] - before.data()[at]);
       result.get()[at] = x[row];
       result.get()[3 * count + at] = speeds[at] + taken / h;
     }

@@ -1,4 +1,4 @@
-// Surfaces of springs that keep apart from themselves.
+// Self-contact of spring surfaces.
 //
 // M. Müller et al., Position Based Dynamics, 2007, 3.5 and 4.4 (particles against triangles,
 // each on the side that it was); R. Bridson et al., Robust Treatment of Collisions, Contact
@@ -16,34 +16,34 @@
 
 namespace animtool {
 
-// Particles and pairs of edges that went through, and the steps a second that what goes farther
-// in one than is looked at would take; 0 where nothing does.
+// Piercing particles and pairs of edges, and the step rate that would detect contacts faster
+// than the search range; 0 if there are none.
 using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
 
-// The contacts of a surface with itself, over the steps of a run: particles with triangles,
-// and after these edges with edges, where nothing else is as near as points along both.
+// Self-contacts of a surface over the steps of a run: particles with triangles, then edges with
+// edges if their interiors are closest.
 class SelfContacts {
-  // Of a step: rounds in which what went through is parted, and of all.
+  // Rounds of resolving piercing in a step, and of all rounds.
   static constexpr int PARTING_ROUNDS = 6, MOST_ROUNDS = 40;
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
-  // Without layers nothing is done. Crossed: passages to go on with (C, 3), as `ended` returns them.
-  // What is tangled comes free where that is asked for.
+  // Without layers nothing is done. Crossed: piercings to resume with (C, 3), as `ended` returns
+  // them. With `frees`, tangles are resolved.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
                const In<std::int64_t, 2>& crossed, bool frees = false);
 
   // A cell of time begins; one that began before is crossed again.
   void begin_cell(std::int64_t cell, const std::vector<double>& x);
-  // Moves parts apart at the end of a step; where they only come back to the distance
-  // that they are to keep, what they were before moves too, so that it gives no speed.
-  void keep_apart(double h, std::vector<double>& before, std::vector<double>& x);
+  // Separates parts at the end of a step; where they only return to the kept distance, the
+  // previous positions move too, so that no velocity is added.
+  void separate(double h, std::vector<double>& before, std::vector<double>& x);
   // Where a step from here leads parts through each other, they are moved until none is:
   // apart, with `settle` told after each round, and at last as one. Only particles that are
   // marked may have moved since that was so; those that are moved are marked. Does nothing
   // unless what is tangled comes free.
   template <class Settle>
-  void keep_whole(double h, const std::vector<double>& from, std::vector<double>& before,
+  void prevent_piercing(double h, const std::vector<double>& from, std::vector<double>& before,
                   std::vector<double>& x, std::vector<std::uint8_t>& moved, Settle settle);
   // Notes who is on another side than at the begin of the step, where nothing keeps it whole.
   void look(const std::vector<double>& before, const std::vector<double>& x);
@@ -56,7 +56,7 @@ class SelfContacts {
   std::size_t begun_crossings() const { return begun_corners_.size() + begun_edges_.size(); }
   // What is through, at most at the end of any cell that was noted.
   void note_through();
-  SelfThrough through() const { return {passed_, cut_, rate_wanted_}; }
+  SelfThrough through() const { return {passed_, cut_, rate_needed_}; }
 
  private:
   // Where particles were when pairs were looked for, and how far these may have come since.
@@ -100,12 +100,12 @@ class SelfContacts {
   double longest_ = 0;  // edge, when cells were made
   // Of parts that are near, how far they go over each other in a step, and what of that is
   // looked at.
-  double travel_ = 0, most_ = 0, need_ = 0, rate_wanted_ = 0;
+  double travel_ = 0, most_ = 0, need_ = 0, rate_needed_ = 0;
   double far_ = 0;  // how far all moved over each other since
 };
 
 template <class Settle>
-void SelfContacts::keep_whole(double h, const std::vector<double>& from,
+void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
                               std::vector<double>& before, std::vector<double>& x,
                               std::vector<std::uint8_t>& moved, Settle settle) {
   if (!layers_ || !tangles_ || listed_.reach < 0) return;

@@ -1,5 +1,4 @@
-// Corners against triangles and edges against edges: where they are nearest, on which side
-// of each other they are, and whether they went through each other.
+// Vertex-triangle and edge-edge tests: closest points, sides, and continuous crossing.
 //
 // C. Ericson, Real-Time Collision Detection, 2005, 5.1.5 and 5.1.9; R. Bridson et al., Robust
 // Treatment of Collisions, Contact and Friction for Cloth Animation, 2002, 6.1.
@@ -30,13 +29,13 @@ constexpr double MET = 1e-3;
 inline Vec row_of(const double* rows, std::int32_t particle) {
   return collide::load(rows + ROW * static_cast<std::size_t>(particle));
 }
-inline Vec between(Vec a, Vec b, double share) { return a + (b - a) * share; }
+inline Vec between(Vec a, Vec b, double fraction) { return a + (b - a) * fraction; }
 
 // Where two of them are nearest: from the second to the first, and the shares of the four
 // particles in that; inside is not at an end of an edge.
 struct Nearest {
   Vec off;
-  double share[4];
+  double fraction[4];
   bool inside = true;
 };
 
@@ -63,8 +62,8 @@ struct Segment {
   Segment(const std::int32_t* ends, const double* rows)
       : a(row_of(rows, ends[0])), b(row_of(rows, ends[1])) {}
 
-  Vec way() const { return b - a; }
-  Vec at(double share) const { return between(a, b, share); }
+  Vec shift() const { return b - a; }
+  Vec at(double fraction) const { return between(a, b, fraction); }
 };
 
 // A corner and a triangle, somewhere.
@@ -80,10 +79,10 @@ struct CornerPair {
   // Towards the side that heights above 0 are on; of no length where there is none.
   Vec normal() const { return triangle.normal(); }
   double height() const { return dot(p - triangle.a, normal()); }
-  CornerPair until(const CornerPair& end, double share) const {
+  CornerPair until(const CornerPair& end, double fraction) const {
     const Triangle &from = triangle, &to = end.triangle;
-    return {between(p, end.p, share), {between(from.a, to.a, share), between(from.b, to.b, share),
-                                       between(from.c, to.c, share)}};
+    return {between(p, end.p, fraction), {between(from.a, to.a, fraction), between(from.b, to.b, fraction),
+                                       between(from.c, to.c, fraction)}};
   }
   // Three ways that are in one plane where it is in that of the triangle.
   std::array<Vec, 3> spans() const {
@@ -110,7 +109,7 @@ struct EdgePair {
   EdgePair(const Segment& one, const Segment& other) : first(one), second(other) {}
 
   Nearest nearest() const {
-    const Vec d = first.way(), e = second.way(), r = first.a - second.a;
+    const Vec d = first.shift(), e = second.shift(), r = first.a - second.a;
     const double dd = dot(d, d), ee = dot(e, e), de = dot(d, e), dr = dot(d, r), er = dot(e, r);
     const double area = dd * ee - de * de;
     double s = 0, t = 0;
@@ -127,23 +126,23 @@ struct EdgePair {
     return {first.at(s) - second.at(t), {1 - s, s, -(1 - t), -t}, inside};
   }
   Vec normal() const {
-    const Vec d = first.way(), e = second.way(), n = cross(d, e);
+    const Vec d = first.shift(), e = second.shift(), n = cross(d, e);
     return dot(n, n) > PARALLEL * dot(d, d) * dot(e, e) ? collide::direction(n, Vec{}) : Vec{};
   }
   double height() const { return dot(first.a - second.a, normal()); }
-  EdgePair until(const EdgePair& end, double share) const {
-    const auto one = [share](const Segment& from, const Segment& to) {
-      return Segment(between(from.a, to.a, share), between(from.b, to.b, share));
+  EdgePair until(const EdgePair& end, double fraction) const {
+    const auto one = [fraction](const Segment& from, const Segment& to) {
+      return Segment(between(from.a, to.a, fraction), between(from.b, to.b, fraction));
     };
     return {one(first, end.first), one(second, end.second)};
   }
   // Three ways that are in one plane where both are.
   std::array<Vec, 3> spans() const {
-    return {first.a - second.a, first.way(), second.way()};
+    return {first.a - second.a, first.shift(), second.shift()};
   }
   // Whether the lines are nearest at points of both edges.
   bool faces() const {
-    const Vec d = first.way(), e = second.way(), r = first.a - second.a;
+    const Vec d = first.shift(), e = second.shift(), r = first.a - second.a;
     const double dd = dot(d, d), ee = dot(e, e), de = dot(d, e);
     const double area = dd * ee - de * de;
     if (!(area > PARALLEL * dd * ee)) return false;
@@ -161,15 +160,15 @@ std::int32_t crossed_from(const Pair& from, const Pair& to) {
   if ((first >= 0) == (last >= 0) || !(std::abs(first - last) > 0)) return 0;
   double low = 0, high = 1, below = first, above = last;
   for (int i = 0; i < MOST_LOOKS; ++i) {
-    const double share = low + (high - low) * below / (below - above);
-    const Pair then = from.until(to, share);
+    const double fraction = low + (high - low) * below / (below - above);
+    const Pair then = from.until(to, fraction);
     const double height = then.height();
     if (std::abs(height) <= MET * std::abs(first - last))
       return !then.faces() ? 0 : first >= 0 ? 1 : -1;
     if ((height >= 0) == (first >= 0))
-      low = share, below = height, above /= 2;
+      low = fraction, below = height, above /= 2;
     else
-      high = share, above = height, below /= 2;
+      high = fraction, above = height, below /= 2;
   }
   return 0;
 }
@@ -197,9 +196,9 @@ struct Volume {
            (at[0] < 0 && at[1] < 0 && at[2] < 0 && at[3] < 0);
   }
   // Shares between which it goes one way, with both ends; how many.
-  int bounds(std::array<double, 4>& found) const {
+  int bounds(std::array<double, 4>& hit) const {
     int count = 0;
-    found[static_cast<std::size_t>(count++)] = 0;
+    hit[static_cast<std::size_t>(count++)] = 0;
     // Its slope, over 3: a + b t + c t².
     const double a = at[1] - at[0], m = at[2] - at[1], z = at[3] - at[2];
     const double b = 2 * (m - a), c = a - 2 * m + z, square = b * b - 4 * a * c;
@@ -208,9 +207,9 @@ struct Volume {
       double one = c != 0 ? q / c : -1, other = q != 0 ? a / q : -1;
       if (one > other) std::swap(one, other);
       for (const double t : {one, other})
-        if (t > 0 && t < 1) found[static_cast<std::size_t>(count++)] = t;
+        if (t > 0 && t < 1) hit[static_cast<std::size_t>(count++)] = t;
     }
-    found[static_cast<std::size_t>(count++)] = 1;
+    hit[static_cast<std::size_t>(count++)] = 1;
     return count;
   }
   // Where it is 0 between two shares, at which it has other signs.
@@ -229,7 +228,7 @@ struct Volume {
 
 // Whether boxes about the ways of the first of four particles, and about those of the others,
 // have something of each other.
-inline bool ways_meet(const std::int32_t* who, std::size_t first, const double* from,
+inline bool paths_overlap(const std::int32_t* who, std::size_t first, const double* from,
                       const double* to) {
   for (std::size_t k = 0; k < 3; ++k) {
     double low[2], high[2];

@@ -44,16 +44,16 @@ class Implicit {
 
   // The v with m (bv - v) + s F(bx + s v, v) = 0, from a guess in run.v; whether found.
   bool solve(const std::vector<double>& bx, const std::vector<double>& bv, double s, double t) {
-    place(bx, s, t, run_.v);
+    location(bx, s, t, run_.v);
     move(bx, s, run_.v, run_.x);
     double size = measure(bv, s, run_.x, run_.v);
     for (int i = 0; i < MOST_CORRECTIONS; ++i) {
       ++corrections;
       stiffen(s);
       const double largest = correct();
-      double share = 1, after = 0;
-      for (int halving = 0; halving < MOST_HALVINGS; ++halving, share /= 2) {
-        for (std::size_t k = 0; k < run_.size; ++k) trial_v_[k] = run_.v[k] + share * step_[k];
+      double fraction = 1, after = 0;
+      for (int halving = 0; halving < MOST_HALVINGS; ++halving, fraction /= 2) {
+        for (std::size_t k = 0; k < run_.size; ++k) trial_v_[k] = run_.v[k] + fraction * step_[k];
         move(bx, s, trial_v_, trial_x_);
         after = measure(bv, s, trial_x_, trial_v_);
         if (after <= 4 * size || size == 0) break;
@@ -62,7 +62,7 @@ class Implicit {
       run_.x.swap(trial_x_);
       size = after;
       if (!(largest < HUGE_VAL)) return false;
-      if (share == 1 && largest * s <= tolerance_) return true;
+      if (fraction == 1 && largest * s <= tolerance_) return true;
     }
     return false;
   }
@@ -71,8 +71,8 @@ class Implicit {
 
  private:
   // Held particles go where their track is.
-  void place(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
-    run_.network.place_held(t, s, bx.data(), trial_x_.data(), v.data());
+  void location(const std::vector<double>& bx, double s, double t, std::vector<double>& v) {
+    run_.network.set_pinned(t, s, bx.data(), trial_x_.data(), v.data());
   }
 
   void move(const std::vector<double>& bx, double s, const std::vector<double>& v,
@@ -107,8 +107,8 @@ class Implicit {
       double* block = blocks_.data() + 9 * n;
       std::fill_n(block, 9, 0.0);
       const double inverse = network.inverse_masses[n];
-      const double own = inverse > 0 ? (1 + s * network.drags[n]) / inverse : 1;
-      for (int k = 0; k < 3; ++k) block[4 * k] = own;
+      const double diagonal = inverse > 0 ? (1 + s * network.drags[n]) / inverse : 1;
+      for (int k = 0; k < 3; ++k) block[4 * k] = diagonal;
     }
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
       double* block = blocks_.data() + 9 * static_cast<std::size_t>(network.anchors[a]);
@@ -227,7 +227,7 @@ class Implicit {
   }
 
   void hold(std::vector<double>& values) const {
-    for (const std::int32_t n : run_.network.held)
+    for (const std::int32_t n : run_.network.pinned)
       std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
   }
 
@@ -255,10 +255,10 @@ class Implicit {
     const double enough = LEFT * LEFT * size;
     for (int i = 0; i < MOST_PRODUCTS && size > enough; ++i) {
       multiply(p_, q_);
-      const double share = size / product(p_, q_);
+      const double fraction = size / product(p_, q_);
       for (std::size_t k = 0; k < run_.size; ++k) {
-        step_[k] += share * p_[k];
-        r_[k] -= share * q_[k];
+        step_[k] += fraction * p_[k];
+        r_[k] -= fraction * q_[k];
       }
       precondition(r_, z_);
       const double next = product(r_, z_), ratio = next / size;
@@ -287,23 +287,23 @@ struct Pair {
 // Impulses that the network gives what holds its held particles, each with its moment about
 // the origin: of the last step, and of all. They are summed as steps sum accelerations, so
 // that what particles gain is what holders lose.
-class HeldPulls {
+class PinPulls {
  public:
-  HeldPulls(const SpringRun& run, const std::optional<In<double, 2>>& last)
-      : wanted(last), run_(run), held_(run.network.held) {
-    if (!wanted) return;
+  PinPulls(const SpringRun& run, const std::optional<In<double, 2>>& last)
+      : enabled(last), run_(run), pinned_(run.network.pinned) {
+    if (!enabled) return;
     of_.resize(run.network.particles(), -1);
-    for (std::size_t p = 0; p < held_.size(); ++p)
-      of_[static_cast<std::size_t>(held_[p])] = static_cast<std::int32_t>(p);
-    check::numbers("pulls", *last, {held_.size(), WIDTH});
+    for (std::size_t p = 0; p < pinned_.size(); ++p)
+      of_[static_cast<std::size_t>(pinned_[p])] = static_cast<std::int32_t>(p);
+    check::numbers("pulls", *last, {pinned_.size(), WIDTH});
     last_.assign(last->data(), last->data() + last->size());
     sum_.resize(last_.size());
     forces_.resize(run.size);
   }
 
   // After a step [s] that went on from a share of what the last one gave.
-  void add(double h, double share) {
-    if (!wanted) return;
+  void add(double h, double fraction) {
+    if (!enabled) return;
     const double *x = run_.x.data(), *v = run_.v.data();
     std::fill(forces_.begin(), forces_.end(), 0.0);
     for (const Spring& spring : run_.lines().springs)
@@ -311,8 +311,8 @@ class HeldPulls {
           of_[static_cast<std::size_t>(spring.j)] >= 0)
         pull(spring, x, v);
     run_.network.add_air_forces(run_.wind, x, v, forces_.data());
-    for (std::size_t p = 0; p < held_.size(); ++p) {
-      const std::size_t at = ROW * static_cast<std::size_t>(held_[p]);
+    for (std::size_t p = 0; p < pinned_.size(); ++p) {
+      const std::size_t at = ROW * static_cast<std::size_t>(pinned_[p]);
       const double *r = x + at, *f = forces_.data() + at;
       const double now[WIDTH] = {f[0],
                                  f[1],
@@ -321,9 +321,9 @@ class HeldPulls {
                                  r[2] * f[0] - r[0] * f[2],
                                  r[0] * f[1] - r[1] * f[0]};
       for (std::size_t k = 0; k < WIDTH; ++k) {
-        double& given = last_[WIDTH * p + k];
-        given = share * given + h * now[k];
-        sum_[WIDTH * p + k] += given;
+        double& supplied = last_[WIDTH * p + k];
+        supplied = fraction * supplied + h * now[k];
+        sum_[WIDTH * p + k] += supplied;
       }
     }
   }
@@ -341,7 +341,7 @@ class HeldPulls {
     return result;
   }
 
-  const bool wanted;
+  const bool enabled;
 
  private:
   static constexpr std::size_t WIDTH = 6;
@@ -365,7 +365,7 @@ class HeldPulls {
   }
 
   const SpringRun& run_;
-  const std::vector<std::int32_t>& held_;
+  const std::vector<std::int32_t>& pinned_;
   std::vector<std::int32_t> of_;  // of each particle its number among the held, or -1
   std::vector<double> last_, sum_, forces_;
 };
@@ -373,7 +373,7 @@ class HeldPulls {
 class Crossing {
  public:
   Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps,
-           HeldPulls& pulls)
+           PinPulls& pulls)
       : run_(run),
         contacts_(contacts),
         implicit_(run, tolerance),
@@ -401,7 +401,7 @@ class Crossing {
       }
       if (!implicit_.solve(bx_, bv_, s, t)) return false;
       pulls_.add(s, two_steps_ && known ? 1.0 / 3.0 : 0.0);
-      run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
+      run_.network.set_pinned(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
       // What two steps go on from is smooth.
       const bool met = contacts_.settle(j, now.x, run_.x, &run_.v);
@@ -422,7 +422,7 @@ class Crossing {
   SpringContacts& contacts_;
   Implicit implicit_;
   bool two_steps_;
-  HeldPulls& pulls_;
+  PinPulls& pulls_;
   std::vector<double> bx_, bv_;
 };
 
@@ -434,7 +434,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::int64_t cells, int substeps, bool two_steps,
                             double tolerance,
                             const std::optional<SpringColliders>& colliders,
-                            std::optional<In<double, 2>> given) {
+                            std::optional<In<double, 2>> supplied) {
   const Cells grid{origin, first, cell, cells};
   check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
   check_cells(grid, substeps << MOST_SPLITS);
@@ -445,7 +445,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     check::numbers("before", *earlier, {2, network.particles(), 3});
   }
   SpringContacts contacts(colliders, network, cells);
-  HeldPulls pulls(run, given);
+  PinPulls pulls(run, supplied);
   Crossing crossing(run, contacts, tolerance, two_steps, pulls);
   crossing.before = {run.x, run.v};
   std::int64_t lost = 0;
@@ -458,20 +458,20 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     }
     for (std::int64_t i = 0; i < cells && !lost; ++i) {
       const Pair start{run.x, run.v};
-      const HeldPulls::Sums begun = pulls.sums();
+      const PinPulls::Sums begun = pulls.sums();
       if (!crossing.cross(i, grid.start(i), cell, substeps)) {
         // The equations of shorter steps are easier.
-        bool found = false;
-        for (int split = 1; split <= MOST_SPLITS && !found; ++split) {
+        bool hit = false;
+        for (int split = 1; split <= MOST_SPLITS && !hit; ++split) {
           run.x = start.x;
           run.v = start.v;
           pulls.go_back(begun);
           crossing.known = false;
-          found = crossing.cross(i, grid.start(i), cell, substeps << split);
+          hit = crossing.cross(i, grid.start(i), cell, substeps << split);
           crossing.known = false;
         }
-        lost += !found;
-        if (!found) {
+        lost += !hit;
+        if (!hit) {
           run.x = start.x;
           run.v = start.v;
         }

@@ -27,57 +27,94 @@ std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands)
 
 // Rows of strands (S, count) side by side by bundles, room for `width` in each.
 std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::size_t width) {
-  std::vector<double> made(bundles_of(strands) * WIDE * width);
+  std::vector<double> built(bundles_of(strands) * WIDE * width);
   for (std::size_t b = 0; b < bundles_of(strands); ++b)
     for (std::size_t l = 0; l < WIDE; ++l)
       for (std::size_t k = 0; k < rows.shape(1); ++k)
-        made[(b * width + k) * WIDE + l] =
+        built[(b * width + k) * WIDE + l] =
             rows.data()[strand_of(b, l, strands) * rows.shape(1) + k];
-  return made;
+  return built;
 }
 
 // Colliders of all steps of a frame, and what loops over bundles read of them.
 class FrameColliders {
  public:
-  // Of the first particle it is known where it is as each cell begins and ends: with it all
-  // drift, more or less.
-  FrameColliders(const MovingColliders& colliders, std::size_t cells, int substeps, double h,
-                 const double* targets, std::size_t particles)
-      : colliders_(colliders), h_(h) {
+  // All particles drift about as the first one does, whose path is known.
+  FrameColliders(const MovingColliders& colliders,
+                 const std::optional<SpringColliders>& arrays, std::size_t cells,
+                 int substeps, double h, const double* targets, std::size_t particles)
+      : colliders_(colliders), h_(h), count_(colliders.size()) {
+    const auto surfaces = arrays ? std::get<5>(*arrays).size() : 0;
+    count_ += surfaces;
+    moving_.reserve(surfaces * cells);
+    std::vector<StepCollider> rigid;
     for (std::size_t cell = 0; cell < cells; ++cell) {
-      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rows_);
       const double* now = targets + 3 * particles * cell;
-      for (int j = 0; j < substeps; ++j)
-        for (std::size_t k = 0; k < 3; ++k)
-          drifts_.push_back((now[3 * particles + k] - now[k]) / substeps);
+      double drift[3];
+      for (std::size_t k = 0; k < 3; ++k)
+        drift[k] = (now[3 * particles + k] - now[k]) / substeps;
+      rigid.clear();
+      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rigid);
+      for (std::size_t s = 0; s < surfaces; ++s) {
+        moving_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
+        moving_.back().enter(static_cast<std::int64_t>(cell), h * substeps);
+      }
+      for (int j = 0; j < substeps; ++j) {
+        const auto first = rigid.begin() + j * static_cast<std::ptrdiff_t>(colliders.size());
+        rows_.insert(rows_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
+        for (std::size_t s = 0; s < surfaces; ++s)
+          rows_.push_back(step_of(moving_[moving_.size() - surfaces + s],
+                                  static_cast<std::int32_t>(s), j, substeps, load(drift)));
+        drifts_.insert(drifts_.end(), drift, drift + 3);
+      }
     }
     for (const StepCollider& one : rows_) rods_.push_back(one.rod);
-    for (std::size_t c = 0; c < colliders.size(); ++c) {
+    for (std::size_t c = 0; c < count_; ++c) {
       thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
       is_rod_.push_back(rows_[c].is_rod);
+      is_bounded_.push_back(rows_[c].is_rod || rows_[c].surface >= 0);
     }
-    look_ahead();
+    fill_lookahead();
   }
 
   void put_into(StrandSteps& plan) const {
-    plan.colliders = colliders_.size();
+    plan.colliders = count_;
     plan.rods = rods_.data();
     plan.is_rod = is_rod_.data();
+    plan.is_bounded = is_bounded_.data();
+    plan.depth_rows = colliders_.depth_rows();
     plan.thicknesses = thicknesses_.data();
     plan.drifts = drifts_.data();
-    plan.ahead = ahead_.data();
+    plan.remaining = lookahead_.data();
     plan.others = {this, &FrameColliders::sample, &FrameColliders::sweep};
     plan.tolerance = colliders_.tolerance();
   }
 
  private:
-  void look_ahead() {
-    const std::size_t count = colliders_.size();
-    ahead_.assign(rows_.size() + count, 0.0);
+  // A step of a moving mesh, whose friction is that of a surface that drifts along.
+  StepCollider step_of(const MovingSurface& mesh, std::int32_t index, int step, int substeps,
+                       Vec drift) const {
+    StepCollider built{};
+    built.surface = index;
+    built.begun = mesh.gone(double(step) / substeps);
+    const double ended = mesh.gone(double(step + 1) / substeps);
+    built.lasts = ended - built.begun;
+    built.collider = mesh.collider(ended);
+    built.shift = mesh.travel_beside(drift, built.lasts);
+    built.rod.friction = built.collider.friction;
+    built.rod.rise = built.collider.depenetration * h_;
+    store(drift, built.rod.travel);
+    return built;
+  }
+
+  void fill_lookahead() {
+    const std::size_t count = count_;
+    lookahead_.assign(rows_.size() + count, 0.0);
     for (std::size_t row = rows_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
-      ahead_[row] = ahead_[row + count];
-      if (rows_[row].is_rod) ahead_[row] += rows_[row].travel(drift);
+      lookahead_[row] = lookahead_[row + count];
+      if (rows_[row].is_rod) lookahead_[row] += rows_[row].travel(drift);
+      if (rows_[row].surface >= 0) lookahead_[row] += rows_[row].shift;
     }
   }
 
@@ -86,26 +123,28 @@ class FrameColliders {
     const auto& self = *static_cast<const FrameColliders*>(all);
     const StepCollider& one = self.rows_[row];
     const double radius = self.colliders_.radius();
-    const auto found = end ? one.after(load(point), radius) : one.before(load(point), radius);
-    answer[0] = found.distance;
-    store(found.normal, answer + 1);
+    const auto hit = end ? one.after(load(point), radius) : one.before(load(point), radius);
+    answer[0] = hit.distance;
+    store(hit.normal, answer + 1);
   }
 
   static bool sweep(const void* all, std::size_t row, const double* from, double* to) {
     const auto& self = *static_cast<const FrameColliders*>(all);
-    Vec place = load(to);
+    Vec location = load(to);
     const double radius = self.colliders_.radius();
-    if (!self.rows_[row].sweep(self.h_, radius, load(from), place, nullptr)) return false;
-    store(place, to);
+    if (!self.rows_[row].sweep(self.h_, radius, load(from), location, nullptr)) return false;
+    store(location, to);
     return true;
   }
 
   const MovingColliders& colliders_;
   double h_;
+  std::size_t count_;  // colliders and moving meshes
+  std::vector<MovingSurface> moving_;  // (cells, S)
   std::vector<StepCollider> rows_;  // (steps, C)
   std::vector<collide::Rod> rods_;
-  std::vector<double> drifts_, ahead_, thicknesses_;
-  std::vector<unsigned char> is_rod_;
+  std::vector<double> drifts_, lookahead_, thicknesses_;
+  std::vector<unsigned char> is_rod_, is_bounded_;
 };
 
 // Room for one bundle after the other, and the frame's arrays that they are of.
@@ -144,33 +183,33 @@ class Bundles {
   std::size_t particles() const { return strands_.strands() * plan_.points; }
 
   StrandBundle begun(std::size_t index) {
-    StrandBundle made{};
-    made.x = rows_.data();
-    made.v = made.x + width();
-    made.before = made.v + width();
-    made.along = made.before + width();
-    made.matrix = made.along + width();
-    made.still = made.matrix + width();
-    made.rests = strands_.rests(index);
-    made.folds = strands_.folds(index);
-    made.way = meetings_.data();
-    made.due = made.way + plan_.points;
-    made.dues = made.due + plan_.points;
-    made.near = near_.data();
-    made.touched = touched_.data();
-    made.next_depths = particles();
+    StrandBundle built{};
+    built.x = rows_.data();
+    built.v = built.x + width();
+    built.before = built.v + width();
+    built.along = built.before + width();
+    built.matrix = built.along + width();
+    built.unmoved = built.matrix + width();
+    built.rests = strands_.rests(index);
+    built.folds = strands_.folds(index);
+    built.shift = meetings_.data();
+    built.due = built.shift + plan_.points;
+    built.dues = built.due + plan_.points;
+    built.near = near_.data();
+    built.touched = touched_.data();
+    built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
-      if (index * WIDE + l < strands_.strands()) made.counted |= 1u << l;
+      if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
       if (!colliders_.depths()) continue;
       const std::size_t strand = strand_of(index, l, strands_.strands());
-      made.depths[l] = colliders_.depths() + strand * plan_.points;
+      built.depths[l] = colliders_.depths() + strand * plan_.points;
     }
-    take(index, state_, made.x);
-    take(index, state_ + 3 * particles(), made.v);
+    take(index, state_, built.x);
+    take(index, state_ + 3 * particles(), built.v);
     for (std::size_t k = 0; k <= plan_.cells; ++k)
       take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
-    made.goals = goals_.data();
-    return made;
+    built.goals = goals_.data();
+    return built;
   }
 
   // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
@@ -257,22 +296,22 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
 }
 
 StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
-  StrandSteps made{};
-  made.points = points_;
-  made.cells = cells;
-  made.substeps = substeps;
+  StrandSteps built{};
+  built.points = points_;
+  built.cells = cells;
+  built.substeps = substeps;
   const double h = span / static_cast<double>(cells * substeps);
-  made.h = h;
-  for (std::size_t k = 0; k < 3; ++k) made.fall[k] = h * gravity_[k];
-  made.slowed = 1 / (1 + h * drag_);
-  made.fold = give(fold_, 0, 2, h);
-  made.root_fold = give(fold_, 0, 1, h);
-  made.draw = give(draw_, draw_damping_, 1, h);
-  made.draw_change =
+  built.h = h;
+  for (std::size_t k = 0; k < 3; ++k) built.fall[k] = h * gravity_[k];
+  built.slowed = 1 / (1 + h * drag_);
+  built.fold = give(fold_, 0, 2, h);
+  built.root_fold = give(fold_, 0, 1, h);
+  built.draw = give(draw_, draw_damping_, 1, h);
+  built.draw_change =
       draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
-  made.soft = 1 / (stiffness_ * h * h);
-  made.longest = 1 + stretch_;
-  return made;
+  built.soft = 1 / (stiffness_ * h * h);
+  built.longest = 1 + stretch_;
+  return built;
 }
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
@@ -285,8 +324,6 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
   check::finite("targets", targets);
   if (threads < 1) check::refuse("threads", "0 is none");
-  if (colliders && !std::get<5>(*colliders).empty())
-    check::refuse("colliders", "strands meet no mesh whose points move");
   const std::size_t cells = targets.shape(0) - 1;
   check::positive("span", span);
   check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
@@ -296,7 +333,8 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::int64_t touched = 0, inside = 0;
   double stretch = 0;
   StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
-  const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
+  const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(),
+                             count);
   frame.put_into(plan);
   const std::size_t bundles = bundles_of(strands.strands());
   const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);

@@ -1,4 +1,4 @@
-// Strands: particles of one mass in lines, each held at its root.
+// Strands: rows of particles of equal mass, pinned at their roots.
 #pragma once
 
 #include <optional>

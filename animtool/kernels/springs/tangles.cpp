@@ -1,4 +1,4 @@
-// Surfaces that go through themselves come free.
+// Untangling of self-intersecting surfaces.
 #include "springs/tangles.h"
 
 #include <algorithm>
@@ -17,26 +17,26 @@ double pierces_at(const shapes::Segment& edge, const shapes::Triangle& t) {
   const Vec normal = cross(t.b - t.a, t.c - t.a);
   const double first = dot(edge.a - t.a, normal), last = dot(edge.b - t.a, normal);
   if (!(first * last < 0)) return -1;
-  const double share = first / (first - last);
-  const Vec at = edge.at(share);
+  const double fraction = first / (first - last);
+  const Vec at = edge.at(fraction);
   const auto left = [&](Vec from, Vec to) { return dot(cross(to - from, at - from), normal) > 0; };
-  return left(t.a, t.b) && left(t.b, t.c) && left(t.c, t.a) ? share : -1;
+  return left(t.a, t.b) && left(t.b, t.c) && left(t.c, t.a) ? fraction : -1;
 }
 
 std::vector<Pierced> pierced_pairs(const std::vector<double>& x,
                                    const std::vector<std::int32_t>& ends,
                                    const std::vector<std::int32_t>& corners) {
   const std::size_t edges = ends.size() / 2;
-  std::vector<Pierced> found;
+  std::vector<Pierced> hit;
   std::vector<double> middles(ROW * edges);
   double longest = 0, lengths = 0;
   const auto segment = [&](std::size_t e) { return shapes::Segment(&ends[2 * e], x.data()); };
   for (std::size_t e = 0; e < edges; ++e) {
     store(segment(e).at(0.5), &middles[ROW * e]);
-    const double own = length(segment(e).way());
-    longest = std::max(longest, own), lengths += own;
+    const double entry = length(segment(e).shift());
+    longest = std::max(longest, entry), lengths += entry;
   }
-  if (!(lengths > 0)) return found;
+  if (!(lengths > 0)) return hit;
   PointGrid grid;
   grid.build(middles.data(), edges, lengths / static_cast<double>(edges));
   for (std::size_t t = 0; t < corners.size(); t += 3) {
@@ -50,20 +50,20 @@ std::vector<Pierced> pierced_pairs(const std::vector<double>& x,
       high[k] = std::max({at(0), at(1), at(2)}) + longest / 2;
     }
     grid.visit(low, high, [&](std::int32_t e, const double*) {
-      const std::int32_t* own = &ends[2 * static_cast<std::size_t>(e)];
+      const std::int32_t* entry = &ends[2 * static_cast<std::size_t>(e)];
       for (std::size_t k = t; k < t + 3; ++k)
-        if (corners[k] == own[0] || corners[k] == own[1]) return;
+        if (corners[k] == entry[0] || corners[k] == entry[1]) return;
       if (pierces_at(segment(static_cast<std::size_t>(e)), triangle) >= 0)
-        found.push_back({e, static_cast<std::int32_t>(t / 3)});
+        hit.push_back({e, static_cast<std::int32_t>(t / 3)});
     });
   }
-  return found;
+  return hit;
 }
 
 Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_masses)
     : layers_(layers),
       inverse_masses_(inverse_masses),
-      beside_(layers.edges(), {-1, -1}),
+      adjacent_(layers.edges(), {-1, -1}),
       marked_(layers.particles(), 0) {
   for (std::size_t e = 0; e < layers.edges(); ++e)
     ends_.insert(ends_.end(), layers.ends(e), layers.ends(e) + 2);
@@ -81,8 +81,8 @@ Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_
         else
           high = middle;
       }
-      auto& own = beside_[low];
-      own[own[0] < 0 ? 0 : 1] = triangles_[t + (k + 2) % 3];
+      auto& entry = adjacent_[low];
+      entry[entry[0] < 0 ? 0 : 1] = triangles_[t + (k + 2) % 3];
     }
 }
 
@@ -102,10 +102,10 @@ Vec Tangles::shorter(const Pierced& pair, const std::vector<double>& x) const {
   const shapes::Segment edge(layers_.ends(e), x.data());
   const shapes::Triangle triangle(layers_.corners(static_cast<std::size_t>(pair.triangle)),
                                   x.data());
-  const Vec normal = triangle.normal(), along = collide::direction(edge.way(), Vec{});
+  const Vec normal = triangle.normal(), along = collide::direction(edge.shift(), Vec{});
   const double through = dot(along, normal);
   Vec sum;
-  for (const std::int32_t third : beside_[e]) {
+  for (const std::int32_t third : adjacent_[e]) {
     if (third < 0) continue;
     const Vec off = shapes::row_of(x.data(), third) - edge.a;
     const Vec inward = off - along * dot(off, along);
@@ -117,30 +117,30 @@ Vec Tangles::shorter(const Pierced& pair, const std::vector<double>& x) const {
   return collide::direction(sum, Vec{});
 }
 
-void Tangles::part(double way, std::vector<double>& before, std::vector<double>& x) const {
+void Tangles::part(double shift, std::vector<double>& before, std::vector<double>& x) const {
   for (const Pierced& pair : pairs_) {
     const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(pair.edge));
     const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(pair.triangle));
     const shapes::Segment edge(ends, x.data());
     const shapes::Triangle triangle(corners, x.data());
-    const double share = pierces_at(edge, triangle);
-    if (share < 0) continue;
+    const double fraction = pierces_at(edge, triangle);
+    if (fraction < 0) continue;
     const Vec out = shorter(pair, x);
     if (!(dot(out, out) > 0)) continue;
-    const shapes::Nearest near = triangle.nearest(edge.at(share));
+    const shapes::Nearest near = triangle.nearest(edge.at(fraction));
     const std::int32_t who[5] = {ends[0], ends[1], corners[0], corners[1], corners[2]};
-    const double shares[5] = {1 - share, share, near.share[1], near.share[2], near.share[3]};
-    double whole = 0, lightest = 0;
+    const double shares[5] = {1 - fraction, fraction, near.fraction[1], near.fraction[2], near.fraction[3]};
+    double full = 0, lightest = 0;
     for (std::size_t k = 0; k < 5; ++k) {
       const double inverse = inverse_masses_[static_cast<std::size_t>(who[k])];
-      whole += inverse * shares[k] * shares[k];
+      full += inverse * shares[k] * shares[k];
       lightest = std::max(lightest, inverse);
     }
-    whole = std::max(whole, lightest / FARTHEST);
-    if (!(whole > 0)) continue;
+    full = std::max(full, lightest / FARTHEST);
+    if (!(full > 0)) continue;
     for (std::size_t k = 0; k < 5; ++k) {
       const auto n = static_cast<std::size_t>(who[k]);
-      const Vec by = out * (way * inverse_masses_[n] * shares[k] / whole);
+      const Vec by = out * (shift * inverse_masses_[n] * shares[k] / full);
       store(load(&x[ROW * n]) + by, &x[ROW * n]);
       store(load(&before[ROW * n]) + by, &before[ROW * n]);
     }

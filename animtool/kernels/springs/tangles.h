@@ -1,4 +1,4 @@
-// Surfaces that go through themselves, made to come free without knowing how they came there.
+// Untangling of self-intersecting surfaces without history.
 //
 // P. Volino, N. Magnenat-Thalmann, Resolving Surface Collisions through Intersection Contour
 // Minimization, 2006: where an edge goes through a triangle the two are moved so that the line
@@ -38,7 +38,7 @@ class Tangles {
     return any() && marked_[static_cast<std::size_t>(particle)];
   }
   // Moves those that still do by this way [m]; where they were goes along.
-  void part(double way, std::vector<double>& before, std::vector<double>& x) const;
+  void part(double shift, std::vector<double>& before, std::vector<double>& x) const;
 
  private:
   // The direction for an edge, against a triangle, in which their line becomes shorter.
@@ -48,7 +48,7 @@ class Tangles {
   const std::vector<double>& inverse_masses_;
   std::vector<std::int32_t> ends_, triangles_;
   // Beside each edge, the third corners of its first two triangles, -1 for none.
-  std::vector<std::array<std::int32_t, 2>> beside_;
+  std::vector<std::array<std::int32_t, 2>> adjacent_;
   std::vector<Pierced> pairs_;
   std::vector<std::uint8_t> marked_;
 };

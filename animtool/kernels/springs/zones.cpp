@@ -1,4 +1,4 @@
-// Particles that go through a step as one.
+// Rigid impact zones.
 #include "springs/zones.h"
 
 #include <algorithm>
@@ -15,7 +15,7 @@ using shapes::row_of;
 namespace {
 
 // Of the masses of all that are free, what one that is held counts as.
-constexpr double HELD = 1e3;
+constexpr double PINNED = 1e3;
 
 }  // namespace
 
@@ -48,12 +48,12 @@ void ImpactZones::move(const std::vector<double>& from, std::vector<double>& bef
   std::vector<std::pair<std::int32_t, std::int32_t>> each;
   for (const std::int32_t n : members_) each.push_back({first_of(n), n});
   std::sort(each.begin(), each.end());
-  std::vector<std::int32_t> own;
+  std::vector<std::int32_t> group_rows;
   for (std::size_t i = 0; i < each.size(); ++i) {
-    own.push_back(each[i].second);
+    group_rows.push_back(each[i].second);
     if (i + 1 < each.size() && each[i + 1].first == each[i].first) continue;
-    move_one(own.data(), own.size(), from, before, x);
-    own.clear();
+    move_one(group_rows.data(), group_rows.size(), from, before, x);
+    group_rows.clear();
   }
 }
 
@@ -61,15 +61,15 @@ void ImpactZones::move_one(const std::int32_t* members, std::size_t count,
                            const std::vector<double>& from, std::vector<double>& before,
                            std::vector<double>& x) const {
   std::vector<double> masses(count);
-  double whole = 0;
+  double full = 0;
   for (std::size_t i = 0; i < count; ++i) {
     const double inverse = inverse_masses_[static_cast<std::size_t>(members[i])];
-    whole += masses[i] = inverse > 0 ? 1 / inverse : 0;
+    full += masses[i] = inverse > 0 ? 1 / inverse : 0;
   }
-  const double held = whole > 0 ? HELD * whole : 1;
+  const double pinned = full > 0 ? PINNED * full : 1;
   for (double& mass : masses)
-    if (mass == 0) mass = held;
-  const RigidWay way(
+    if (mass == 0) mass = pinned;
+  const RigidMotion shift(
       count, [&](std::size_t i) { return row_of(from.data(), members[i]); },
       [&](std::size_t i) { return row_of(x.data(), members[i]); },
       [&](std::size_t i) { return masses[i]; });
@@ -77,7 +77,7 @@ void ImpactZones::move_one(const std::int32_t* members, std::size_t count,
     const auto n = static_cast<std::size_t>(members[i]);
     if (inverse_masses_[n] == 0) continue;
     const Vec begun = row_of(from.data(), members[i]);
-    store(way(begun), &x[ROW * n]);
+    store(shift(begun), &x[ROW * n]);
     store(begun, &before[ROW * n]);
   }
 }

@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.core.files.output import check_outputs, sparing_inputs
+from animtool.core.files.output import check_outputs, protect_inputs
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
 from animtool.preview.build import PreviewPage, make_page
@@ -159,7 +159,7 @@ def write_pictures(
     _check(pictures, kind, frames)
     # Missing packages are reported before scenes are baked.
     with _device() as device:
-        with sparing_inputs([output]):
+        with protect_inputs([output]):
             page = make_page(paths, options)
         studio = Studio(device, page, pictures, kind, frames, progress)
         return studio.write(output)

@@ -1,1 +1,1 @@
-"""The bake: planned, sampled, written."""
+"""The bake: plan, sample and write takes."""

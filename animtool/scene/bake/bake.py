@@ -1,4 +1,4 @@
-"""The bake: sources to files, planned, and then run; all is written or none."""
+"""The bake: plan outputs from sources and write all of them, or none."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TypeAlias
 
 from animtool.core.errors import Fault, OptionError, refuse_warnings
-from animtool.core.files.output import together
+from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.files import ConvertReport
-from animtool.scene.bake.frames import TakeRun
+from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, outlined
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
-from animtool.scene.bake.prims import BakePlan, BakeReport, Draft
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source
 
 # What became of one output.
@@ -54,11 +54,13 @@ def bake(
     outline = outlined(source, output, options)
     if not any(entry.is_stage for entry in outline.outputs):
         entry = outline.outputs[0]
-        message = "the scene names no USD file" if entry.place else "is not a USD file"
+        message = (
+            "the scene names no USD file" if entry.location else "is not a USD file"
+        )
         hint = "animtool.convert writes files of other formats"
         fault = Fault("SCN044", message, hint=hint)
-        if entry.place is not None:
-            raise OptionError(entry.place.put(fault))
+        if entry.location is not None:
+            raise OptionError(entry.location.locate(fault))
         raise OptionError(Fault("OUT004", message, str(entry.path), (), hint))
     reports = bake_outline(outline, progress=progress)
     return next(one for one in reports if isinstance(one, BakeReport))
@@ -73,7 +75,7 @@ def bake_outputs(
     rig_file: Path | None = None,
     progress: Progress = None,
 ) -> list[OutputReport]:
-    """Bake to the files that are asked for; return what became of each.
+    """Bake to the requested files; return a report of each.
 
     All are checked before anything is read, and none gets its name before all are
     written.
@@ -97,16 +99,16 @@ def bake_outputs(
 
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run what is outlined; see `bake_outputs`."""
+    """Plan and run an outline; see `bake_outputs`."""
     # Passes may keep states as soon as a source is opened.
-    with together():
+    with atomic_outputs():
         return run_outputs(plan_outputs(outline, progress=progress), progress)
 
 
 def bake_take(
     stream: TakeStream, outline: Outline, *, progress: Progress = None
 ) -> OutputReport:
-    """Write a take that was made to the one output of an outline.
+    """Write an open take to the single output of an outline.
 
     Args:
         stream: The take, read once; its blocks may be made while they are.
@@ -125,13 +127,13 @@ def bake_take(
 def run_outputs(
     plans: Sequence[OutputPlan], progress: Progress = None
 ) -> list[OutputReport]:
-    """Run what is planned: read, author, write."""
+    """Run bake plans: read the sources, author and write the files."""
     reports: list[OutputReport] = []
-    with together():
+    with atomic_outputs():
         for i, plan in enumerate(plans):
             opened = not isinstance(plan, BakePlan) or bool(plan.takes)
-            shown = share_of(progress, 1, 2) if opened else progress
-            shown = share_of(shown, i, len(plans))
+            shown = part_progress(progress, 1, 2) if opened else progress
+            shown = part_progress(shown, i, len(plans))
             if isinstance(plan, BakePlan):
                 reports.append(run_stage(plan, progress=shown))
             else:
@@ -144,7 +146,9 @@ def run_outputs(
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
     began = time.perf_counter()
-    draft = Draft(plan, progress, [TakeRun(take, plan.watch) for take in plan.takes])
+    draft = BakeState(
+        plan, progress, [BakedTake(take, plan.watch) for take in plan.takes]
+    )
     for prims in plan.prims:
         prims.author(draft)
         assert draft.report is not None

@@ -1,4 +1,4 @@
-"""Takes written as files of other formats than USD, by the table of writers."""
+"""Takes written to formats other than USD, through the table of writers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConvertReport:
-    """What a conversion did."""
+    """Report of a conversion."""
 
     output: Path  # the file written
     span: FrameSpan  # first frame, last frame and rate, as the file has them
@@ -50,7 +50,7 @@ class ConvertReport:
     shot: Shot | None = None  # the shot that was written; None is no shot
     # How well the passes of the source did.
     scores: list[PassScores] = field(default_factory=list)
-    command: str = "convert"  # what it is the report of
+    command: str = "convert"  # kind of the report
     json_keys: ClassVar[str] = (
         "*head output frames start=span.first end=span.last fps=span.fps "
         "rate=span.fps# joints shot? scores+ reduction?{samples keys "
@@ -60,45 +60,45 @@ class ConvertReport:
 
     @property
     def head(self) -> dict[str, str]:
-        """The name of the report, that of the command."""
+        """Name of the report: its command."""
         return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
-        """The file that reports of solves name."""
+        """File that reports of solves name."""
         return [self.output]
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """The errors of channels, where a clip was written."""
+        """Errors of the channels of a written clip."""
         return None if self.keyed is None else self.keyed.errors
 
     @property
     def cost(self) -> OutputCost:
-        """What it took, as far as it is known."""
+        """Time and memory that it took, where measured."""
         error = None if self.reduction is None else self.reduction.error
         return OutputCost(str(self.output), None, error)
 
     @property
     def reduction(self) -> Reduction | None:
-        """The keys and their error, where a clip was written."""
+        """Keys of a written clip and their error."""
         return None if self.keyed is None else self.keyed.reduction
 
 
 @dataclass(frozen=True, slots=True)
 class FilePlan:
-    """A take that is ready to be written as files of another format than USD."""
+    """A take that is ready to be written to a format other than USD."""
 
     take: TakePlan
     path: Path
-    base: Path | None = None  # of an additive take, what it is put on
-    rig_file: Path | None = None  # of a clip, what it names; None writes one
+    base: Path | None = None  # base take of an additive take
+    rig_file: Path | None = None  # rig file of a clip; None writes one
     others: tuple[TakePlan, ...] = ()  # further takes that the file holds
     names: tuple[str, ...] = ()  # of all of them; empty is the name of the file
 
     def run(self, progress: Progress = None) -> ConvertReport:
         """Write the take on the output's own clock."""
-        del progress  # it is that of the source
+        del progress  # the source's clock
         plan = self.take
         stream = in_frames(plan)
         stream.notices = [*stream.notices, *plan.notices]
@@ -112,8 +112,8 @@ class FilePlan:
         take = stream.collect()
         below = None
         if base is not None:
-            alike = base.suffix.lower() == plan.source.suffix.lower()
-            below = _below(take, base, options.source if alike else None)
+            same_suffix = base.suffix.lower() == plan.source.suffix.lower()
+            below = _below(take, base, options.source if same_suffix else None)
         write = WriteOptions(
             options.reduce, dict(options.reduce_at), below, self.rig_file
         )
@@ -123,50 +123,50 @@ class FilePlan:
         writer = take_writer(path)
         if "meshes" in writer.holds:
             take = _with_meshes(take, plan)
-        made = _files(writer, take, path, write)
+        outputs = _files(writer, take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
         further = [notice for other in more for notice in other.notices]
         notices = list(
-            dict.fromkeys([*stream.notices, *further, *noted, *made.notices])
+            dict.fromkeys([*stream.notices, *further, *noted, *outputs.notices])
         )
         refuse_warnings(notices, strict=options.strict)
-        files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
+        files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)
-        for file, contents in made.contents.items():
+        for file, contents in outputs.contents.items():
             if isinstance(contents, Mapping):
                 write_arrays(file, contents)
             else:
                 write_parts(file, contents)
         count = take.clock.count
         return ConvertReport(
-            path, made.span, count, made.joints, notices, made.keyed, files
+            path, outputs.span, count, outputs.joints, notices, outputs.keyed, files
         )
 
 
 def _with_meshes(take: Take, plan: TakePlan) -> Take:
-    """Return a take of a USD file with the meshes that its motion does not need."""
+    """Return a take of a USD file with the meshes that its motion leaves out."""
     if take.rig.meshes or not is_usd(plan.source):
         return take
-    whole, _ = open_rig(plan.source, plan.options.source.prim_path)
-    if whole.names != take.rig.names:
+    full_rig, _ = open_rig(plan.source, plan.options.source.prim_path)
+    if full_rig.names != take.rig.names:
         return take  # passes have put another rig there
-    names = [shape.name for shape in whole.shapes]
-    held = [shape.name for shape in take.rig.shapes]
-    if not {*held} <= {*names}:
+    names = [shape.name for shape in full_rig.shapes]
+    shape_names = [shape.name for shape in take.rig.shapes]
+    if not {*shape_names} <= {*names}:
         return take
-    rig = replace(take.rig, meshes=whole.meshes, shapes=whole.shapes)
+    rig = replace(take.rig, meshes=full_rig.meshes, shapes=full_rig.shapes)
     weights = take.motion.weights
-    if weights is not None and held != names:
+    if weights is not None and shape_names != names:
         # The animation may hold some of the shapes alone.
-        places = np.array([names.index(name) for name in held], np.int64)
-        order = np.argsort(places)
-        still = Channel.static(np.zeros((len(names), 1)), take.clock.count)
-        weights = still.put(places[order], weights.gather(order)).compact()
+        indices = np.array([names.index(name) for name in shape_names], np.int64)
+        order = np.argsort(indices)
+        rest = Channel.static(np.zeros((len(names), 1)), take.clock.count)
+        weights = rest.put(indices[order], weights.gather(order)).compact()
     return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 
 
 def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return the files of a take in a format."""
+    """Return the contents of a take's files in a format."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
         return write(take, path, options)
@@ -185,7 +185,7 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
 
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
-    """Return what an additive take is put on, at its frames."""
+    """Return the base take of an additive take, at the frames of that take."""
     from animtool.edit.combine import check_same_rig, other_frames
 
     base = open_source(path, options).collect()

@@ -20,7 +20,7 @@ START_ROUNDING = Fraction(1, 100)
 
 
 def frame_start(
-    start: Fraction, own: Fraction, fps: Fraction, *, whole: bool = True
+    start: Fraction, source_fps: Fraction, fps: Fraction, *, on_frame: bool = True
 ) -> Fraction:
     """Return the first frame at another rate of a take that starts between frames.
 
@@ -28,30 +28,30 @@ def frame_start(
 
     Args:
         start: Time code of the first frame.
-        own: Time codes a second that it counts.
+        source_fps: Time codes a second that it counts.
         fps: Frames a second of the output.
-        whole: Whether that is to be a whole frame, the nearest one.
+        on_frame: Whether to round to the nearest integer frame.
 
     >>> frame_start(Fraction(24024, 25), Fraction(24), Fraction(25))
     Fraction(1001, 1)
     >>> frame_start(Fraction(1001), Fraction(24), Fraction(25))
     Fraction(1001, 1)
     """
-    if start.denominator == 1 or fps == own:
+    if start.denominator == 1 or fps == source_fps:
         return start
-    first = start * fps / own
+    first = start * fps / source_fps
     nearest = Fraction(round(first))
-    return nearest if whole or abs(first - nearest) <= START_ROUNDING else first
+    return nearest if on_frame or abs(first - nearest) <= START_ROUNDING else first
 
 
-def whole_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
-    """Return the whole frames of a take whose first sample becomes a time code.
+def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
+    """Return the integer frames of a take whose first sample is at a time code.
 
     They reach to its end, and a part of a frame beyond. None where that time code is
     whole already, or where the samples are one a frame.
 
     >>> clock = Clock(Fraction(24), Fraction(24024, 25), Fraction(24, 25), 20)
-    >>> whole_frames(clock, Fraction(24), clock.start)
+    >>> integer_frames(clock, Fraction(24), clock.start)
     FrameRange(first=961, last=980, step=1)
     """
     if start.denominator == 1 or clock.step == 1:
@@ -62,31 +62,31 @@ def whole_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | N
 
 
 def start_notice(
-    own: Fraction | None,
-    own_fps: Fraction,
+    source_start: Fraction | None,
+    source_fps: Fraction,
     start: Fraction,
     fps: Fraction,
     first: Fraction,
 ) -> list[Fault]:
-    """Say so where a source starts between frames, and the output on one (TAKE008).
+    """Warn where a source starts between frames and the output on one (TAKE008).
 
     Args:
-        own: Time code of the source's first frame.
-        own_fps: Time codes a second that it counts.
+        source_start: Time code of the source's first frame.
+        source_fps: Time codes a second that it counts.
         start: Time code that it becomes.
         fps: Frames a second of the output.
         first: First frame of the output.
     """
-    if own is None or own.denominator == 1 or first.denominator != 1:
+    if source_start is None or source_start.denominator == 1 or first.denominator != 1:
         return []
-    if start != frame_start(own, own_fps, fps):
-        # The frames begin elsewhere, such as at those of a rig layer.
+    if start != frame_start(source_start, source_fps, fps):
+        # The first frame has another cause, such as a rig layer's start.
         return []
-    message = (
-        f"the source starts at time code {frame_label(own)} at {rate_label(own_fps)}"
-    )
-    if fps != own_fps:
-        message += f", which is {frame_label(own * fps / own_fps)} at {rate_label(fps)}"
+    stated = f"{frame_label(source_start)} at {rate_label(source_fps)}"
+    message = f"the source starts at time code {stated}"
+    if fps != source_fps:
+        converted = frame_label(source_start * fps / source_fps)
+        message += f", which is {converted} at {rate_label(fps)}"
     message += f"; it is written from frame {frame_label(first)}"
     hint = f"choose another first frame with {argument('start')}"
     return [Fault("TAKE008", message, None, (), hint, Severity.NOTE)]

@@ -1,4 +1,4 @@
-"""The frames of a bake: when a take is sampled, what it is then, which joints move."""
+"""The frames of a bake: sample times, sampled motion and moving joints."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
     plan_samples,
-    rate_notice,
+    rate_warning,
     sample,
 )
 from animtool.edit.straight import straight_notices
@@ -29,7 +29,7 @@ from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.first_frame import start_notice, whole_frames
+from animtool.scene.bake.first_frame import integer_frames, start_notice
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.away import no_frames
 
@@ -48,8 +48,8 @@ class TakePlan:
     source: Path
     name: str  # of a library's take, legal and distinct; else empty
     stream: TakeStream  # opened, with the joints in the order written
-    mapping: RigJointMap | None  # from the take's joints to those of a rig layer
-    options: BakeOptions  # those of takes after the first have no rest frame
+    mapping: RigJointMap | None  # maps the take's joints to those of a rig layer
+    options: BakeOptions  # takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # the plan's
@@ -66,15 +66,15 @@ class TimedTake:
 
     @property
     def frames(self) -> tuple[Fraction, Fraction] | None:
-        """First and last frame, where known before the blocks are read."""
+        """First and last frame, where known before blocks are read."""
         return None if self.times is None else (self.times.first, self.times.last)
 
 
 def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
-    """Return a take at the times of the output.
+    """Return a take sampled at the times of the output.
 
     The blocks stream through where each sample of the source is a sample of the
-    output; otherwise the take is gathered and sampled anew.
+    output; otherwise the take is gathered and resampled.
     """
     options = plan.options
     # A rate that is asked for puts a sample on each frame.
@@ -103,27 +103,31 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
 def _straight_notices(
     plan: TakePlan, between: Between, times: SampleTimes
 ) -> list[Fault]:
-    """Say by how much straight lines may be off, unless a pass of the take did."""
+    """Report the error bound of linear interpolation, unless a pass reported it."""
     said = {notice.code for notice in plan.stream.notices}
-    places = FramePositions(times.frames, times.fractions)
+    sample_times = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
-        for notice in straight_notices(between, places)
+        for notice in straight_notices(
+            between,
+            sample_times,
+            f"{argument('keep_samples', True)} keeps the frames as is",
+        )
         if notice.code not in said
     ]
 
 
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
-    """Return when to sample a take, and notice where it lacks frames."""
+    """Return the sample times of a take, with notices of missing frames."""
     options = plan.options
-    own_frames = None
+    source_frames = None
     if options.fps is not None and not options.keep_samples:
-        own_frames = whole_frames(clock, plan.fps, plan.start)
+        source_frames = integer_frames(clock, plan.fps, plan.start)
     times = plan_samples(
         clock,
         plan.fps,
         plan.start,
-        frame_range=options.frame_range or own_frames,
+        frame_range=options.frame_range or source_frames,
         offsets=options.samples,
         keep_samples=options.keep_samples,
         hold=options.shot is not None,
@@ -138,15 +142,18 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         if options.keep_samples:
             times = replace(times, first=first, last=last)
     if options.start is None and options.shot is None:
-        own = plan.stream.start, plan.stream.fps
-        moved = start_notice(*own, plan.start, plan.fps, times.first)
+        source = plan.stream.start, plan.stream.fps
+        moved = start_notice(*source, plan.start, plan.fps, times.first)
         notices += [replace(notice, path=str(plan.source)) for notice in moved]
+    if options.fps is not None:
+        wrong = rate_warning(options.fps)
+        notices += [replace(notice, path=str(plan.source)) for notice in wrong]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Name the frames of a shot that a take lacks; their nearest pose is held.
+    """Name the frames of a shot that a take lacks; their nearest pose is repeated.
 
     The last frame of a take lasts until the next would begin.
     """
@@ -168,8 +175,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
     if len(missing) == len(asked):
         # Where passes have moved the take, its times say nothing of its media.
-        whole = last if shot.speed < 0 else plan.start
-        if shot.places_media and shot.frame_at(0) == whole:
+        edge = last if shot.speed < 0 else plan.start
+        if shot.places_media and shot.frame_at(0) == edge:
             length = clock.count / clock.rate * abs(shot.speed)
             raise no_frames(shot, asked[0], asked[-1], length, where)
         message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
@@ -197,19 +204,19 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 def _sampled(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
-    """Evaluate a source that is a function of time at the output's own times."""
+    """Sample a source that is a function of time at the output's sample times."""
     first = Fraction(1) if stream.start is None else stream.start
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
     # Exact on the source's frames; samples before its first or after its last are
     # not on its grid. In a shot they hold its ends.
-    places = times.frames + times.fractions
+    samples = times.frames + times.fractions
     if plan.options.shot is None:
         ratio = float(clock.rate / plan.fps)
         beyond = (times.codes - float(plan.start)) * ratio
         outside = (beyond < 0) | (beyond > clock.count - 1)
-        places = np.where(outside, beyond, places)
-    motion = curve(float(first) + places * float(stream.step))
+        samples = np.where(outside, beyond, samples)
+    motion = curve(float(first) + samples * float(stream.step))
     return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
 
 
@@ -222,7 +229,7 @@ def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
 
 
 def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Say so where a range reaches beyond the take."""
+    """Warn where a range reaches beyond the take."""
     frame_range = plan.options.frame_range
     if frame_range is None or plan.options.keep_samples:
         return []
@@ -238,19 +245,16 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Name what lies between the last frame written and the end asked for."""
+    """Name the part of a range after the last frame that is written."""
     where, frame_range = str(plan.source), plan.options.frame_range
     notices = []
-    rate = rate_notice(plan.fps, plan.stream.fps, len(times.codes))
-    if rate is not None:
-        notices.append(replace(rate, path=where))
     if times.dropped:
         faults = dropped_notice(times.dropped, plan.fps, times.last)
         notices.append(
             replace(
                 faults,
                 path=where,
-                hint=f"bake {argument('keep_samples', True)} writes it",
+                hint=f"{argument('keep_samples', True)} writes it",
             )
         )
     if frame_range is None or plan.options.shot is not None:
@@ -288,7 +292,7 @@ def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
 
 
 def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
-    """Return which joints are not at the rig's rest in every frame ``(J,)``."""
+    """Return a mask of the joints that leave the rest pose ``(J,)``."""
     moving = np.zeros(len(rig.joints), bool)
     ones = np.ones((len(rig.joints), 3))
     if plan.mapping is not None:
@@ -314,8 +318,8 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     return moving
 
 
-class TakeRun:
-    """One take on its way from its source to the writer."""
+class BakedTake:
+    """A take on its way from its source to the writer."""
 
     def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
         self.plan = plan
@@ -325,7 +329,7 @@ class TakeRun:
         self._timed: TimedTake | None = None
 
     def open(self) -> TimedTake:
-        """Return the source's frames at the output's times, counted as they pass."""
+        """Return the take at the output's times, with its frames counted."""
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
@@ -337,12 +341,12 @@ class TakeRun:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(opened, blocks=self._seen(opened.blocks))
+        self._timed = replace(opened, blocks=self._recorded(opened.blocks))
         return self._timed
 
     @property
     def rig(self) -> Rig:
-        """The rig at rest."""
+        """Rig in its rest pose."""
         return self.open().rig
 
     def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
@@ -350,18 +354,18 @@ class TakeRun:
             self.frames += block.frames
             yield block
 
-    def _seen(self, blocks: TimedBlocks) -> TimedBlocks:
+    def _recorded(self, blocks: TimedBlocks) -> TimedBlocks:
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._watch is not None:
-                self._watch.see(codes)
+                self._watch.record_codes(codes)
             if self.props is not None:
                 self.props.see(codes, motion)
             yield codes, motion
 
 
 def in_frames(plan: TakePlan) -> TakeStream:
-    """Return a take at the rate, in the frames and at the time codes of an output.
+    """Return a take resampled to the rate, frames and time codes of an output.
 
     Of its options ``fps``, ``frame_range`` and ``shot`` count; the plan's notices are
     added to.

@@ -1,4 +1,4 @@
-"""Takes as animations of a skeleton: what the writer is told, and what it reports."""
+"""Takes as SkelAnimation prims: jobs of the writer and reports of takes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
+from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks, moving_joints
 from animtool.scene.bake.prims import (
     BakePlan,
-    Draft,
+    BakeState,
     Save,
     TakeReport,
     take_report,
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 
 class JointPrims:
-    """SkelAnimations of takes, with their skeleton where no rig layer has it."""
+    """SkelAnimations of takes, with a Skeleton where no rig layer has one."""
 
-    def author(self, draft: Draft) -> None:
+    def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
         plan = draft.plan
         rest = draft.runs[0].rig
@@ -74,19 +74,19 @@ class JointPrims:
 
 @dataclass(frozen=True, slots=True)
 class JointFiles:
-    """The layers of takes as joints."""
+    """Layers of takes that are written as joints."""
 
     job: UsdJob
     authored: Authored
     result: UsdResult
 
     def write(self, save: Save) -> None:
-        """Write the layers, that which refers to the others last."""
+        """Write the layers; the one that refers to the others last."""
         write_usd(self.job, self.authored, self.result, save)
 
 
 def _job(plan: BakePlan, rest: Rig) -> UsdJob:
-    """Return what the writer is to do with every take."""
+    """Return the writer's job for every take."""
     mapping = plan.takes[0].mapping
     rig = rest if mapping is None else mapping.rig
     names, joints = _usd_names(plan, rig)
@@ -110,7 +110,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
 
 
 def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
-    """Return USD names of the joints, and their paths."""
+    """Return the USD names and paths of the joints."""
     if plan.target is not None:
         return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
@@ -122,19 +122,19 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
 
 
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
-    """Yield every take, made ready when the writer comes to it."""
+    """Yield takes for the writer; each is prepared when it is asked for."""
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
         mapping = take.plan.mapping
-        made = round_blocks(
+        rounded_blocks = round_blocks(
             blocks,
             job.rig,
             job.meters_per_unit,
             root_motion=root_motion,
             size=1.0 if mapping is None else mapping.size,
         )
-        rounded = prefetch(timed(made, take.seconds, "read"))
+        rounded = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:
             yield replace(usd_take, blocks=rounded)
         finally:
@@ -142,15 +142,15 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 
 
 class _JointTake:
-    """One take as joints: those that are written, and the samples that are needed."""
+    """A take as joints: the joints and the samples to write."""
 
-    def __init__(self, run: TakeRun) -> None:
+    def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
         self.seconds = {"read": 0.0}  # spent on making blocks [s]
         self._thinned: Thinned | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
-        """Return what the writer is told of the take, and its frames.
+        """Return the writer's description of the take, and its frames.
 
         The rig is as it is written: of the rig layer, or of the first take.
         """
@@ -164,10 +164,10 @@ class _JointTake:
             if (mapping.source < 0).any():
                 chosen = mapping.source >= 0
         if options.sparse:
-            held = list(blocks)
-            moving = moving_joints(plan, rig, [motion for _, motion in held])
+            buffered = list(blocks)
+            moving = moving_joints(plan, rig, [motion for _, motion in buffered])
             kept = moving if chosen is None else moving & chosen
-            chosen, blocks = kept if kept.any() else chosen, iter(held)
+            chosen, blocks = kept if kept.any() else chosen, iter(buffered)
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
             blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
@@ -189,7 +189,7 @@ class _JointTake:
         return take, blocks
 
     def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
-        """Return the result of the take."""
+        """Return the report of the take."""
         thinned = self._thinned
         joint = job.names.names[written.rounding.joint] if job.names.names else ""
         report = take_report(self._run, written, joint)
@@ -206,12 +206,12 @@ def _thinned(
     rig: Rig,
     step: Fraction,
 ) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
-    """Return the samples that are needed, what that does, first and last frame."""
+    """Return the samples to keep, their errors, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
-    held = list(blocks)
-    codes = np.concatenate([codes for codes, _ in held])
-    motion = Motion.concatenate([motion for _, motion in held])
+    buffered = list(blocks)
+    codes = np.concatenate([codes for codes, _ in buffered])
+    motion = Motion.concatenate([motion for _, motion in buffered])
     tolerance = plan.options.reduce
     assert tolerance is not None
     # A rig that its stage scales moves by so much less there than in its own numbers.
@@ -226,14 +226,14 @@ def _thinned(
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:
-    """Return the take's shapes as the output has them."""
+    """Return the names of the take's shapes in the output."""
     if plan.mapping is not None:
         return plan.mapping.shapes
     return tuple(shape.name for shape in plan.stream.rig.shapes)
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
-    """Return the curves of controls over the output's time codes."""
+    """Return the curves of controls in time codes of the output."""
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"

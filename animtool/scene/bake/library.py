@@ -1,4 +1,4 @@
-"""The takes of a clip library: their names, and whether one skeleton fits them all."""
+"""The takes of a clip library: names, and a check that one skeleton fits all."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ REST_RADIANS = 1e-5
 
 
 def take_names(
-    sources: Sequence[Path], notices: list[Fault], own_names: Sequence[str] = ()
+    sources: Sequence[Path], notices: list[Fault], stated_names: Sequence[str] = ()
 ) -> list[str]:
-    """Return legal and distinct names of takes, after their files or by their own.
+    """Return legal and distinct take names, from stated names or file names.
 
     Two that would be the same are added to the notices.
     """
-    stems = list(own_names) or [source_stem(path) for path in sources]
+    stems = list(stated_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
     renamed = [
         path
@@ -49,7 +49,7 @@ def take_names(
 def rate_notice(
     names: Sequence[str], streams: Sequence[TakeStream], fps: Fraction
 ) -> list[Fault]:
-    """Say so where the takes have different rates."""
+    """Warn where takes have different rates."""
     rates = [stream.fps / stream.step for stream in streams]
     if len(set(rates)) < 2:
         return []
@@ -61,7 +61,7 @@ def rate_notice(
     return [Fault("USD131", message, None, (), hint, Severity.NOTE)]
 
 
-def alike(
+def in_joint_order(
     sources: Sequence[Path],
     streams: Sequence[TakeStream],
     options: BakeOptions,
@@ -90,7 +90,7 @@ def alike(
 
 
 def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
-    """Return the parent of every joint, in order, all named as USD will have them.
+    """Return the parent of every joint by USD name, in order.
 
     So a BVH and what USD holds of it have the same joints. A root has none.
     """
@@ -102,13 +102,13 @@ def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
 
 
 def _difference(first: dict[str, str], other: dict[str, str], source: str) -> str:
-    """Return the first difference of the joints in words; empty for none."""
+    """Return the first difference between joints as text; empty for none."""
     for name, parent in first.items():
         if name not in other:
             return f"there is no joint {name!r}, which {source} has"
         if other[name] != parent:
-            places = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
-            return f"joint {name!r} is {places[0]}, but in {source} {places[1]}"
+            parents = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
+            return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
     for name in other:
         if name not in first:
             return f"joint {name!r} is not in {source}"
@@ -118,7 +118,7 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
 def _ordered(
     stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
-    """Return a take with its joints in another order, that of a first rig."""
+    """Return a take with its joints reordered as those of a first rig."""
     if names == order:
         return stream
     from animtool.usd.rigs.target import RigJointMap
@@ -131,10 +131,10 @@ def _ordered(
     )
     ordered = replace(rig, joints=joints)
     mapping = RigJointMap(ordered, source, np.ones((len(joints), 3)), [])
-    curve, given = stream.curve, stream.blocks
+    curve, source_blocks = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
-        for block in given:
+        for block in source_blocks:
             yield mapping.apply(block)
 
     turned = replace(stream, rig=ordered, blocks=blocks())
@@ -144,17 +144,19 @@ def _ordered(
 
 
 def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
-    """Say so where a take has another rest pose than the one that is written."""
-    apart = np.linalg.norm(first.rest_translations - other.rest_translations, axis=1)
+    """Warn where a take's rest pose differs from the one that is written."""
+    distances = np.linalg.norm(
+        first.rest_translations - other.rest_translations, axis=1
+    )
     size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
     turned = so3.angle_between(first.rest_rotations, other.rest_rotations)
-    worse = np.maximum(apart / (REST_LENGTHS * size), turned / REST_RADIANS)
+    worse = np.maximum(distances / (REST_LENGTHS * size), turned / REST_RADIANS)
     if worse.max(initial=0.0) <= 1.0:
         return []
     i = int(worse.argmax())
     message = (
         f"the rest pose differs from that of {source}: joint {first.names[i]!r} by "
-        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees"
+        f"{length_text(distances[i])} and {np.degrees(turned[i]):.3g} degrees"
     )
     hint = f"the library uses the rest pose of {source}"
     return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

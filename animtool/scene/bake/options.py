@@ -1,4 +1,4 @@
-"""What a bake can be told."""
+"""The options of a bake."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import Key, described, option
+from animtool.core.options import Key, inherits_docs, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
@@ -24,10 +24,10 @@ _ADOPTED = (
 )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
-    """How to bake.
+    """Options of a bake.
 
     Attributes:
         source: What the source is, where its file does not say.
@@ -348,7 +348,7 @@ class BakeOptions:
     overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
 
     def __post_init__(self) -> None:
-        """Take the rate and the start as they are written."""
+        """Convert the rate and the start from numbers or text."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
         start: Any = self.start
@@ -365,7 +365,7 @@ class BakeOptions:
 
 
 def _range_option(frames: FrameRangeLike) -> FrameRange:
-    """Return the range of the option ``frame_range``."""
+    """Return the frame range of the option ``frame_range``."""
     try:
         if isinstance(frames, str):
             return parse_frame_range(frames)
@@ -383,11 +383,11 @@ def _frame_option(start: FractionLike) -> Fraction:
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
-    """Return options, and where they are the usual ones, those of others."""
-    usual = BakeOptions()
+    """Return options whose default values are replaced by those of others."""
+    defaults = BakeOptions()
     taken = {
         field.name: getattr(others, field.name)
         for field in fields(BakeOptions)
-        if getattr(options, field.name) == getattr(usual, field.name)
+        if getattr(options, field.name) == getattr(defaults, field.name)
     }
     return replace(options, **taken)

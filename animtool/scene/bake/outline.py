@@ -1,4 +1,4 @@
-"""The outputs of a bake as they are asked for, checked before anything is read."""
+"""The requested outputs of a bake, checked before anything is read."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
 from animtool.scene.bake.options import BakeOptions, merged
 from animtool.scene.bake.reading import (
-    Reading,
     Source,
+    SourceSet,
     check_file_options,
     check_options,
     check_package,
     form_of,
-    found_sources,
     output_files,
+    source_set,
     with_takes,
 )
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, check_path
 
 if TYPE_CHECKING:
-    from animtool.scene.file.entries import Place
+    from animtool.scene.file.entries import EntryLocation
     from animtool.scene.scene import Scene
 
 # The output that is no file.
@@ -39,20 +39,22 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True, slots=True)
 class OutputEntry:
-    """One output of a bake, as it is asked for."""
+    """One requested output of a bake."""
 
     path: Path | None  # the file to write; None is stdout
-    options: BakeOptions  # of the bake, those of the scene among them
+    options: BakeOptions  # options of the bake, with those of the scene
     # The scene that names it, with the systems of this output alone; None is no scene.
     scene: Scene | None = None
-    place: Place | None = None  # of the entry, where the scene names the file
-    # Of a clip: what an additive take is put on, and the rig file that is named.
+    location: EntryLocation | None = (
+        None  # of the entry, where the scene names the file
+    )
+    # Of a clip: the base take of an additive take, and the rig file.
     base: Path | None = None
     rig_file: Path | None = None
 
     @property
     def simulated(self) -> bool:
-        """Whether systems go into it."""
+        """Whether it contains systems."""
         return self.scene is not None and bool(self.scene.systems)
 
     @property
@@ -62,7 +64,7 @@ class OutputEntry:
 
     @property
     def files(self) -> list[Path]:
-        """The files to write; of chunks, those that they may replace."""
+        """Files to write; of chunks, those that may be replaced."""
         if self.path is None:
             return []
         if self.is_stage:
@@ -75,21 +77,21 @@ class OutputEntry:
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """What a bake will read and write."""
+    """Sources and outputs of a bake."""
 
-    reading: Reading
+    reading: SourceSet
     outputs: tuple[OutputEntry, ...]
     notices: list[Fault]  # of the scenes
 
     @property
     def scene(self) -> Scene | None:
-        """The one source, where it is a scene."""
+        """The source, if it is a single scene."""
         reading = self.reading
         return reading.scenes.get(reading.files[0]) if len(reading.files) == 1 else None
 
     @property
     def replacing(self) -> Outline:
-        """The same, which replaces what exists."""
+        """A copy that overwrites existing files."""
         outputs = (
             replace(entry, options=replace(entry.options, overwrite=True))
             for entry in self.outputs
@@ -98,7 +100,7 @@ class Outline:
 
     @property
     def files(self) -> list[Path]:
-        """Every file that is written."""
+        """Every file to write."""
         return [path for entry in self.outputs for path in entry.files]
 
 
@@ -110,7 +112,7 @@ def outlined(
     base: Path | None = None,
     rig_file: Path | None = None,
 ) -> Outline:
-    """Return what a bake will read and write; nothing is checked.
+    """Return the outline of a bake from sources and options, unchecked.
 
     Args:
         sources: What is read.
@@ -120,8 +122,8 @@ def outlined(
         rig_file: Of a clip: the file of its rig, which is named; None writes one.
     """
     alone = isinstance(sources, str) or not isinstance(sources, Sequence)
-    given = cast("Sequence[Source]", [sources] if alone else sources)
-    reading = found_sources(given)
+    listed = cast("Sequence[Source]", [sources] if alone else sources)
+    reading = source_set(listed)
     options = options or BakeOptions()
     scenes = list(reading.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
@@ -145,7 +147,7 @@ def outlined(
             path if entry.path is None or output is not None else entry.path,
             merged(options, entry.bake),
             scene.writing(entry),
-            entry.place if output is None else None,
+            entry.location if output is None else None,
         )
         for entry in entries
     )
@@ -153,7 +155,7 @@ def outlined(
 
 
 def _holds_several(path: Path, options: BakeOptions) -> bool:
-    """Return whether an output holds all the takes that a source has."""
+    """Return whether an output contains all takes of a source."""
     if writes_stage(path):
         return form_of(options) is LayerForm.LIBRARY
     writer = writer_of(path)
@@ -161,13 +163,13 @@ def _holds_several(path: Path, options: BakeOptions) -> bool:
 
 
 def is_several(scene: Scene) -> bool:
-    """Return whether a scene writes several files, or one that is no USD."""
+    """Return whether a scene writes several files, or one that is not USD."""
     path = scene.outputs[0].path
     return len(scene.outputs) > 1 or (path is not None and not writes_stage(path))
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse what can be refused before anything is read, all outputs at once.
+    """Refuse faults that show before anything is read, of all outputs at once.
 
     Raises:
         OptionError: Options exclude each other, an output exists, is read too, or two
@@ -176,14 +178,14 @@ def check_outline(outline: Outline) -> None:
     """
     reading, several = outline.reading, len(outline.outputs) > 1
     _check_count(len(reading.files), outline.outputs[0].options)
-    faults = outputs_twice(outline)
+    faults = duplicate_outputs(outline)
     # Errors are not kept: their frames hold layers open.
     kinds: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
         if several and entry.path is None:
             message = "an output has no file"
             fault = Fault("DOC021", message)
-            raise OptionError(entry.place.put(fault) if entry.place else fault)
+            raise OptionError(entry.location.locate(fault) if entry.location else fault)
         try:
             check_entry(entry, reading.inputs, reading.files[0])
         except AnimtoolError as error:
@@ -202,21 +204,21 @@ def check_outline(outline: Outline) -> None:
     _check_systems(outline)
 
 
-def outputs_twice(outline: Outline) -> list[Fault]:
-    """Return outputs of a scene that are one file (OUT007)."""
+def duplicate_outputs(outline: Outline) -> list[Fault]:
+    """Return faults of scene outputs that are the same file (OUT007)."""
     owners: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
             first = owners.setdefault(name_key(target(path).final), entry)
-            if first is not entry and entry.place and first.place:
-                message = f"{str(path)!r} is also written by {first.place.where}"
-                faults.append(entry.place.fault("OUT007", message, "name another"))
+            if first is not entry and entry.location and first.location:
+                message = f"{str(path)!r} is also written by {first.location.where}"
+                faults.append(entry.location.fault("OUT007", message, "name another"))
     return faults
 
 
 def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
-    """Refuse an output that cannot be, before anything is read.
+    """Refuse an invalid output before anything is read.
 
     Args:
         entry: The output.
@@ -234,7 +236,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         return
     layer = [options.rig_layer] if options.rig_layer else []
     library = form_of(options) is LayerForm.LIBRARY
-    # A library is added to; what may be replaced is one of its takes.
+    # A library is extended; one of its takes may be replaced.
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
     if library and path.exists():
@@ -245,11 +247,11 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
 
 
 def check_settings(entry: OutputEntry) -> None:
-    """Refuse a name of no format, and options that exclude each other."""
+    """Refuse unknown formats and options that exclude each other."""
     path, options = entry.path, entry.options
     if path is not None and not entry.is_stage:
         writer = take_writer(path)
-        if entry.place is None:
+        if entry.location is None:
             check_file_options(options, writer, path)
         return
     check_options(options, to_stdout=path is None, simulated=entry.simulated)
@@ -261,7 +263,7 @@ def check_settings(entry: OutputEntry) -> None:
 
 
 def take_name(options: BakeOptions, source: Path) -> str:
-    """Return what a source is called in a clip library."""
+    """Return the name of a source in a clip library."""
     from animtool.usd.layers.names import legal_name
 
     return legal_name(options.take or source_stem(source))
@@ -281,7 +283,7 @@ def _check_count(count: int, options: BakeOptions) -> None:
 
 
 def _check_systems(outline: Outline) -> None:
-    """Refuse what is simulated where a library, or no USD, is to hold it."""
+    """Refuse systems in outputs that hold a clip library or are not USD."""
     if len(outline.reading.files) == 1:
         return
     for scene in outline.reading.scenes.values():

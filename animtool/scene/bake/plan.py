@@ -1,4 +1,4 @@
-"""The plan of a bake: sources opened, each output ready to be written."""
+"""The plan of a bake: sources are open, and each output is ready to write."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.core.errors import (
     Severity,
     listed,
 )
-from animtool.core.files.output import sparing_inputs
+from animtool.core.files.output import protect_inputs
 from animtool.core.rates import rate_label
 from animtool.core.similar import distinct
 from animtool.core.writers import Writer, take_writer
@@ -37,12 +37,12 @@ from animtool.scene.bake.outline import (
     OutputEntry,
     check_outline,
     check_settings,
+    duplicate_outputs,
     outlined,
-    outputs_twice,
     take_name,
 )
 from animtool.scene.bake.prims import BakePlan, OutputPrims
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, form_of
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm
@@ -73,7 +73,7 @@ def plan_stage(
 
 
 def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
-    """Check everything that can be checked before the work, and open the sources.
+    """Open the sources and check everything that can be checked before the work.
 
     Raises:
         AnimtoolError: As `animtool.bake` does.
@@ -89,8 +89,8 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     # Systems come after the take that they go along with.
     simulated = any(entry.simulated for entry in entries)
     later = simulated or len(entries) > 1
-    shown = share_of(progress, 0, 2) if later else progress
-    with sparing_inputs(outline.files):
+    shown = part_progress(progress, 0, 2) if later else progress
+    with protect_inputs(outline.files):
         streams = reading.open(options, shown)
     notices = [*outline.notices, *reading.unused]
     if len(entries) == 1:
@@ -104,16 +104,16 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
 
 
 def refusals(outline: Outline, take: Take | None) -> list[Fault]:
-    """Return what keeps the outputs of a scene from being planned, each at its entry.
+    """Return the faults that keep the outputs of a scene from being planned.
 
     take: of its sources, all passes done; None is of a scene that has none.
     """
-    faults = outputs_twice(outline)
+    faults = duplicate_outputs(outline)
     inputs = {path.resolve() for path in outline.reading.inputs}
     for entry in outline.outputs:
         layer = entry.options.rig_layer
-        own = inputs | ({layer.resolve()} if layer else set())
-        if not own.isdisjoint(path.resolve() for path in entry.files):
+        entry_inputs = inputs | ({layer.resolve()} if layer else set())
+        if not entry_inputs.isdisjoint(path.resolve() for path in entry.files):
             continue  # it is not even read (OUT003)
         try:
             check_settings(entry)
@@ -127,16 +127,16 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
 
 
 def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
-    """Return a fault of an output, or of its name, at the entry of its scene."""
-    if entry.place is None:
+    """Return the fault of an output, located at its entry in the scene."""
+    if entry.location is None:
         return fault
     if fault.path == str(entry.path):
         fault = replace(fault, path=None)
-    return entry.place.put(fault)
+    return entry.location.locate(fault)
 
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
-    """Return streams of one take for several readers; it is gathered once."""
+    """Return one take as a stream for each of several readers; read once."""
     gathered: list[Motion] = []
 
     def blocks() -> Iterator[Motion]:
@@ -155,7 +155,7 @@ def _planned(
     notices: list[Fault],
     names: tuple[str, ...] = (),
 ) -> OutputPlan:
-    """Return what an output is to become, of sources that are open."""
+    """Return the plan of an output from open sources."""
     scene = entry.scene
     if not entry.is_stage:
         assert entry.path is not None
@@ -178,7 +178,7 @@ def _planned_file(
     writer: Writer,
     notices: list[Fault],
 ) -> FilePlan:
-    """Return a take as a file of another format than USD."""
+    """Return the plan of a take in a format other than USD."""
     options, left_out = entry.options, []
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
@@ -189,15 +189,15 @@ def _planned_file(
     for text in left_out:
         message = f"a {writer.name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
-        notices.append(note if entry.place is None else entry.place.put(note))
+        notices.append(note if entry.location is None else entry.location.locate(note))
     fps = options.fps or stream.fps
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     assert entry.path is not None
-    own = stream.details.get("take") or stream.details.get("name")
-    called: tuple[str, ...] = (str(own),) if own else ()
+    stated_name = stream.details.get("take") or stream.details.get("name")
+    called: tuple[str, ...] = (str(stated_name),) if stated_name else ()
     return FilePlan(take, entry.path, entry.base, entry.rig_file, names=called)
 
 
@@ -209,15 +209,15 @@ def _with_others(
     notices: list[Fault],
     names: tuple[str, ...],
 ) -> FilePlan:
-    """Return a file that holds several takes of one rig, each by its name."""
-    from animtool.scene.bake.library import alike
+    """Return the plan of a file that holds several named takes of one rig."""
+    from animtool.scene.bake.library import in_joint_order
 
     writer = take_writer(plan.path)
     if not writer.several:
         message = f"a {writer.name} file holds one take, but there are {len(streams)}"
         hint = "write .usdc or .glb, or pass one source"
         raise OptionError(Fault("OUT004", message, str(plan.path), (), hint))
-    streams = alike(sources, streams, entry.options, notices)
+    streams = in_joint_order(sources, streams, entry.options, notices)
     others = [
         _planned_file(source, stream, entry, writer, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
@@ -226,12 +226,12 @@ def _with_others(
         one.names[0] if one.names else source_stem(source)
         for source, one in zip(sources, (plan, *others), strict=True)
     ]
-    own = names or tuple(distinct(called))
-    return replace(plan, others=tuple(one.take for one in others), names=own)
+    take_names = names or tuple(distinct(called))
+    return replace(plan, others=tuple(one.take for one in others), names=take_names)
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
-    """Return what an output of a scene that has no source is to become."""
+    """Return the plan of an output of a scene without a source."""
     from animtool.scene.systems.bake import plan_systems
 
     assert entry.scene is not None
@@ -240,7 +240,9 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         what = take_writer(entry.path).name
         message = f"a {what} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
-        raise OptionError(fault if entry.place is None else entry.place.put(fault))
+        raise OptionError(
+            fault if entry.location is None else entry.location.locate(fault)
+        )
     systems = plan_systems(entry.scene, entry.options)
     return BakePlan(
         (),
@@ -257,7 +259,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
 
 def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
-    """Return the plan of a take with the systems of its scene."""
+    """Return the plan of a take together with the systems of its scene."""
     if not scene.systems:
         return plan
     if plan.form is LayerForm.LIBRARY:
@@ -276,9 +278,9 @@ def plan_takes(
     path: Path | None,
     options: BakeOptions,
     notices: list[Fault],
-    own_names: tuple[str, ...] = (),
+    stated_names: tuple[str, ...] = (),
 ) -> BakePlan:
-    """Return what takes are to become in USD; None is stdout.
+    """Return the plan of takes in one USD file; None is stdout.
 
     own_names: what the takes are called; empty is as their files are.
     """
@@ -293,7 +295,7 @@ def plan_takes(
         notices += target.notices
         up = target.skeleton.rig.up
         layer = str(target.path)
-        ways = [
+        mapped = [
             over_rig(
                 reorient(one, up),
                 target.placement,
@@ -303,8 +305,10 @@ def plan_takes(
             )
             for one in streams
         ]
-        streams = [way.stream for way in ways]
-        mappings = [_mapped(way, target, options, notices) for way in ways]
+        streams = [rig_mapping.stream for rig_mapping in mapped]
+        mappings = [
+            _mapped(rig_mapping, target, options, notices) for rig_mapping in mapped
+        ]
     else:
         kept = options.placement != "drop"
         for source, one in zip(sources, streams, strict=True):
@@ -319,17 +323,17 @@ def plan_takes(
         raise OptionError(Fault("CLI002", message, str(sources[0])))
     names = [take_name(options, sources[0]) if library else ""]
     if len(sources) > 1:
-        from animtool.scene.bake.library import alike, rate_notice, take_names
+        from animtool.scene.bake.library import in_joint_order, rate_notice, take_names
 
-        names = take_names(sources, notices, own_names)
+        names = take_names(sources, notices, stated_names)
         if target is None:
-            streams = alike(sources, streams, options, notices)
+            streams = in_joint_order(sources, streams, options, notices)
     fps = options.fps or (target.fps if target else streams[0].fps)
     if len(sources) > 1:
         notices += rate_notice(names, streams, fps)
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))
-    notices += _rate_apart(target, fps)
+    notices += _rate_difference(target, fps)
     notices += _left_points(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
@@ -356,7 +360,7 @@ def plan_takes(
 
 
 def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
-    """Return the rig of a layer, opened; None where there is none."""
+    """Return the opened rig of a rig layer; None without one."""
     if rig_layer is not None:
         from animtool.usd.rigs.target import open_target
 
@@ -367,7 +371,7 @@ def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
 
 
 def _check_props(plan: BakePlan) -> None:
-    """Refuse things beside characters that have no place in the output."""
+    """Refuse props that the output cannot hold."""
     tracks = [take.stream.tracks for take in plan.takes]
     if not any(tracks):
         return
@@ -389,25 +393,25 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
 
 
 def _mapped(
-    way: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
+    over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> RigJointMap:
     from animtool.usd.rigs.target import map_joints
 
     mapping = map_joints(
-        way.stream.rig,
+        over_rig.stream.rig,
         target,
         options.strip_namespace,
         force_fit=options.force_fit,
-        over=way,
+        over=over_rig,
     )
     if mapping.fit is not None:
-        way.stream.details["fit"] = round(mapping.fit.score, 4)
-    notices += [*way.notices, *mapping.notices]
+        over_rig.stream.details["fit"] = round(mapping.fit.score, 4)
+    notices += [*over_rig.notices, *mapping.notices]
     return mapping
 
 
 def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Name what is simulated, and not written."""
+    """Name the simulated points that the output leaves out."""
     names = sorted({name for stream in streams for name in stream.points})
     if not names or options.deform:
         return []
@@ -416,7 +420,7 @@ def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]
     return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     if target is None or fps == target.fps:
         return []
     theirs = rate_label(target.fps)
@@ -428,7 +432,7 @@ def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
 def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
-    """Return the first frame: asked for, the shot's, the source's, the project's, 1.
+    """Return the first frame: option, shot, source, project, then 1.
 
     At another rate, a source that starts between the frames of its stage starts at the
     frame of the same time: 960.96 of 24 a second is 1001 of 25.
@@ -443,7 +447,7 @@ def start_of(
         if stream.start.denominator == 1:
             return stream.start
         fps = options.fps or (target.fps if target else stream.fps)
-        whole = not options.keep_samples
-        return frame_start(stream.start, stream.fps, fps, whole=whole)
+        on_frame = not options.keep_samples
+        return frame_start(stream.start, stream.fps, fps, on_frame=on_frame)
     configured = find_config(source).start
     return Fraction(1) if configured is None else configured

@@ -1,4 +1,4 @@
-"""Meshes and strands of a take as point caches: which, by what, frame by frame."""
+"""Meshes and strands of a take as point caches, frame by frame."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from animtool.rig.kinematics import (
 )
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks
+from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks
 from animtool.scene.bake.prims import (
     BakePlan,
-    Draft,
+    BakeState,
     MeshReport,
     OneFile,
     Save,
@@ -73,19 +73,21 @@ PIECE = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Character:
-    """What a bake deforms."""
+class DeformedCharacter:
+    """Meshes and strands that a bake deforms."""
 
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
-    strands: tuple[Strands, ...]  # what single joints carry
+    strands: tuple[Strands, ...]  # meshes that follow single joints
     # How the take's joints stand in the rig; None where they are its own.
     mapping: RigJointMap | None
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
     origin: str  # whose meshes they are, for reports
 
-    def only(self, surfaces: Sequence[str], strands: Sequence[str]) -> Character:
-        """Return the character with some of its meshes and strands, in its order."""
+    def only(
+        self, surfaces: Sequence[str], strands: Sequence[str]
+    ) -> DeformedCharacter:
+        """Return a copy with some of its meshes and strands, in its order."""
         kept = [part.name in surfaces for part in self.surfaces]
         kept += [part.name in strands for part in self.strands]
         return replace(
@@ -96,8 +98,8 @@ class Character:
         )
 
 
-def open_character(take: TakePlan, target: RigTarget | None) -> Character:
-    """Return what a take deforms.
+def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
+    """Return the meshes and strands that a take deforms.
 
     That is the meshes and strands of its own rig where this has meshes; else those of
     the rig layer, else those of the USD file that the take is from.
@@ -136,25 +138,25 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
-    return Character(rig, surfaces, strands, mapping, tuple(meshes), origin)
+    return DeformedCharacter(rig, surfaces, strands, mapping, tuple(meshes), origin)
 
 
 def _turned(
     surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
 ) -> tuple[Surface, ...]:
-    """Stand meshes that no joint carries on another up axis; joints carry the others.
+    """Rotate meshes without a skin to another up axis; joints carry the others.
 
     Where the joints are turned, so is what they carry, wherever it was bound.
     """
-    turn = up_from_up(up, source_up)
-    if turn is None:
+    rotation = up_from_up(up, source_up)
+    if rotation is None:
         return surfaces
-    whole = np.eye(4)
-    whole[:3, :3] = so3.to_matrix(np.array(turn))
+    transform = np.eye(4)
+    transform[:3, :3] = so3.to_matrix(np.array(rotation))
     return tuple(
         surface
         if surface.skin is not None
-        else replace(surface, geom_bind=whole @ surface.geom_bind)
+        else replace(surface, geom_bind=transform @ surface.geom_bind)
         for surface in surfaces
     )
 
@@ -162,7 +164,7 @@ def _turned(
 def pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion; the slice says which of their frames count."""
+    """Yield short pieces of a motion, each with a slice of the frames that count."""
     before: tuple[FloatArray, Motion] | None = None
     cut = _cut(blocks)
     piece = next(cut, None)
@@ -192,9 +194,9 @@ def _cut(blocks: TimedBlocks) -> TimedBlocks:
 
 @dataclass
 class PointStream:
-    """Deforms a character frame by frame."""
+    """Frames of a character's deformed points."""
 
-    character: Character
+    character: DeformedCharacter
     meters_per_unit: float  # unit of the output [m]
     rate: float  # time codes a second
     spaces: Sequence[PointSpace]  # where the points of each mesh are written
@@ -203,10 +205,10 @@ class PointStream:
     seconds: list[float] = field(default_factory=list)
 
     def blocks(self, timed: TimedBlocks) -> Iterator[Block]:
-        """Yield frames of each mesh, those of a mesh in their order."""
+        """Yield the frames of each mesh in order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, own in pieces(timed, neighbours=self.velocities):
+        for codes, motion, counted in pieces(timed, neighbours=self.velocities):
             mapped = motion
             if character.mapping is not None:
                 mapped = character.mapping.at(codes, motion)
@@ -216,7 +218,7 @@ class PointStream:
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped.points:
                     frames = self._moved(i, frames, codes, mapped.points[mesh.name])
-                yield from self._rounded(i, codes, frames, own)
+                yield from self._rounded(i, codes, frames, counted)
 
     def _moved(
         self,
@@ -225,7 +227,7 @@ class PointStream:
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[Deformed]:
-        """Yield frames of a mesh whose points are not where its joints have them."""
+        """Yield frames of a mesh that shapes or strands displace."""
         surfaces = self.character.surfaces
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
@@ -236,13 +238,13 @@ class PointStream:
             done = frames.stop
 
     def _rounded(
-        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], own: slice
+        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
-        """Yield the frames of a piece that count, rounded."""
+        """Yield the counted frames of a piece in float32."""
         done = 0
         began = time.perf_counter()
         for part in deformed:
-            first, last = max(own.start - done, 0), max(own.stop - done, 0)
+            first, last = max(counted.start - done, 0), max(counted.stop - done, 0)
             kept = part.select(slice(first, last))
             at = codes[done + first : done + first + len(kept.points)]
             done += len(part.points)
@@ -264,7 +266,7 @@ class PointStream:
     ) -> Iterator[Deformed]:
         record = mesh.mesh
         normals = record.normals is not None
-        if _still(mesh, weights, world):
+        if _is_static(mesh, weights, world):
             # One frame is as good as all of them, and no work.
             weights = None if weights is None else weights[:1]
             first = WorldTransforms(world.positions[:1], world.linear[:1])
@@ -275,10 +277,10 @@ class PointStream:
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
 
-def _still(
+def _is_static(
     mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
 ) -> bool:
-    """Return whether nothing that a mesh follows moves."""
+    """Return whether a mesh has the same points in all frames."""
     if weights is not None and (weights != weights[:1]).any():
         return False
     skin = mesh.mesh.skin
@@ -308,12 +310,12 @@ def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
 
 @dataclass(frozen=True, slots=True)
 class PointPrims:
-    """Meshes and strands of a character that the bake deforms."""
+    """Deformed meshes and strands of a character as prims."""
 
-    character: Character
+    character: DeformedCharacter
 
-    def author(self, draft: Draft) -> None:
-        """Author the prims; points in chunks are written already."""
+    def author(self, draft: BakeState) -> None:
+        """Author the prims; chunks of points are already written."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed = run.plan.stream, run.open()
         job, character, spaces = _job(plan, self.character, timed.frames)
@@ -365,7 +367,7 @@ class PointPrims:
 
 @dataclass(frozen=True, slots=True)
 class ChunkFiles:
-    """A layer whose points are in files of some samples each, written already."""
+    """A layer whose points are stored in files of some samples each."""
 
     cache: ChunkedCache
     result: UsdResult
@@ -377,12 +379,12 @@ class ChunkFiles:
 
 
 def _author_props(
-    layer: Any, plan: BakePlan, job: CacheJob, run: TakeRun, up: UpAxis
+    layer: Any, plan: BakePlan, job: CacheJob, run: BakedTake, up: UpAxis
 ) -> list[str]:
-    """Write props of the take to a layer; return their prims."""
+    """Write the props of the take to a layer; return their prims."""
     assert run.props is not None
     mapping = plan.takes[0].mapping
-    places = prop_placements(
+    placements = prop_placements(
         job.paths,
         plan.target,
         None,
@@ -390,15 +392,15 @@ def _author_props(
         up,
         to_rig=None if mapping is None else mapping.to_rig,
     )
-    props, notices = author_props(layer, run.props, places, plan.output)
+    props, notices = author_props(layer, run.props, placements, plan.output)
     plan.notices.extend(notices)
     return props
 
 
 def _job(
-    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
-    """Return what the writer is to do, with which meshes, and where these stand."""
+    plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
+    """Return the writer's job: meshes and their placement."""
     if plan.target is not None:
         return _layer_job(plan, character, span)
     paths, unit = plan.paths, plan.meters_per_unit
@@ -420,8 +422,8 @@ def _job(
 
 
 def _layer_job(
-    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
+    plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
@@ -456,7 +458,7 @@ def _layer_job(
     return job, character, [part.space for part in target.prims]
 
 
-def _result(layer: Any, meshes: Sequence[CachedMesh], run: TakeRun) -> UsdResult:
+def _result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
     span = layer_span(layer)
     worst = max(meshes, key=lambda mesh: mesh.error)
     sampled = [name for mesh in meshes for name in mesh.sampled]

@@ -1,4 +1,4 @@
-"""What a bake writes: prims authored one after the other, and the report of them."""
+"""The prims of a bake and its report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.scene.bake.frames import TakePlan, TakeRun
+    from animtool.scene.bake.frames import BakedTake, TakePlan
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.caches.writer import CachedMesh
     from animtool.usd.rigs.target import RigTarget
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What became of a mesh, of strands, or of a system."""
+    """Result of one mesh, strand set or system."""
 
     name: str  # as the rig names it
-    written: CachedMesh  # what was written of it
+    written: CachedMesh  # result
     seconds: float  # spent on deforming and rounding it [s]
     frames: int  # how many frames that was for
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
@@ -52,11 +52,11 @@ class MeshReport:
 
     @property
     def milliseconds_per_frame(self) -> float:
-        """How long a frame took [ms]."""
+        """Time for a frame [ms]."""
         return self.seconds * 1e3 / max(self.frames, 1)
 
 
-# Keys of what rounding did to a take.
+# Keys of the rounding errors of a take.
 _ERROR = (
     "{take=written.name+ meters=written.rounding.error relative=relative_error "
     "joint=error_joint frame=written.rounding.code "
@@ -66,10 +66,10 @@ _ERROR = (
 
 @dataclass(slots=True)
 class TakeReport:
-    """What became of one source."""
+    """Result of one source."""
 
     source: Path  # the file read
-    written: WrittenTake  # what was written of it
+    written: WrittenTake  # form of the output
     source_frames: int  # frames of the source
     source_fps: Fraction  # its frame rate
     error_joint: str  # name of the joint that rounding moved most
@@ -107,33 +107,33 @@ class TakeReport:
 
     @property
     def resampled(self) -> bool:
-        """Whether samples are not one of each frame of the source."""
+        """Whether samples are not exactly the source's frames."""
         counts = self.source_frames, self.written.samples
         return self.source_fps != self.fps or counts[0] != counts[1]
 
     @property
     def relative_error(self) -> float:
-        """The largest distance that rounding moved a joint, over the size [1]."""
+        """Largest joint displacement by rounding, over the rig's size [1]."""
         return self.written.rounding.error / (self.size or math.inf)
 
     @property
     def in_library(self) -> TakeReport | None:
-        """The report, if the take is one of a library."""
+        """The report, if the take is in a library."""
         return self if self.written.name else None
 
     @property
     def if_thinned(self) -> TakeReport | None:
-        """The report, if samples were left out."""
+        """The report, if samples were reduced."""
         return None if self.thinned is None else self
 
 
 def take_report(
-    run: TakeRun,
+    run: BakedTake,
     written: WrittenTake,
     joint: str = "",
     meshes: Sequence[MeshReport] = (),
 ) -> TakeReport:
-    """Return the result of a take: what rounding moved most, and its meshes."""
+    """Return the report of a take: rounding errors and meshes."""
     plan, stream, times = run.plan, run.plan.stream, run.open().times
     return TakeReport(
         plan.source,
@@ -153,10 +153,10 @@ def take_report(
 
 @dataclass(slots=True)
 class BakeReport:
-    """What a bake did."""
+    """Report of a bake."""
 
-    takes: list[TakeReport]  # what became of every source, at least one
-    result: UsdResult  # what was written
+    takes: list[TakeReport]  # result of every source, at least one
+    result: UsdResult  # form of the output
     form: str  # stage, split or layer, and why
     joints: int  # joints of the first source
     meters_per_unit: float  # unit of the output [m]
@@ -178,12 +178,12 @@ class BakeReport:
 
     @property
     def only(self) -> TakeReport | None:
-        """The take, where it is the only one."""
+        """The take, if there is only one."""
         return self.takes[0] if len(self.takes) == 1 else None
 
     @property
     def library(self) -> list[TakeReport]:
-        """The takes, where there are several."""
+        """The takes, if there are several."""
         return [] if len(self.takes) == 1 else self.takes
 
     @property
@@ -193,46 +193,46 @@ class BakeReport:
 
     @property
     def unit_assumed(self) -> bool:
-        """Whether nothing states the unit of some source."""
+        """Whether a source has no stated unit."""
         return any(take.unit_assumed for take in self.takes)
 
     @property
     def props(self) -> list[str]:
-        """Paths of what is written beside the characters."""
+        """Paths of the props that are written with the characters."""
         return [path for take in self.takes for path in take.written.props]
 
     @property
     def named(self) -> list[Path]:
-        """The files that reports of solves name; none of stdout."""
+        """Files that reports of solves name; none for stdout."""
         return self.files
 
     @property
     def channels(self) -> None:
-        """Nothing: a layer has no channels of keys."""
+        """Empty: a layer has no key channels."""
         return None
 
     @property
     def cost(self) -> OutputCost:
-        """What it took."""
+        """Time and memory that it took."""
         name = str(self.files[-1]) if self.files else "stdout"
         error = self.worst.written.rounding.error
         return OutputCost(name, self.seconds["total"], error)
 
     @property
     def units(self) -> str:
-        """The unit of the output by its name."""
+        """Name of the output's unit."""
         return unit_name(self.meters_per_unit)
 
     @property
     def megabytes_per_second(self) -> float | None:
-        """How fast sources were read [MB/s]; None where none is a file of motion."""
+        """Read rate of the sources [MB/s]; None without motion files."""
         if not self.source_bytes:
             return None
         return round(self.source_bytes / 1e6 / self.seconds["total"], 3)
 
     @property
     def span(self) -> FrameSpan:
-        """First frame, last frame and rate that the written layer states."""
+        """First frame, last frame and rate of the written layer."""
         return self.result.span
 
     @property
@@ -242,27 +242,27 @@ class BakeReport:
 
     @property
     def worst(self) -> TakeReport:
-        """The take that rounding moved most."""
+        """The take with the largest rounding displacement."""
         return max(self.takes, key=lambda take: take.written.rounding.error)
 
     @property
     def scores(self) -> list[PassScores]:
-        """How well the passes of every source did."""
+        """Scores of the passes of every source."""
         return [one for take in self.takes for one in take.scores]
 
     @property
     def files(self) -> list[Path]:
-        """Every file written, the one that was asked for last."""
+        """Every written file, the requested one last."""
         return self.result.outputs
 
     @property
     def source_bytes(self) -> int:
-        """Size of all sources."""
+        """Total size of the sources."""
         return sum(take.source_bytes for take in self.takes)
 
 
 def raise_stopped(reports: Sequence[object]) -> None:
-    """Raise why a system stopped, where frames before that were kept."""
+    """Raise the reason why a system stopped after its frames were kept."""
     for report in reports:
         if isinstance(report, BakeReport) and report.stopped is not None:
             raise report.stopped
@@ -276,7 +276,7 @@ Save: TypeAlias = Callable[[Any, Path | None], int]
 class BakePlan:
     """A bake that is ready to run."""
 
-    takes: tuple[TakePlan, ...]  # one, those of a library, or none of systems alone
+    takes: tuple[TakePlan, ...]  # one, several of a library, or none for systems alone
     output: Path | None  # the file to write; None is stdout
     options: BakeOptions
     form: LayerForm
@@ -285,19 +285,19 @@ class BakePlan:
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # warnings collected so far
-    prims: tuple[OutputPrims, ...]  # what is written, in order
-    watch: CharacterWatch | None = None  # what systems see of the take
+    prims: tuple[OutputPrims, ...]  # prims to write, in order
+    watch: CharacterWatch | None = None  # records the take for systems
 
     @property
     def rig(self) -> Rig:
-        """The rig of the first take, or of the layer that this goes over."""
+        """Rig of the first take, or of the rig layer."""
         if self.target is not None:
             return self.target.skeleton.rig
         return self.takes[0].stream.rig
 
     @property
     def meters_per_unit(self) -> float:
-        """Unit of what is below the character's model [m]."""
+        """Length unit below the character's model [m]."""
         unit = self.options.to_units
         if self.target is not None or unit is None:
             return self.rig.meters_per_unit
@@ -305,7 +305,7 @@ class BakePlan:
 
     @property
     def paths(self) -> RigPaths:
-        """Where the character's prims are to be."""
+        """Paths of the character's prims."""
         if self.target is not None:
             return self.target.paths
         name, *others = {take.stream.rig.name: None for take in self.takes}
@@ -325,7 +325,7 @@ class BakePlan:
         up: UpAxis,
         what: str = "",
     ) -> BakeReport:
-        """Return the report of what was written of takes; ``what`` names its form."""
+        """Return the report of written takes; ``what`` names the form."""
         for take in takes:
             take.size, take.fps = size, result.span.fps
         return BakeReport(
@@ -342,15 +342,15 @@ class BakePlan:
 
 
 class OutputFiles(Protocol):
-    """The files of a bake, authored and not written."""
+    """Authored files of a bake that are not written yet."""
 
     def write(self, save: Save) -> None:
-        """Write them, the layer of the animation by ``save``."""
+        """Write the files; ``save`` writes the animation layer."""
 
 
 @dataclass(frozen=True, slots=True)
 class OneFile:
-    """A layer that is the only file of a bake."""
+    """A bake whose layer is its only file."""
 
     layer: Any
     output: Path | None  # None is stdout
@@ -363,22 +363,22 @@ class OneFile:
 
 
 class Growth(Protocol):
-    """Frames that are made while the layer that they go into is written."""
+    """Frames that are computed while their layer is written."""
 
     def save(self, layer: Any, path: Path | None) -> int:
-        """Write a layer and the frames; return the bytes."""
+        """Write a layer and its frames; return the bytes."""
 
-    def complete(self, draft: Draft) -> None:
-        """Add what was made to the report."""
+    def complete(self, draft: BakeState) -> None:
+        """Add the computed frames to the report."""
 
 
 @dataclass(slots=True)
-class Draft:
-    """A bake under way: a layer in memory, and what will be reported of it."""
+class BakeState:
+    """State of a running bake: a layer in memory and its report so far."""
 
     plan: BakePlan
-    progress: Progress  # share of what comes after the takes
-    runs: list[TakeRun]
+    progress: Progress  # progress of the work after the takes
+    runs: list[BakedTake]
     # None until the first prims have authored them.
     layer: Any = None
     files: OutputFiles | None = None
@@ -387,7 +387,7 @@ class Draft:
     read: list[float] = field(default_factory=list)  # spent on making frames [s]
 
     def write(self) -> None:
-        """Write all files, and complete the report."""
+        """Write all files and complete the report."""
         assert self.files is not None
         if self.growth is None:
             self.files.write(save_layer)
@@ -397,10 +397,10 @@ class Draft:
 
 
 class OutputPrims(Protocol):
-    """Prims of one kind that a bake writes: joints, points, or systems."""
+    """Prims of one kind in a bake: joints, points or systems."""
 
-    def author(self, draft: Draft) -> None:
-        """Put the prims into a draft, whose layer is made by the first.
+    def author(self, draft: BakeState) -> None:
+        """Author the prims into a bake; the first kind creates the layer.
 
         Raises:
             FormatError: Rows of a source, or a system, are malformed.

@@ -1,4 +1,4 @@
-"""Work that goes on in steps: made ahead, how much is done, what its stages cost."""
+"""Progress, prefetching and cost of work that runs block by block."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ Progress: TypeAlias = Callable[[float], None] | None
 
 
 def _one(_: object) -> int:
-    """Return how many an item is that stands for itself."""
+    """Return the weight of an item that counts as one."""
     return 1
 
 
-def told(
+def with_progress(
     items: Iterator[Item],
     count: int,
     progress: Progress,
     size: Callable[[Item], int] = _one,
 ) -> Iterator[Item]:
-    """Yield items, and tell how many of them there were."""
+    """Yield items and report how many have been taken."""
     done = 0
     if progress is not None:
         progress(0.0)
@@ -49,7 +49,7 @@ def told(
 def timed(
     items: Iterator[Item], seconds: MutableMapping[str, float], stage: str
 ) -> Iterator[Item]:
-    """Yield items, and count the time that they take as a stage's."""
+    """Yield items and add the time they take to a stage."""
     while True:
         began = time.perf_counter()
         item = next(items, None)
@@ -65,7 +65,7 @@ class _End:
 
 
 def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
-    """Yield the items of an iterator, up to ``depth`` of them made ahead in a thread.
+    """Yield the items of an iterator, computing up to ``depth`` ahead in a thread.
 
     It pays where the iterator spends its time in kernels, which release the GIL. An
     error of the iterator is raised at its place. Closing the generator stops the
@@ -95,7 +95,7 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
         except BaseException as error:
             put(_End(error))
 
-    # What is noted of the work, such as the files that it reads, is noted here too.
+    # Context variables, such as the record of inputs, apply here too.
     context = contextvars.copy_context()
     thread = threading.Thread(
         target=context.run, args=(work,), name="animtool-prefetch", daemon=True
@@ -114,81 +114,81 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
         thread.join()
 
 
-def share_of(progress: Progress, i: int, count: int) -> Progress:
-    """Return what shows the progress of one of several as that of all."""
+def part_progress(progress: Progress, i: int, count: int) -> Progress:
+    """Return the progress callback of one of several tasks."""
     if progress is None or count == 1:
         return progress
     shown = progress
-    return lambda share: shown((i + share) / count)
+    return lambda fraction: shown((i + fraction) / count)
 
 
 class BlockProgress:
-    """Progress of blocks of frames that are read, changed by passes and handed on.
+    """Progress of blocks that are read, passed through passes and consumed.
 
     What a pass tells while it works on a block moves the share from where the last
     block was handed on towards what the source has read.
     """
 
     def __init__(self, show: Callable[[float], None], passes: int) -> None:
-        """Begin at 0."""
+        """Start at 0."""
         self._show, self._passes = show, max(passes, 1)
         self._begin, self._shown, self._read = 0.0, 0.0, 0.0
         show(0.0)
 
-    def read(self, share: float) -> None:
-        """Note which share of the source was read."""
-        self._read = max(self._read, share)
+    def read(self, fraction: float) -> None:
+        """Record the fraction of the source that has been read."""
+        self._read = max(self._read, fraction)
 
     def of_pass(self, index: int) -> Callable[[float], None]:
-        """Return what a pass tells its share of the current work."""
+        """Return the callback by which a pass reports its fraction done."""
 
-        def tell(share: float) -> None:
+        def tell(fraction: float) -> None:
             # A source that does not tell is read whole.
             end = self._read or 1.0
-            part = (index + share) / self._passes
+            part = (index + fraction) / self._passes
             self._to(self._begin + (end - self._begin) * part)
 
         return tell
 
     def blocks(self, items: Iterator[Item]) -> Iterator[Item]:
-        """Yield blocks that are done; after the last the share is 1."""
+        """Yield finished blocks; after the last the fraction is 1."""
         for item in items:
             yield item
             self._to(self._read)
             self._begin = self._shown
         self._to(1.0)
 
-    def _to(self, share: float) -> None:
-        if share > self._shown:
-            self._shown = min(share, 1.0)
+    def _to(self, fraction: float) -> None:
+        if fraction > self._shown:
+            self._shown = min(fraction, 1.0)
             self._show(self._shown)
 
 
-class Phases:
-    """Progress of work in phases, of which nobody knows how many there will be.
+class ProgressPhases:
+    """Progress of work with an unknown number of phases.
 
     Each phase gets half of what is left.
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
-        """Begin at 0."""
+        """Start at 0."""
         self._show, self._floor, self._shown = show, 0.0, 0.0
 
     def phase(self) -> Callable[[float], None]:
-        """Begin a phase; return what it tells its share."""
+        """Begin a phase; return the callback for its fraction done."""
         self._floor = self._shown
         return self._telling(0.5)
 
     def last(self) -> Callable[[float], None]:
-        """Begin the last phase, which gets all that is left."""
+        """Begin the last phase, which gets the remaining fraction."""
         self._floor = self._shown
         return self._telling(1.0)
 
     def _telling(self, part: float) -> Callable[[float], None]:
         floor = self._floor
 
-        def tell(share: float) -> None:
-            now = floor + (1.0 - floor) * part * min(share, 1.0)
+        def tell(fraction: float) -> None:
+            now = floor + (1.0 - floor) * part * min(fraction, 1.0)
             if now > self._shown:
                 self._shown = now
                 self._show(now)
@@ -197,10 +197,10 @@ class Phases:
 
 
 class TimeProgress:
-    """Progress of simulations that go through time side by side."""
+    """Progress of simulations that advance in time together."""
 
     def __init__(self, show: Callable[[float], None], last: float) -> None:
-        """Begin at 0.
+        """Start at 0.
 
         last: the last time that will be asked for [s].
         """
@@ -208,7 +208,7 @@ class TimeProgress:
         self._shares: list[float] = []
 
     def clock(self, begin: float) -> Callable[[float], None]:
-        """Return what a simulation tells the time that it reached.
+        """Return the callback by which a simulation reports its time.
 
         Args:
             begin: When it begins [s].
@@ -223,14 +223,14 @@ class TimeProgress:
         return tell
 
 
-# Written there, the peak of Linux begins anew at what is held.
+# Writing to it resets the peak of Linux to the current level.
 _RESET = ("/proc/self/clear_refs", b"5")
 _STATUS = "/proc/self/status"
 
 
 @dataclass(slots=True)
 class PeakMemory:
-    """The most resident memory of this process since a moment, beyond what it held.
+    """Peak resident memory of this process above its level at the start.
 
     On Linux the system counts the peak from any moment on. Elsewhere it knows one for
     the life of the process: a later peak that is lower than an earlier one is not seen,
@@ -241,13 +241,13 @@ class PeakMemory:
     base: int | None = None
 
     def begin(self) -> None:
-        """Count from what is held now."""
+        """Reset the base level to the current one."""
         # What was held before, and is not any more, goes with the first look.
         self._taken()
         self.base = self._taken()
 
     def taken(self) -> int | None:
-        """Return the most since it was asked last [byte]; None where not known."""
+        """Return the peak since the last call [byte]; None where unknown."""
         if self.base is None:
             return None
         most = self._taken()
@@ -265,7 +265,7 @@ class PeakMemory:
 
 
 def _status_peak() -> int | None:
-    """Return the peak as Linux counts it [byte]; None on other systems."""
+    """Return the peak that Linux reports [byte]; None on other systems."""
     try:
         with open(_STATUS, "rb") as file:  # noqa: PTH123
             for line in file:
@@ -277,7 +277,7 @@ def _status_peak() -> int | None:
 
 
 def _life_peak() -> int | None:
-    """Return the peak of the life of this process [byte]; None where not known."""
+    """Return the peak of the process so far [byte]; None where unknown."""
     if sys.platform == "win32":
         return None
     import resource
@@ -289,7 +289,7 @@ def _life_peak() -> int | None:
 
 @dataclass(slots=True)
 class StageCost:
-    """What a stage cost."""
+    """Cost of a stage."""
 
     name: str  # of a source's file, or of a pass
     where: str  # its entry in the scene
@@ -305,7 +305,7 @@ class StageCost:
 
 @dataclass(frozen=True, slots=True)
 class OutputCost:
-    """What an output cost."""
+    """Cost of an output."""
 
     name: str  # the file
     seconds: float | None  # as `StageCost`; None is not known
@@ -316,15 +316,15 @@ class OutputCost:
 
 
 @dataclass(frozen=True, slots=True)
-class Stats:
-    """What stages and outputs cost."""
+class BakeStats:
+    """Cost of stages and outputs."""
 
     stats: list[StageCost | OutputCost]
 
 
 @dataclass(slots=True)
 class Meter:
-    """Measures stages, of which one may wait for another within it.
+    """Measures the cost of stages, which may nest.
 
     Blocks are read late: each stage is counted while its own code runs, and stands
     still while it waits for the stage before. Memory is looked at from `start` on.
@@ -336,27 +336,27 @@ class Meter:
     _memory: PeakMemory = field(default_factory=PeakMemory)
 
     def start(self) -> None:
-        """Begin to look at memory."""
+        """Begin to measure memory."""
         self._memory.begin()
 
     def stage(self, name: str, where: str) -> StageCost:
-        """Return a new stage."""
+        """Add and return a stage."""
         self.stages.append(StageCost(name, where))
         return self.stages[-1]
 
     @contextmanager
     def running(self, stage: StageCost) -> Iterator[None]:
-        """Count what happens in a block for a stage."""
-        self._turn()
+        """Charge the time of a block to a stage."""
+        self._charge()
         self._stack.append(stage)
         try:
             yield
         finally:
-            self._turn()
+            self._charge()
             self._stack.pop()
 
     def blocks(self, stage: StageCost, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, and count for a stage what making them takes."""
+        """Yield blocks and charge a stage for computing them."""
         while True:
             with self.running(stage):
                 block = next(blocks, None)
@@ -367,19 +367,19 @@ class Meter:
     def curve(
         self, stage: StageCost, curve: Callable[[FloatArray], Motion] | None
     ) -> Callable[[FloatArray], Motion] | None:
-        """Return a source that is a function of time, counted for a stage."""
+        """Return a source that is a function of time, charged to a stage."""
         if curve is None:
             return None
-        wanted = curve
+        source = curve
 
         def counted(times: FloatArray) -> Motion:
             with self.running(stage):
-                return wanted(times)
+                return source(times)
 
         return counted
 
-    def _turn(self) -> None:
-        """Count what has been since the last turn for the stage that ran."""
+    def _charge(self) -> None:
+        """Charge the time since the last call to the running stage."""
         now = time.perf_counter()
         peak = self._memory.taken()
         if self._stack:

@@ -1,4 +1,4 @@
-"""What a bake reads and writes: sources, options that go together, files."""
+"""The sources, options and files of a bake."""
 
 from __future__ import annotations
 
@@ -16,13 +16,18 @@ from animtool.core.errors import (
     Severity,
 )
 from animtool.core.names import is_named
-from animtool.core.options import called, clashes, given_options, refused_options
+from animtool.core.options import (
+    chosen_options,
+    clashes,
+    option_marker,
+    refused_options,
+)
 from animtool.core.rates import rate_label
 from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
 from animtool.core.writers import Writer
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.sources.open import (
     OpenTake,
     fitting_options,
@@ -39,16 +44,16 @@ Source: TypeAlias = "Path | str | Scene | OpenTake"
 
 
 def source_file(source: Source) -> Path:
-    """Return the file that a source is read from."""
+    """Return the file of a source."""
     return Path(source) if isinstance(source, Path | str) else source.path
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """What is to be read."""
+class SourceSet:
+    """The sources to read."""
 
     files: list[Path]  # of the sources, in order
-    scenes: dict[Path, Scene]  # what those say that are scenes
+    scenes: dict[Path, Scene]  # sources, scenes loaded
     # Of each file the take, where that is open already.
     takes: tuple[TakeStream | None, ...] = ()
     # Of each file the name of the take to read; empty where each is read as it is.
@@ -56,27 +61,27 @@ class Reading:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every file that is named to be read."""
+        """Every input file that is named."""
         named = [path for scene in self.scenes.values() for path in scene.inputs]
         return [*self.files, *named]
 
     @property
     def unused(self) -> list[Fault]:
-        """Scenes that state how to bake them, where they are takes of a library."""
+        """Library takes that are scenes with bake options of their own."""
         return [] if len(self.files) == 1 else _unused(self.scenes)
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
-        """Return every source, opened; what is wrong with them is said at once."""
+        """Open every source; report the faults of all at once."""
         streams: list[TakeStream] = []
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
-                shown = share_of(progress, i, len(self.files))
-                own = options
+                shown = part_progress(progress, i, len(self.files))
+                local_options = options
                 if self.names:
                     read = replace(options.source, take=self.names[i])
-                    own = replace(options, source=read)
-                streams.append(take or self._open_one(path, own, shown))
+                    local_options = replace(options, source=read)
+                streams.append(take or self._open_one(path, local_options, shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -88,7 +93,7 @@ class Reading:
     def _open_one(
         self, path: Path, options: BakeOptions, shown: Progress
     ) -> TakeStream:
-        """Return a source, opened; over a rig, without what joints cannot hold."""
+        """Open a source; over a rig, without what joints cannot hold."""
         try:
             return self._opened(path, options, shown)
         except FormatError as error:
@@ -105,23 +110,21 @@ class Reading:
                 force_fit=options.force_fit, placement=options.placement
             )
             return scene.open(progress=shown)
-        own = fitting_options(options.source, path, self.files)
-        own = replace(
-            own,
+        source_options = fitting_options(options.source, path, self.files)
+        source_options = replace(
+            source_options,
             force_fit=options.force_fit,
-            shot=options.shot or own.shot,
+            shot=options.shot or source_options.shot,
             placement=options.placement,
         )
-        stream = open_source(path, own, progress=shown)
-        if stream.details.get("format") == "BVH" and own.up is None:
-            from animtool.retarget.standing import with_lying_notice
+        stream = open_source(path, source_options, progress=shown)
+        from animtool.retarget.standing import with_source_warnings
 
-            stream = with_lying_notice(path, stream)
-        return stream
+        return with_source_warnings(path, stream, source_options.up)
 
 
-def with_takes(reading: Reading, options: BakeOptions) -> Reading:
-    """Return what is to be read with every take of a file that holds several.
+def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
+    """Return the sources with every take of a file that holds several.
 
     That is a file alone, without a choice of one of its takes.
     """
@@ -135,11 +138,11 @@ def with_takes(reading: Reading, options: BakeOptions) -> Reading:
     if len(names) < 2:
         return reading
     many = len(names)
-    return Reading([path] * many, {}, (None,) * many, tuple(names))
+    return SourceSet([path] * many, {}, (None,) * many, tuple(names))
 
 
-def found_sources(sources: Sequence[Source]) -> Reading:
-    """Return the files of sources, those loaded that are scenes."""
+def source_set(sources: Sequence[Source]) -> SourceSet:
+    """Return the sources and their files; scenes are loaded."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
     takes = [one.stream if isinstance(one, OpenTake) else None for one in sources]
@@ -150,11 +153,11 @@ def found_sources(sources: Sequence[Source]) -> Reading:
             from animtool.scene.file.read import load_scene
 
             scenes[path] = load_scene(path)
-    return Reading(files, scenes, tuple(takes))
+    return SourceSet(files, scenes, tuple(takes))
 
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
-    """Say so where a take of a library is a scene that states how to bake it."""
+    """Warn where a library take is a scene whose bake options are ignored."""
     message = "the scene's fps, range and output are ignored here"
     hint = "set them once for the whole library, on the command"
     return [
@@ -198,8 +201,8 @@ def check_options(
 
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what animation over a rig layer does not go with, and whether it is so."""
-    refused = (given.over_layer for given in given_options(options).values())
+    """Return the options that a rig layer excludes, and whether each is set."""
+    refused = (option.over_layer for option in chosen_options(options).values())
     return [
         (
             form == "layer" and options.rig_layer is None,
@@ -216,14 +219,14 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _library_clashes(
     options: BakeOptions, *, to_stdout: bool
 ) -> list[tuple[bool, str]]:
-    """Return what a take of a library does not go with, and whether it is asked for."""
+    """Return the options that a library excludes, and whether each is set."""
     flags = [argument("output", "-")] if to_stdout else []
     flags += refused_options(options, "library")
     return [(True, f"a take of a library cannot use {flag}") for flag in flags]
 
 
 def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what excludes a shot that places its media, and whether it is so."""
+    """Return the options that a placed shot excludes, and whether each is set."""
     shot = options.shot
     if shot is None or not shot.places_media or shot.fps is None:
         return []
@@ -246,7 +249,7 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _chunk_clashes(
     options: BakeOptions, *, to_stdout: bool, simulated: bool
 ) -> list[tuple[bool, str]]:
-    """Return what chunks do not go with, and whether it is asked for."""
+    """Return the options that chunks exclude, and whether each is set."""
     if options.chunk is None:
         return []
     if not (options.deform or simulated):
@@ -267,7 +270,7 @@ def _chunk_clashes(
 
 
 def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what does not go with point caches, and whether it is asked for."""
+    """Return the options that point caches exclude, and whether each is set."""
     if not options.deform:
         return []
     joints = f"{argument('deform', True)} writes points, not joints"
@@ -277,15 +280,15 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 
 
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
-    """Raise `OptionError` where options are for USD or for keys, and the output not."""
+    """Raise `OptionError` for USD or key options that the output cannot use."""
     faults = []
-    for name, given in given_options(options).items():
-        if name in writer.options or "file" not in given.not_for:
+    for name, option in chosen_options(options).items():
+        if name in writer.options or "file" not in option.not_for:
             continue
         if name == "reduce":
-            faults.append(of_keys(called(name, given), path))
+            faults.append(of_keys(option_marker(name, option), path))
             continue
-        message = f"{called(name, given)} applies to USD, not to {path}"
+        message = f"{option_marker(name, option)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
     if not faults:
         faults = [Fault("CLI002", message) for message in clashes(options)]
@@ -294,14 +297,14 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
 
 
 def of_keys(name: str, path: Path) -> Fault:
-    """Return the fault of an option of keys, where a file holds samples (CLI004)."""
+    """Return the fault of a key option on a file that holds samples (CLI004)."""
     message = f"{name} applies to keys, but this output holds samples"
     hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
     return Fault("CLI004", message, str(path), (), hint)
 
 
 def default_output(source: Path) -> Path:
-    """Return the file that a source is written to where none is named.
+    """Return the output of a source for which none is named.
 
     >>> default_output(Path("takes/wave.scene.yaml")).name
     'wave.usdc'
@@ -310,14 +313,14 @@ def default_output(source: Path) -> Path:
 
 
 def form_of(options: BakeOptions) -> LayerForm:
-    """Return what is written."""
+    """Return the form of the output."""
     return LayerForm(
         options.form or (LayerForm.LAYER if options.rig_layer else LayerForm.STAGE)
     )
 
 
 def check_package(path: Path, options: BakeOptions) -> None:
-    """Refuse a package of several files that are written beside it (OUT004)."""
+    """Refuse a package whose layers are written to several files (OUT004)."""
     form = form_of(options)
     refused = {
         LayerForm.SPLIT: argument("form", "split"),
@@ -334,7 +337,7 @@ def check_package(path: Path, options: BakeOptions) -> None:
 def output_files(
     path: Path, options: BakeOptions, *, simulated: bool = False
 ) -> list[Path]:
-    """Return the files to write; of chunks, those that they may replace.
+    """Return the files to write; of chunks, those that may be replaced.
 
     simulated: whether systems are written.
     """

@@ -1,4 +1,4 @@
-"""What a bake will do, step by step: what each reads, makes and leaves out."""
+"""The steps of a bake: the input, result and losses of each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from animtool.usd.layers.jobs import LayerForm
 
 
 class StepKind(StrEnum):
-    """What a step is."""
+    """Kind of a step."""
 
     SOURCE = "source"
     PROP = "beside"
@@ -43,27 +43,27 @@ class StepKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class PlanStep:
     """One step of a bake."""
 
-    kind: StepKind  # what it is
+    kind: StepKind  # its name
     name: str  # A file, or a pass
-    where: str  # its entry in the scene; empty where there is none
-    reads: tuple[str, ...]  # what it looks at: files, and parts of the take
-    makes: tuple[str, ...]  # what comes of it
-    left_out: tuple[str, ...] = ()  # what is not made, each with the reason
+    where: str  # its entry in the scene; empty without one
+    reads: tuple[str, ...]  # its inputs: files, and parts of the take
+    makes: tuple[str, ...]  # its results
+    left_out: tuple[str, ...] = ()  # parts that are left out, each with the reason
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """What is done one after the other."""
+class PlanSteps:
+    """The steps of a bake in order."""
 
-    steps: list[Step]
+    steps: list[PlanStep]
     json_keys: ClassVar[str] = "'plan' steps"
 
 
-def bake_steps(outline: Outline) -> list[Step]:
-    """Return the steps of a bake in their order; sources are read, passes are not run.
+def bake_steps(outline: Outline) -> list[PlanStep]:
+    """Return the steps of a bake in order; sources are read, passes do not run.
 
     Raises:
         AnimtoolError: As `animtool.bake` does before it reads; files that exist are
@@ -73,14 +73,14 @@ def bake_steps(outline: Outline) -> list[Step]:
     reading, scene, outputs = outline.reading, outline.scene, outline.outputs
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
-    steps: list[Step] = []
-    last: _State | None = None
+    steps: list[PlanStep] = []
+    last: _TakeState | None = None
     for path in reading.files:
         if path in reading.scenes:
             last = _scene_steps(reading.scenes[path], steps)
             continue
-        own = fitting_options(outputs[0].options.source, path, reading.files)
-        last = _State.of(open_source(path, own))
+        source_options = fitting_options(outputs[0].options.source, path, reading.files)
+        last = _TakeState.of(open_source(path, source_options))
         steps.append(_source_step(path, "", last))
     assert last is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
@@ -91,21 +91,21 @@ def bake_steps(outline: Outline) -> list[Step]:
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
-    """What is known of a take."""
+class _TakeState:
+    """Known facts of a take between two steps."""
 
     rig: Rig  # its joints, shapes and controls
     moving: frozenset[TakePart]  # parts that hold values
     curves: tuple[str, ...]  # controls that have a curve
     dropped: str  # the pass that took their curves away; empty where none did
-    facts: tuple[str, ...]  # how many frames there are, and of what
-    still: tuple[str, ...]  # what never moves
-    tracks: tuple[Track, ...] = ()  # what is beside the rig
+    facts: tuple[str, ...]  # number of frames and tracks
+    static: tuple[str, ...]  # static tracks
+    tracks: tuple[Track, ...] = ()  # props and other tracks
     systems: int = 0  # how many systems are simulated beside it
 
     @staticmethod
-    def of(stream: TakeStream) -> _State:
-        """Return what is known of a take that is read for that."""
+    def of(stream: TakeStream) -> _TakeState:
+        """Return the known facts of a take that was opened for that."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
@@ -120,19 +120,19 @@ class _State:
             facts.append(counted(len(rig.controls), "control"))
         if take.tracks:
             parts.add(TakePart.TRACKS)
-        return _State(
+        return _TakeState(
             rig,
             frozenset(parts),
             tuple(stream.control_curves),
             "",
             tuple(facts),
-            tuple(_still(motion)),
+            tuple(_static_tracks(motion)),
             take.tracks,
         )
 
 
-def _still(motion: Motion) -> Iterator[str]:
-    """Yield what of a motion is stored once, as it never moves."""
+def _static_tracks(motion: Motion) -> Iterator[str]:
+    """Yield the parts of a motion that never move and are stored once."""
     for name, noun in (
         ("translations", "translation"),
         ("rotations", "rotation"),
@@ -145,29 +145,29 @@ def _still(motion: Motion) -> Iterator[str]:
             if name == "scales":
                 yield "scales: nothing is scaled"
             continue
-        still = len(channel.rest) - len(channel.animated)
-        if still:
-            word = "never moves: it is" if still == 1 else "never move: they are"
-            yield f"samples of {counted(still, noun)} that {word} stored once"
+        static = len(channel.rest) - len(channel.animated)
+        if static:
+            word = "never moves: it is" if static == 1 else "never move: they are"
+            yield f"samples of {counted(static, noun)} that {word} stored once"
 
 
-def _source_step(path: Path, where: str, state: _State) -> Step:
-    return Step(
-        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.still
+def _source_step(path: Path, where: str, state: _TakeState) -> PlanStep:
+    return PlanStep(
+        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.static
     )
 
 
-def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
-    """Add the sources and passes of a scene; return what is known behind them."""
+def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
+    """Add the sources and passes of a scene; return the facts of the result."""
     if len(scene.sources) > 1:
         for source in scene.sources:
             opened = open_source(source.path, source.options)
-            state = _State.of(opened)
-            steps.append(_source_step(source.path, source.place.where, state))
-    state = _State.of(replace(scene, passes=()).open())
+            state = _TakeState.of(opened)
+            steps.append(_source_step(source.path, source.location.where, state))
+    state = _TakeState.of(replace(scene, passes=()).open())
     if len(scene.sources) == 1:
         source = scene.sources[0]
-        steps.append(_source_step(source.path, source.place.where, state))
+        steps.append(_source_step(source.path, source.location.where, state))
     tracks = {track.path: track for track in state.tracks}
     for prop in scene.props:
         steps.append(_prop_step(prop, tracks[prop.path]))
@@ -177,18 +177,18 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
             state = replace(state, dropped=entry.pass_.name)
         if TakePart.CLOCK in entry.pass_.changes:
             state = replace(state, facts=())
-        state = replace(state, moving=state.moving | _made(entry))
+        state = replace(state, moving=state.moving | _added_parts(entry))
     return state
 
 
 def _written(entry: OutputEntry) -> list[str]:
-    """Return the systems that go into an output."""
+    """Return the systems that an output contains."""
     systems = () if entry.scene is None else entry.scene.systems
     return [system.name for system in systems if system.written]
 
 
-def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
-    """Return the steps of systems that an output has, or that these need."""
+def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
+    """Return the steps of an output's systems and those they depend on."""
     names = {
         system.name
         for entry in outputs
@@ -200,32 +200,34 @@ def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
     ]
 
 
-def _system_step(scene: Scene, system: SceneSystem) -> Step:
-    setup, where = system.setup, system.place.where
+def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
+    setup, where = system.setup, system.location.where
     # The scene's own character has the file of the scene.
     reads = tuple(one for one in setup.reads if one != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
-    return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
+    return PlanStep(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
 
 
-def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
-    """Return the steps of a scene that has no source."""
+def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
+    """Return the steps of a scene without a source."""
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_written(entry))
         lines = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
         name = "stdout" if entry.path is None else str(entry.path)
-        made = (*lines, *_named(entry.files))
-        steps.append(Step(StepKind.OUTPUT, name, _where(entry), ("systems",), made))
+        lines_out = (*lines, *_named(entry.files))
+        steps.append(
+            PlanStep(StepKind.OUTPUT, name, _where(entry), ("systems",), lines_out)
+        )
     return steps
 
 
 def _where(entry: OutputEntry) -> str:
-    """Return the place of an output in its scene; empty where there is no scene."""
-    return "" if entry.scene is None else entry.scene.outputs[0].place.where
+    """Return the key of an output in its scene; empty without a scene."""
+    return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
 
-def _prop_step(prop: SceneProp, track: Track) -> Step:
+def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
     makes = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
     if track.attributes:
         makes.append(", ".join(attribute.name for attribute in track.attributes))
@@ -236,10 +238,10 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
         left_out.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
         left_out.append("geometry: not requested (reference)")
-    return Step(
+    return PlanStep(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
-        prop.place.where,
+        prop.location.where,
         (str(prop.file),),
         tuple(makes),
         tuple(left_out),
@@ -247,7 +249,7 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
 
 
 def _drops(entry: ScenePass) -> bool:
-    """Return whether a pass may take the curves of controls away."""
+    """Return whether a pass may drop the curves of controls."""
     # How even time is does not depend on the frames.
     any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     if entry.pass_.even(entry.options, any_clock) is not None:
@@ -255,12 +257,12 @@ def _drops(entry: ScenePass) -> bool:
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
 
-def _made(entry: ScenePass) -> frozenset[TakePart]:
-    """Return the parts that a pass adds to a take which has none."""
+def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
+    """Return the parts that a pass adds to a take."""
     return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
 
 
-def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
+def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
     options = entry.options
     files = [
         str(value)
@@ -277,12 +279,12 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
     left_out += [f"{part}: the take has none" for part in lacking]
     if state.curves and not state.dropped and _drops(entry):
         left_out.append("curves of controls: invalid where it changes these")
-    return Step(
+    return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
-        entry.place.where,
+        entry.location.where,
         (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & there)),
-        tuple(_ordered((entry.pass_.changes & there) | _made(entry))),
+        tuple(_ordered((entry.pass_.changes & there) | _added_parts(entry))),
         tuple(left_out),
     )
 
@@ -291,7 +293,7 @@ def _ordered(parts: frozenset[TakePart]) -> list[str]:
     return [str(part) for part in TakePart if part in parts]
 
 
-def _output_step(entry: OutputEntry, state: _State) -> Step:
+def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     if not entry.is_stage:
         return _file_step(entry, state)
     path, options = entry.path, entry.options
@@ -306,7 +308,7 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
         makes += f" and {counted(len(state.tracks), 'prop')} with it"
     if state.systems:
         makes += f" and {counted(state.systems, 'system')}"
-    return Step(
+    return PlanStep(
         StepKind.OUTPUT,
         "stdout" if path is None else str(path),
         _where(entry),
@@ -316,8 +318,8 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
     )
 
 
-def _file_step(entry: OutputEntry, state: _State) -> Step:
-    """Return the step of a file of another format than USD."""
+def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
+    """Return the step of an output that is not USD."""
     path = entry.path
     assert path is not None
     writer = take_writer(path)
@@ -336,7 +338,7 @@ def _file_step(entry: OutputEntry, state: _State) -> Step:
     ]
     if state.curves and writer is CLIP:
         left_out.append("curves of controls: keys are fitted to the samples again")
-    return Step(
+    return PlanStep(
         StepKind.OUTPUT,
         str(path),
         _where(entry),
@@ -347,14 +349,16 @@ def _file_step(entry: OutputEntry, state: _State) -> Step:
 
 
 def _named(files: list[Path]) -> list[str]:
-    """Return files as they are called, those marked that are there; else stdout."""
+    """Return file names, existing ones marked; without files, stdout."""
     return [f"{path} (exists)" if path.exists() else str(path) for path in files] or [
         "stdout"
     ]
 
 
-def _left_out(options: BakeOptions, form: LayerForm, state: _State) -> Iterator[str]:
-    """Yield what of a take a USD file does not get, and why."""
+def _left_out(
+    options: BakeOptions, form: LayerForm, state: _TakeState
+) -> Iterator[str]:
+    """Yield the parts of a take that USD does not hold, with the reason."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
@@ -376,7 +380,7 @@ def _left_out(options: BakeOptions, form: LayerForm, state: _State) -> Iterator[
 
 
 def _of_rig(options: BakeOptions, form: LayerForm, rig: Rig) -> Iterator[str]:
-    """Yield what of a rig a USD file does not get, and why."""
+    """Yield the parts of a rig that USD does not hold, with the reason."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:

@@ -1,1 +1,1 @@
-"""Takes and rigs from one file format to another."""
+"""Conversion of takes and rigs between file formats."""

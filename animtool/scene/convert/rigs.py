@@ -1,4 +1,4 @@
-"""A rig from one file format to another."""
+"""Conversion of a rig between file formats."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from animtool.core.errors import (
     refuse_warnings,
 )
 from animtool.core.files.output import (
+    atomic_outputs,
     check_outputs,
-    sparing_inputs,
-    together,
+    protect_inputs,
     write_arrays,
     write_parts,
 )
 from animtool.core.files.reading import recorded_inputs
-from animtool.core.names import file_suffixes, is_named
+from animtool.core.names import is_named, kind_suffixes
 from animtool.core.record import dataclass
 from animtool.core.writers import rig_writer
 from animtool.rig.skeleton import Rig
@@ -32,7 +32,7 @@ from animtool.scene.sources.onto_rig import open_rig
 
 @dataclass(frozen=True, slots=True)
 class RigReport:
-    """What a conversion of a rig did."""
+    """Report of a rig conversion."""
 
     outputs: list[Path]  # the files written
     joints: int  # joints of the rig
@@ -47,7 +47,7 @@ class RigReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many there are of what a rig has, by noun."""
+        """Number of each part of a rig, by noun."""
         return {
             "joint": self.joints,
             "mesh/meshes": self.meshes,
@@ -65,7 +65,7 @@ def convert_rig(
     overwrite: bool = False,
     strict: bool = False,
 ) -> RigReport:
-    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it.
+    """Convert a rig to a USD rig layer, or to a rig file and its arrays.
 
     Args:
         source: A file that holds a rig, such as a rig file or a USD file.
@@ -84,14 +84,14 @@ def convert_rig(
     """
     job = RigJob(Path(source), Path(output), prim_path, physics, overwrite, strict)
     write = rig_writer(job.output)
-    with together():
+    with atomic_outputs():
         report: RigReport = write(job)
     return report
 
 
 @dataclass(frozen=True, slots=True)
 class RigJob:
-    """A rig to write, as `convert_rig` is told."""
+    """A rig to write, and the arguments of `convert_rig`."""
 
     source: Path
     output: Path
@@ -102,7 +102,7 @@ class RigJob:
 
 
 def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
-    """Return the files that hold a rig in the format of an output, it first.
+    """Return the files of a rig in the format of an output, the main file first.
 
     The arrays beside a rig file are left out: not every rig has some.
     """
@@ -118,7 +118,7 @@ def _report(
 
 
 def rig_to_file(job: RigJob) -> RigReport:
-    """Write a rig file, its arrays beside it."""
+    """Write a rig file and its arrays."""
     if job.physics:
         message = f"{argument('physics')} needs a USD file as output"
         raise OptionError(Fault("CLI004", message, str(job.output)))
@@ -134,14 +134,14 @@ def rig_to_file(job: RigJob) -> RigReport:
 
 @dataclass(frozen=True, slots=True)
 class RigFile:
-    """A rig as a rig file has it, to be written."""
+    """A rig in the form of a rig file, ready to write."""
 
     rig: Rig
     arrays: StoredArrays  # beside the file
-    outputs: list[Path]  # the files, that of the rig last
+    outputs: list[Path]  # the files, the rig file last
 
     def write(self) -> None:
-        """Write the rig and its arrays, each whole or not at all."""
+        """Write the rig and its arrays, each atomically."""
         output = self.outputs[-1]
         if self.arrays:
             write_arrays(self.outputs[0], self.arrays)
@@ -149,9 +149,9 @@ class RigFile:
 
 
 def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
-    """Return the rig file of a rig that was read from another file."""
+    """Return the rig file of a rig that was read from another format."""
     stem = output.name
-    for suffix in file_suffixes("rig"):
+    for suffix in kind_suffixes("rig"):
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     moved = source.resolve().parent != output.resolve().parent
@@ -160,7 +160,7 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
 
 
 def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
-    """Say so where a source has motion: a rig holds none."""
+    """Warn where a source has motion, which a rig cannot hold."""
     if is_named(source, "rig"):
         return []
     from animtool.scene.sources.open import SourceOptions, open_source
@@ -169,7 +169,7 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
         stream = open_source(source, SourceOptions(prim_path=prim_path))
         frames = sum(block.frames for block in stream.blocks)
     except AnimtoolError:
-        # A rig without animation; whatever else is wrong was said of it as a rig.
+        # A rig without animation; its other faults were reported for the rig.
         return []
     if frames < 2:
         return []
@@ -181,10 +181,10 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
 
 
 def rig_to_usd(job: RigJob) -> RigReport:
-    """Write a rig layer, and one of its physics where that is asked for."""
+    """Write a rig layer, and its physics layer where requested."""
     output, outputs = job.output, rig_outputs(job.output, physics=job.physics)
     check_outputs(outputs, [job.source], overwrite=job.overwrite)
-    with sparing_inputs(outputs):
+    with protect_inputs(outputs):
         rig, notices = open_rig(job.source, job.prim_path)
     notices = notices + _motion_left_out(job.source, output, job.prim_path)
     from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer

@@ -1,4 +1,4 @@
-"""A take from one file format to another."""
+"""Conversion of a take between file formats."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any
 
 from animtool.core.arguments import argument
 from animtool.core.errors import OptionError
-from animtool.core.files.output import sparing_inputs
+from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
 from animtool.motion.take import Take
+from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
@@ -35,7 +36,7 @@ def convert(
     rig_file: Path | None = None,
     progress: Progress = None,
 ) -> ConvertReport:
-    """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
+    """Convert a take to BVH, sparse keys or a USD stage.
 
     Keys go to a clip file, with the rig file that it is for beside it, and the arrays
     of its meshes and shapes.
@@ -92,7 +93,7 @@ def convert_with_passes(
     strict: bool = False,
     progress: Progress = None,
 ) -> ConvertReport:
-    """Convert a take as `convert` does, after passes.
+    """Convert a take like `convert`, after passes.
 
     Args:
         source: BVH, USD or clip.
@@ -114,8 +115,9 @@ def convert_with_passes(
     outline = outlined(source, output, settings)
     check_outline(outline)
     contexts: list[PassContext] = []
-    with sparing_inputs(outline.files):
+    with protect_inputs(outline.files):
         stream = open_source(source, reading, progress=progress)
+        stream = with_source_warnings(source, stream, reading.up if reading else None)
         for pass_, options in passes:
             context = PassContext(_taken, source.parent)
             contexts.append(context)
@@ -133,7 +135,7 @@ def convert_with_passes(
 def _settings(
     reading: SourceOptions | None, *, overwrite: bool, strict: bool
 ) -> BakeOptions:
-    """Return the options of a bake that only converts."""
+    """Return bake options that only convert."""
     reading = reading or SourceOptions()
     return BakeOptions(
         source=reading,
@@ -145,7 +147,7 @@ def _settings(
 
 
 def _as_conversion(report: OutputReport, output: Path) -> ConvertReport:
-    """Return the report of a USD file as that of a conversion."""
+    """Return the report of a bake as that of a conversion."""
     if isinstance(report, ConvertReport):
         return report
     return ConvertReport(

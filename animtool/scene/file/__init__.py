@@ -1,1 +1,1 @@
-"""Scene files: keys, entries and outputs, read with locations."""
+"""Scene files: keys, entries and outputs, read with their locations."""

@@ -1,4 +1,4 @@
-"""The entries of a scene file: sources, things beside them, passes, outputs."""
+"""The entries of a scene file: sources, props, passes, systems and outputs."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where in a file something is said."""
+class EntryLocation:
+    """Location of an entry in a file."""
 
     path: Path  # the file
     line: int  # 1-based
@@ -46,13 +46,14 @@ class Place:
         hint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> Fault:
-        """Return a fault that is here."""
-        return self.put(Fault(code, message, hint=hint, severity=severity))
+        """Return a fault at this location."""
+        return self.locate(Fault(code, message, hint=hint, severity=severity))
 
     def key_of(self, fault: Fault) -> str | None:
-        """Return the key that a fault names, or the nearest one around what it names.
+        """Return the key that a fault names, or its nearest enclosing key.
 
-        >>> at = Place(Path("a.yaml"), 1, 1, "systems[0]", {"bodies[1]": (4, 7)})
+        >>> keys = {"bodies[1]": (4, 7)}
+        >>> at = EntryLocation(Path("a.yaml"), 1, 1, "systems[0]", keys)
         >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
         'bodies[1]'
         """
@@ -61,8 +62,8 @@ class Place:
             key = key[: max(key.rfind("."), key.rfind("["), 0)]
         return key or None
 
-    def put(self, fault: Fault) -> Fault:
-        """Return a fault that has no file as one that is here, or at a key of it."""
+    def locate(self, fault: Fault) -> Fault:
+        """Return a fault without a file at this location, or at a key of it."""
         if fault.path is not None:
             return fault
         (line, column), where = (self.line, self.column), self.where
@@ -76,7 +77,7 @@ class Place:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """Give faults that have no file this place.
+        """Attach this location to faults without a file that the block raises.
 
         Raises:
             FormatError: What an `OptionError` or a `FormatError` said.
@@ -85,15 +86,17 @@ class Place:
         try:
             yield
         except ToleranceError as error:
-            raise ToleranceError([self.put(fault) for fault in error.faults]) from error
+            raise ToleranceError(
+                [self.locate(fault) for fault in error.faults]
+            ) from error
         except (OptionError, FormatError) as error:
-            raise FormatError([self.put(fault) for fault in error.faults]) from error
+            raise FormatError([self.locate(fault) for fault in error.faults]) from error
 
 
-def place_of_entry(
+def entry_location(
     document: Document, at: Location, model: FileModel | None = None
-) -> Place:
-    """Return a place in a document, with those of the keys that its model was given."""
+) -> EntryLocation:
+    """Return the location of an entry and of the keys that its model has."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
         keys[name] = document.position((*at, name))
@@ -101,7 +104,7 @@ def place_of_entry(
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
                 keys[f"{name}[{i}]"] = document.position((*at, name, i))
-    return Place(document.path, *document.position(at), spelled(at), keys)
+    return EntryLocation(document.path, *document.position(at), spelled(at), keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +113,8 @@ class SceneSource:
 
     path: Path  # the file
     options: SourceOptions  # how to open it
-    place: Place  # of the entry
-    # Of several, what it brings; None is what it moves.
+    location: EntryLocation  # of the entry
+    # Of several sources, its tracks; None is those that move.
     tracks: TrackNames | None = None
     timecode: str | None = None  # SMPTE time code of its first frame; None states none
     # Frames a second that this counts; None is the source's rate.
@@ -120,7 +123,7 @@ class SceneSource:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneProp(PropRequest):
-    """A thing beside the character of a scene."""
+    """A prop of a scene: camera, object or attributes."""
 
     # Time code of its file that comes with the first frame; None is the number of that
     # frame.
@@ -128,89 +131,89 @@ class SceneProp(PropRequest):
     # Whether passes retime it with the take; else it has the frames of what comes out
     # of them.
     retimed: bool
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
 
 
 @dataclass(frozen=True, slots=True)
 class ScenePass:
     """One entry of a scene's passes."""
 
-    pass_: Pass  # what to do
+    pass_: Pass  # the pass
     options: Any  # its own record
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
     files: tuple[Path, ...] = ()  # that its colliders go with
 
 
 @dataclass(frozen=True, slots=True)
 class SystemFacts:
-    """A system in numbers, before it is simulated."""
+    """Size, method and step of a system, before it is simulated."""
 
-    counts: dict[str, int]  # what it is made of, by kind
+    counts: dict[str, int]  # its elements, by kind
     method: str  # its solver, or its integrator
-    step: float | None  # the longest that it takes [s]; None leaves it to the method
-    # Of its own, meshes of files among them; those of characters are not counted.
+    step: float | None  # maximum step [s]; None leaves it to the method
+    # Meshes of files included; those of characters are not counted.
     colliders: int
 
 
-STEPS = "steps"  # what a setting of a kind that has no methods is called
+STEPS = "steps"  # name of the settings of a kind without methods
 
 
 @dataclass(frozen=True, slots=True)
 class SystemSetup:
-    """What a system is made of, as its file says it."""
+    """A system as its file describes it."""
 
     spec: SystemSpec
-    around: Any  # what it runs into: `Surroundings`
-    # What keys are read as that are neither plain nor what it runs into, by key.
+    around: Any  # its colliders: `Surroundings`
+    # Parsed entries of keys that are neither plain nor colliders, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
-    record: EntryRecord | None = None  # what the spec makes of them
+    record: EntryRecord | None = None  # record that the spec builds from them
     at: Location = ()  # place of the entry
-    carriers: tuple[Path, ...] = ()  # files of what carries it
+    carriers: tuple[Path, ...] = ()  # files of its carriers
     resume: Path | None = None  # file of a state to go on from
 
     @property
     def _shown_record(self) -> SystemSpec | EntryRecord:
-        """What says of it what it is."""
+        """The record that describes the system."""
         return self.spec if self.record is None else self.record
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
-        """Names of systems that it is one with, and where they stand."""
+        """Names of the systems that it is joined to, and their locations."""
         names = () if self.record is None else self.record.joined
         return tuple((name, (*self.at, *location_of(key))) for name, key in names)
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that are written along with the output."""
+        """Files that it writes besides the output."""
         return () if self.spec.save is None else (self.spec.save,)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that are read along with the scene."""
+        """Files that it reads besides the scene."""
         characters = (Path(one.file) for one in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """What acts on it, in words."""
+        """Text of everything that acts on it."""
         return (*self._shown_record.reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
-        """What results from it, in words."""
+        """Text of its result."""
         by = "" if self.method == STEPS else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
         return f"{self._shown_record.title},{by}{steps}"
 
     @property
     def method(self) -> str:
-        """Its method, or what stands for one."""
+        """Its method, or ``steps`` for a kind without methods."""
         return str(getattr(self.spec, self.spec.method_key, STEPS))
 
     @property
     def facts(self) -> SystemFacts:
-        """What it is made of, in numbers."""
+        """Its size, method and step."""
         counts, step = self._shown_record.counts, self.spec.step
         return SystemFacts(counts, self.method, step, self.around.count)
 
@@ -221,8 +224,8 @@ class SceneSystem:
 
     name: str  # of its prim
     kind: str  # of `SYSTEM_KINDS`
-    setup: SystemSetup  # what it is made of
-    place: Place  # of the entry
+    setup: SystemSetup  # its setup
+    location: EntryLocation  # of the entry
     written: bool = True  # whether it goes into the output; else another needs it
     # What lengths of its entry count, as the scene states it; None states nothing.
     unit: LengthUnit | None = None
@@ -233,7 +236,7 @@ class SceneOutput:
     """One output of a scene."""
 
     path: Path | None  # the file to write; None where it names none
-    bake: BakeOptions  # options that it sets, those of the whole scene among them
-    place: Place  # of the entry
+    bake: BakeOptions  # its options, with those of the scene
+    location: EntryLocation  # of the entry
     # Names of those that go into it; None is all.
     systems: tuple[str, ...] | None = None

@@ -1,4 +1,4 @@
-"""Options of a bake, read from text as a person writes it."""
+"""Options of a bake, parsed from text."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     """Return the offsets of ``-.25,0,.25``, ascending.
 
     Raises:
-        ValueError: One is no number within a frame, or stands twice.
+        ValueError: An offset is not within a frame, or is a duplicate.
 
     >>> parse_offsets("-.25,0,.25")
     (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
@@ -110,7 +110,7 @@ def parse_rest(text: str) -> int | None:
 
 
 def parse_source_rest(text: str) -> int | str | None:
-    """Return ``rig``, or what `parse_rest` does.
+    """Return ``rig``, or the result of `parse_rest`.
 
     Raises:
         ValueError: It is none of these.

@@ -1,4 +1,4 @@
-"""Values of keys of scenes and batches that are options."""
+"""Keys of scenes and batches that set options."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
-from animtool.core.options import Kind, Place, keys_of, options_of
+from animtool.core.options import FileKind, OptionKind, keys_of, options_of
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot
@@ -17,7 +17,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, referred_input
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.entries import SceneOutput, place_of_entry
+from animtool.scene.file.entries import SceneOutput, entry_location
 from animtool.scene.file.option_text import parse_offsets
 from animtool.scene.file.schema import OutputModel, SceneModel
 from animtool.scene.sources.retime import Preroll
@@ -28,7 +28,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class KeyReader:
-    """Reads values of a file and records its faults."""
+    """Reads the values of keys and records their faults."""
 
     document: Document
     roots: tuple[Path, ...]  # folders that files may be in
@@ -37,7 +37,7 @@ class KeyReader:
     def parsed(
         self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
-        """Return a value, None of None; and a fault where it is none."""
+        """Return a parsed value, None for None; record a fault if it is invalid."""
         if value is None:
             return None
         try:
@@ -47,7 +47,7 @@ class KeyReader:
             return None
 
     def read_file(self, at: Location, name: str) -> Path:
-        """Return a file to read, which must be there."""
+        """Return an existing file to read."""
         path = referred_input(self.document, at, name, self.roots)
         return Path(name) if path is None else path
 
@@ -55,32 +55,32 @@ class KeyReader:
 def option_keys(
     record: type[Any],
     model: FileModel,
-    place: Place,
+    file_kind: FileKind,
     at: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
-    """Return the arguments of a record of options that the keys of a model give.
+    """Return the arguments of an options record that a model's keys set.
 
     Args:
         record: Of options.
         model: Of `with_fields`, of this place.
-        place: The kind of file.
+        file_kind: The kind of file.
         at: Where the model is in its file.
         reader: Reads and records faults.
     """
     values, options = {}, options_of(record)
-    for name, key in keys_of(record, place).items():
-        given = getattr(model, key.alias or name)
-        if given is not None:
+    for name, key in keys_of(record, file_kind).items():
+        value_in_file = getattr(model, key.alias or name)
+        if value_in_file is not None:
             kind = options[name].kind
-            value = _value(kind, given, (*at, key.alias or name), reader)
+            value = _value(kind, value_in_file, (*at, key.alias or name), reader)
             if value is not None:
                 values[name] = value
     return values
 
 
-def _value(kind: Kind, value: Any, at: Location, reader: KeyReader) -> Any:
-    """Return what a key means; None, and its fault recorded, where it means nothing."""
+def _value(kind: OptionKind, value: Any, at: Location, reader: KeyReader) -> Any:
+    """Return the value of a key; None with a recorded fault if it is invalid."""
     if kind == "file":
         return reader.read_file(at, value)
     if kind == "lengths":
@@ -104,7 +104,7 @@ def _range(ends: list[int]) -> FrameRange:
     return FrameRange(first, last)
 
 
-_PARSERS: dict[Kind, Callable[[Any], Any]] = {
+_PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": UpAxis,
     "rate": parse_rate,
@@ -116,7 +116,7 @@ _PARSERS: dict[Kind, Callable[[Any], Any]] = {
 
 
 class OutputReader:
-    """Makes outputs of the entries of a scene.
+    """Reads the outputs of a scene.
 
     Attributes:
         start: Time code of its first frame; None where it states none.
@@ -138,14 +138,14 @@ class OutputReader:
         return self._keys.parsed(("fps",), self._model.fps, parse_rate)
 
     def preroll(self) -> Preroll | None:
-        """Return the frames before those of the shot, if it has them."""
+        """Return the number of frames before the shot, if stated."""
         shot, frames = self._model.shot, self._shot()
         if shot is None or frames is None or not shot.preroll:
             return None
         return Preroll(self.start, frames.start - shot.preroll, self._fps())
 
     def _shot(self) -> Shot | None:
-        """Return the shot's frames; its rate is that of the output."""
+        """Return the shot's frames, at the rate of the output."""
         shot = self._model.shot
         if shot is None:
             return None
@@ -153,17 +153,17 @@ class OutputReader:
 
     def outputs(self) -> tuple[SceneOutput, ...]:
         """Return the outputs."""
-        given, fps, frames = self._model.output, self._fps(), self._frames()
-        if isinstance(given, OutputModel):
-            return (self._output(("output",), given, fps, frames),)
-        for i, entry in enumerate(given):
+        entries, fps, frames = self._model.output, self._fps(), self._frames()
+        if isinstance(entries, OutputModel):
+            return (self._output(("output",), entries, fps, frames),)
+        for i, entry in enumerate(entries):
             if entry.file is None:
                 hint = "each of several outputs needs a file"
                 message = "key 'file' is missing"
                 self._document.add("DOC021", ("output", i), message, hint)
         outputs = tuple(
             self._output(("output", i), entry, fps, frames)
-            for i, entry in enumerate(given)
+            for i, entry in enumerate(entries)
         )
         for i, output in enumerate(outputs):
             if output.bake.chunk is not None:
@@ -197,8 +197,8 @@ class OutputReader:
             message = "nothing would be written: it includes no system"
             hint = "remove systems to write all"
             self._document.add("SCN081", (*at, "systems"), message, hint)
-        place = place_of_entry(self._document, at)
-        return SceneOutput(path, bake, place, systems)
+        location = entry_location(self._document, at)
+        return SceneOutput(path, bake, location, systems)
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
@@ -206,7 +206,7 @@ class OutputReader:
         return Path(name) if path is None else path
 
     def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
-        """Refuse what only other kinds of files have."""
+        """Refuse keys of other kinds of files."""
         allowed = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed):
             message = f"{name} does not apply to a {writer.name} file"
@@ -214,8 +214,8 @@ class OutputReader:
             self._document.add("SCN039", (*at, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
-        """Return the frames to write: a range, or the cut with its handles."""
-        shot, found = self._model.shot, self._shot()
+        """Return the frames to write: a range, or the cut and its handles."""
+        shot, of_shot = self._model.shot, self._shot()
         at: Location = ("range",) if shot is None else ("shot", "cut")
         ends = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
@@ -228,6 +228,6 @@ class OutputReader:
         if first > last:
             message = f"the {at[-1]} from {first} to {last} is reversed"
             self._document.add("SCN003", at, message, f"write [{last}, {first}]")
-        if found is not None:
-            return FrameRange(found.start, found.end)
+        if of_shot is not None:
+            return FrameRange(of_shot.start, of_shot.end)
         return FrameRange(first, last)

@@ -1,4 +1,4 @@
-"""Reading a scene file, ``*.scene.yaml``: a source, passes, an output."""
+"""Reading scene files, ``*.scene.yaml``: sources, passes, systems, outputs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from animtool.scene.file.entries import (
     SceneProp,
     SceneSource,
     SceneSystem,
-    place_of_entry,
+    entry_location,
 )
 from animtool.scene.file.output_fields import KeyReader, OutputReader, option_keys
 from animtool.scene.file.schema import (
@@ -44,7 +44,7 @@ from animtool.scene.file.schema import (
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
-from animtool.scene.systems.links import check_links, check_met
+from animtool.scene.systems.links import check_colliders, check_links
 from animtool.scene.systems.suspicions import warn_of_sizes
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import AROUND
@@ -83,22 +83,22 @@ def scene_of_document(
     parts: Collection[str] = (),
 ) -> Scene:
     """Return the scene of a document; see `load_scene`."""
-    given = variables or {}
+    values = variables or {}
     check_version(document, "scene")
     _expand_short_forms(document)
     keys = model_for(document.value)
-    found = resolve_variables(document, keys, given, parts)
+    resolved = resolve_variables(document, keys, values, parts)
     model = validated(document, keys)
     named = {
-        name: Path(text) for name, text in given.items() if Path(text).is_absolute()
+        name: Path(text) for name, text in values.items() if Path(text).is_absolute()
     }
     written = [path for name, path in named.items() if name not in parts]
     reader = _SceneReader(document, model, list(named.values()), written)
     scene = replace(
         reader.scene(),
-        variables=found.names,
-        idle_variables=found.idle,
-        effective_variables=found.effective,
+        variables=resolved.names,
+        idle_variables=resolved.idle,
+        effective_variables=resolved.effective,
         notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
     if document.faults and scene.systems:
@@ -110,7 +110,7 @@ def scene_of_document(
 
 
 def _expand_short_forms(document: Document) -> None:
-    """Write ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24`` in full."""
+    """Expand ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24``."""
     value = document.value
     full: dict[str, Any] = {}
     for key in ("source", "output"):
@@ -127,9 +127,9 @@ def _expand_short_forms(document: Document) -> None:
 
 
 def stated_rate(path: Path) -> Fraction | None:
-    """Return the rate that a scene file states as a number; None where it has none."""
-    given = read_document(path).value
-    fps = given.get("fps") if isinstance(given, dict) else None
+    """Return the rate that a scene file states as a number; None without one."""
+    document = read_document(path).value
+    fps = document.get("fps") if isinstance(document, dict) else None
     try:
         return parse_rate(fps) if isinstance(fps, int | float | str) else None
     except ValueError:
@@ -140,7 +140,7 @@ _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Return whether a path is another, or below it."""
+    """Return whether one path is the other or below it."""
     return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
 
 
@@ -164,7 +164,7 @@ class _SceneReader:
         read = _PassReader(self.keys, self.output_roots, self.units)
         passes = tuple(read.passes(model.passes))
         systems = self._systems()
-        check_met(self.document, passes, systems, model.system_names)
+        check_colliders(self.document, passes, systems, model.system_names)
         outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,
@@ -179,7 +179,7 @@ class _SceneReader:
         )
 
     def _systems(self) -> tuple[SceneSystem, ...]:
-        """Return what is simulated, alone or beside a source."""
+        """Return the systems of the scene."""
         model = self.model
         if model.source is None and not model.systems:
             hint = (
@@ -200,17 +200,17 @@ class _SceneReader:
         if kind is None:
             return None
         at: Location = ("systems", i, kind)
-        given = getattr(entry, kind)
+        spec = getattr(entry, kind)
         # Loaded by name: systems open scenes themselves.
         read: Any = load_object("animtool.scene.systems.derived:read_spec")
-        setup = read(self.document, at, given, self.keys.roots, self.units)
+        setup = read(self.document, at, spec, self.keys.roots, self.units)
         if setup is None:
             return None
-        place = place_of_entry(self.document, at, given)
-        return SceneSystem(given.name, kind, setup, place, unit=self.units.stated)
+        location = entry_location(self.document, at, spec)
+        return SceneSystem(spec.name, kind, setup, location, unit=self.units.stated)
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
-        """Return the kind that an entry names."""
+        """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
         known = ", ".join(SYSTEM_KINDS)
         if len(kinds) == 1:
@@ -226,12 +226,12 @@ class _SceneReader:
         return None
 
     def _written_systems(self) -> Any:
-        """Return the systems as written, under a misspelt key too."""
+        """Return the raw entries of systems, under a misspelt key too."""
         written = self.document.spellings.get(("systems",), "systems")
         return self.document.value[written]
 
     def _check_simulated(self) -> None:
-        """Refuse what there is only with a source, and outputs of other kinds."""
+        """Refuse keys that need a source, and outputs that are not USD."""
         model = self.model
         for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
             message = f"{key} needs a scene with a source"
@@ -240,10 +240,10 @@ class _SceneReader:
             message = "a simulation has no natural end"
             hint = "set the frames to write: range: [1, 120]"
             self.document.add("SCN061", (), message, hint)
-        given = model.output
-        entries = given if isinstance(given, list) else [given]
+        output = model.output
+        entries = output if isinstance(output, list) else [output]
         for i, entry in enumerate(entries):
-            at: Location = ("output", i) if isinstance(given, list) else ("output",)
+            at: Location = ("output", i) if isinstance(output, list) else ("output",)
             if entry.file and not writes_stage(Path(entry.file)):
                 message = f"{entry.file!r} is not a USD file, which simulations need"
                 self.document.add("SCN060", (*at, "file"), message)
@@ -256,7 +256,7 @@ class _SceneReader:
             for other in props[:i]:
                 if _overlap(prop.path, other.path):
                     message = f"{prop.path!r} overlaps {other.path!r} of "
-                    message += other.place.where
+                    message += other.location.where
                     hint = "each needs its own path, not below another's"
                     self.document.add("SCN046", ("props", i, "path"), message, hint)
         return tuple(props)
@@ -283,21 +283,21 @@ class _SceneReader:
             shown,
             frame=None if model.frame is None else Fraction(repr(model.frame)),
             retimed=model.retimed,
-            place=place_of_entry(self.document, at),
+            location=entry_location(self.document, at),
         )
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
-        given = self.model.source
-        if given is None:
+        source = self.model.source
+        if source is None:
             return ()
-        if isinstance(given, SourceModel):
+        if isinstance(source, SourceModel):
             for key in ("tracks", "timecode", "timecode_fps"):
-                if getattr(given, key) is not None:
+                if getattr(source, key) is not None:
                     message = f"{key} applies to one of several sources"
                     hint = "write a list: source: [{file: …}, {file: …}]"
                     self.document.add("SCN038", ("source", key), message, hint)
-            return (self._source(("source",), given, rig),)
-        if given and given[0].tracks is not None:
+            return (self._source(("source",), source, rig),)
+        if source and source[0].tracks is not None:
             message = "the first source always provides everything it has"
             hint = "list under tracks: what each of the others replaces"
             self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
@@ -308,7 +308,7 @@ class _SceneReader:
                 entry,
                 rig if i == 0 or takes_option(Path(entry.file), "rig") else None,
             )
-            for i, entry in enumerate(given)
+            for i, entry in enumerate(source)
         )
 
     def _source(
@@ -322,7 +322,7 @@ class _SceneReader:
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
-            place_of_entry(self.document, at),
+            entry_location(self.document, at),
             tracks,
             model.timecode,
             self.keys.parsed((*at, "timecode_fps"), model.timecode_fps, parse_rate),
@@ -331,17 +331,17 @@ class _SceneReader:
 
 @dataclass(frozen=True, slots=True)
 class _PassReader:
-    """Reads passes; files that they write are in ``output_roots``."""
+    """Reads passes; ``output_roots`` are the folders they may write to."""
 
     keys: KeyReader
     output_roots: Sequence[Path]
     units: SceneUnits
 
     def passes(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[ScenePass]:
-        """Yield the passes of entries."""
+        """Yield the passes of the entries."""
         for i, entry in enumerate(entries):
-            for name, given in entry.items():
-                pass_ = self._pass(("passes", i, name), name, given or {})
+            for name, values in entry.items():
+                pass_ = self._pass(("passes", i, name), name, values or {})
                 if pass_ is not None:
                     yield pass_
 
@@ -356,10 +356,10 @@ class _PassReader:
             document.add(fault.code, at, fault.message, fault.hint)
             return None
         values = renamed_options(document, at, values, "scene")
-        given = self.units.pass_options(name, values)
-        options, faults = record_of_options(pass_.options, given, name)
-        for place, fault in faults:
-            document.add(fault.code, (*at, *place), fault.message, fault.hint)
+        converted = self.units.pass_options(name, values)
+        options, faults = record_of_options(pass_.options, converted, name)
+        for key, fault in faults:
+            document.add(fault.code, (*at, *key), fault.message, fault.hint)
         if options is None:
             return None
         options, files = self._with_colliders(at, options)
@@ -370,12 +370,12 @@ class _PassReader:
             return None
         if name == "simulate":
             warn_of_sizes(document, at, given)
-        return ScenePass(pass_, options, place_of_entry(document, at), files)
+        return ScenePass(pass_, options, entry_location(document, at), files)
 
     def _with_colliders(
         self, at: Location, options: Any
     ) -> tuple[Any, tuple[Path, ...]]:
-        """Return options with what they run into, and the files that this goes with."""
+        """Return options with their colliders, and the colliders' files."""
         entries = {
             name: models
             for name in AROUND
@@ -394,7 +394,7 @@ class _PassReader:
 
 
 def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:
-    """Note what is wrong with options whatever the take is."""
+    """Record faults of options that do not depend on the take."""
     for option, check in pass_.checks(options).items():
         try:
             check()

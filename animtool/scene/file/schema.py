@@ -40,7 +40,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class TracksModel(FileModel):
-    """What one of several sources brings: names or patterns such as `jaw*`."""
+    """The tracks of one of several sources: names or patterns such as `jaw*`."""
 
     joints: list[str] = key("Joints.", ["head", "eye_*"], default=[])
     shapes: list[str] = key("Shapes.", ["*"], default=[])
@@ -58,7 +58,7 @@ class TracksModel(FileModel):
     ),
 )
 class SourceModel(FileModel):
-    """A clip, BVH, USD, glTF or marker file, and what it leaves open."""
+    """A clip, BVH, USD, glTF or marker file, and options that it does not state."""
 
     file: Name = key("The clip, BVH, USD, glTF, FBX or marker file.", "walk.bvh")
     tracks: TracksModel | None = key(
@@ -138,7 +138,7 @@ class SceneUnitsModel(FileModel):
 
 
 class SystemModel(FileModel):
-    """One simulation, of one kind."""
+    """A simulation of one kind."""
 
 
 def _one_or_several(value: Any) -> str:
@@ -146,7 +146,7 @@ def _one_or_several(value: Any) -> str:
 
 
 class ShotModel(FileModel):
-    """Where a scene stands in a shot; frames are those of the output."""
+    """The frames of a scene in a shot, counted in frames of the output."""
 
     start: Frame | None = key(
         "Time code of the first frame of the take. Default: as for an output without "
@@ -183,7 +183,7 @@ class ShotModel(FileModel):
     ),
 )
 class OutputModel(FileModel):
-    """What to write; the command line's own options come first."""
+    """An output; options of the command line take precedence."""
 
     file: str | None = key(
         "File to write: USD, or "
@@ -294,45 +294,45 @@ class SceneModel(FileModel):
 
     @property
     def system_names(self) -> list[str]:
-        """Names of all systems, of those that are faulty too."""
+        """Names of all systems, faulty ones included."""
         return [
             getattr(e, key).name for e in self.systems for key in e.model_fields_set
         ]
 
 
-def whole_model() -> type[SceneModel]:
-    """Return the model of a scene, with systems of every kind."""
+def full_model() -> type[SceneModel]:
+    """Return the model of a scene with every kind of system."""
     return _with_kinds(tuple(SYSTEM_KINDS))
 
 
 def model_for(written: Any) -> type[SceneModel]:
-    """Return a model that reads a scene as `whole_model` does.
+    """Return a model that reads a scene as `full_model` does.
 
     It knows the kinds of systems that the scene names, and no other is imported. Of a
     key that no scene has, or an entry that is no mapping, any kind may be meant.
     """
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
     if not isinstance(written, dict) or not known.issuperset(written):
-        return whole_model()
+        return full_model()
     systems = written.get("systems") or []
     entries = systems if isinstance(systems, list) else [systems]
     if not all(isinstance(entry, dict) for entry in entries):
-        return whole_model()
+        return full_model()
     named = {kind for entry in entries for kind in entry}
     if not named.issubset(SYSTEM_KINDS):
-        return whole_model()
+        return full_model()
     return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named))
 
 
 @cache
 def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
     # Of an entry's kinds one is given; that one may not be nothing.
-    not_given: Any = None
+    unset: Any = None
     fields: dict[str, Any] = {
         name: (
             load_object(SYSTEM_KINDS[name].spec),
             Field(
-                default=not_given,
+                default=unset,
                 description=SYSTEM_KINDS[name].description,
                 examples=[SYSTEM_KINDS[name].example],
             ),
@@ -345,7 +345,7 @@ def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
 
 
 def _derived(base: type[Model], fields: dict[str, Any]) -> type[Model]:
-    """Return a model of the same name with other fields too."""
+    """Return a model of the same name with additional fields."""
     return create_model(
         base.__name__,
         __base__=base,

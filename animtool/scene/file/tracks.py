@@ -1,4 +1,4 @@
-"""Tracks of a rig, its joints, shapes and controls: which a motion brings."""
+"""Selection of a rig's tracks: joints, shapes and controls."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ KINDS = ("joints", "shapes", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TrackNames:
-    """Names or patterns of what a source brings."""
+    """Names or patterns of the tracks that a source sets."""
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
-    controls: tuple[str, ...] = ()  # of controls; what these drive is meant too
+    controls: tuple[str, ...] = ()  # of controls; the tracks they drive are included
 
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Indices of what a source brings to a rig, ascending."""
+    """Indices of the tracks that a source sets on a rig, ascending."""
 
     joints: IntArray
     shapes: IntArray
     controls: IntArray
 
     def __bool__(self) -> bool:
-        """Return whether there is any."""
+        """Return whether any track is selected."""
         return any(len(self.of(kind)) for kind in KINDS)
 
     def of(self, kind: str) -> IntArray:
-        """Return those of a kind of `KINDS`."""
+        """Return the indices of one of `KINDS`."""
         indices: IntArray = getattr(self, kind)
         return indices
 
     def names(self, rig: Rig) -> list[str]:
-        """Return what each is called."""
+        """Return the names of the tracks."""
         return [getattr(rig, kind)[i].name for kind in KINDS for i in self.of(kind)]
 
     def also_in(self, other: Tracks) -> Tracks:
-        """Return those that another has too."""
+        """Return the tracks that another selection has too."""
         return Tracks(*(np.intersect1d(self.of(k), other.of(k)) for k in KINDS))
 
 
 @dataclass(frozen=True, slots=True)
 class UnknownTrack:
-    """A pattern that fits nothing."""
+    """A pattern that matches no track."""
 
     kind: str  # ``joints``, ``shapes`` or ``controls``
     pattern: str
@@ -63,7 +63,7 @@ class UnknownTrack:
 def chosen_tracks(
     requested: TrackNames, names: NameMap
 ) -> tuple[Tracks, list[UnknownTrack]]:
-    """Return what patterns choose of what two rigs have, and those that fit nothing.
+    """Return the tracks of two rigs that match patterns, and unmatched patterns.
 
     What a chosen control drives is chosen too, as a motion holds what came of it.
     """
@@ -83,7 +83,7 @@ def chosen_tracks(
 
 
 def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
-    """Add what chosen controls drive, and what is driven by that."""
+    """Add the tracks that selected controls drive, recursively."""
     indices = {
         kind.removesuffix("s"): {e.name: i for i, e in enumerate(getattr(rig, kind))}
         for kind in KINDS
@@ -101,24 +101,24 @@ def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
 
 
 def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
-    """Return what a motion moves over time, or holds away from rest."""
-    still = names.apply(still_motion(other))
+    """Return the tracks of a motion that leave the rest pose."""
+    at_rest = names.apply(rest_motion(other))
 
     def moved(kind: str) -> IntArray:
         channel: Channel | None = getattr(motion, kind)
         if channel is None:
             return np.zeros(0, np.int64)
-        rest: Channel | None = getattr(still, kind)
+        rest: Channel | None = getattr(at_rest, kind)
         moves = (channel.rest != (1.0 if rest is None else rest.rest)).any(axis=1)
         moves[channel.animated] = True
         return np.flatnonzero(moves)
 
     joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
-    whole = np.unique(np.concatenate(joints))
-    return _within(Tracks(whole, moved("weights"), moved("controls")), names)
+    moving = np.unique(np.concatenate(joints))
+    return _within(Tracks(moving, moved("weights"), moved("controls")), names)
 
 
-def still_motion(rig: Rig) -> Motion:
+def rest_motion(rig: Rig) -> Motion:
     """Return one frame of a rig at rest, controls at their defaults."""
     weights = np.zeros((1, len(rig.shapes), 1))
     return Motion(
@@ -139,7 +139,7 @@ def _within(tracks: Tracks, names: NameMap) -> Tracks:
 
 
 def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion:
-    """Return a motion with some tracks of another in place of its own."""
+    """Return a motion with some tracks replaced by those of another."""
 
     def optional(
         name: str, chosen: IntArray, neutral: float | FloatArray
@@ -161,14 +161,14 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
 
 
 def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
-    """Return a channel of the size of another that holds a value."""
+    """Return a constant channel of another channel's size."""
     assert like is not None
     rest = np.broadcast_to(value, like.rest.shape).astype(np.float64)
     return Channel.static(rest, len(like.values))
 
 
 def _replaced(mine: Channel, theirs: Channel, chosen: IntArray) -> Channel:
-    """Return a channel with some of its entries those of another."""
+    """Return a channel with some entries replaced by those of another."""
     rest = mine.rest.copy()
     rest[chosen] = theirs.rest[chosen]
     stay = ~np.isin(mine.animated, chosen)

@@ -1,1 +1,1 @@
-"""Solves from files to files: targets, markers, faces, other skeletons."""
+"""Solves between files: IK targets, markers, faces, retargeting."""

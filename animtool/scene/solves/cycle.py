@@ -1,4 +1,4 @@
-"""The cycle of a take of a file, and the take that repeats it, into a file."""
+"""The cycle of a take, written as a repeated take."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, cycle_notices
+from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
@@ -20,13 +21,13 @@ from animtool.scene.sources.open import SourceOptions, open_source
 
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """The cycle of a take, its length, and notices."""
+    """The cycle of a take, its length and notices."""
 
     source: Path
     output: Path | None
     cycle: Cycle
     seconds: float  # its length
-    notices: list[Fault]  # those of what was written, where it was
+    notices: list[Fault]  # frames that were written, if any
     written: ConvertReport | None = None
     json_keys: ClassVar[str] = (
         "'loop' source output first=cycle.first last=cycle.last seconds "
@@ -44,7 +45,7 @@ def loop_source(
     strict: bool = False,
     progress: Progress = None,
 ) -> LoopResult:
-    """Return the cycle of a take; with an output, also write it, repeated.
+    """Return the cycle of a take; with an output, write its repetition.
 
     Args:
         source: BVH, USD or clip.
@@ -63,6 +64,7 @@ def loop_source(
     for check in PASS.checks(options).values():
         check()
     stream = open_source(source, reading, progress=progress)
+    stream = with_source_warnings(source, stream, reading.up if reading else None)
     take = stream.collect()
     with naming(source):
         if options.find:

@@ -1,4 +1,4 @@
-"""Faces from files to files: landmarks, a rig, and what became of them."""
+"""Face solves between files: landmarks, a rig, and the report."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-# A head that is turned farther from the rig's all the time stands in other axes.
-MAX_MEAN_TURN = np.radians(75)
+# A mean head rotation beyond this means that the axes differ from the rig's.
+MAX_MEAN_ROTATION = np.radians(75)
 
 
 @dataclass(frozen=True, slots=True)
 class FaceJob:
-    """What `animtool mocap face` is told."""
+    """Arguments of `animtool mocap face`."""
 
     capture: Path  # npz with landmarks, or a file of markers
     rig: Path  # rig file or USD file
@@ -63,13 +63,13 @@ class FaceJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes."""
+        """The output."""
         return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 
 @dataclass(slots=True)
 class FaceResult:
-    """What became of a job."""
+    """Report of a face solve."""
 
     job: FaceJob
     fit: FaceFit
@@ -90,7 +90,7 @@ class FaceResult:
 
     @property
     def outputs(self) -> list[Path]:
-        """The files that were written."""
+        """Written files."""
         return [] if self.written is None else self.written.files
 
     @property
@@ -100,7 +100,7 @@ class FaceResult:
 
     @property
     def residual_unit(self) -> str:
-        """The unit of residuals."""
+        """Unit of residuals."""
         return "px" if self.pixels else "m"
 
     @property
@@ -110,12 +110,12 @@ class FaceResult:
 
     @property
     def rate(self) -> float:
-        """Frames solved a second."""
+        """Solved frames a second."""
         return self.frames / max(self.seconds["solve"], 1e-9)
 
 
 def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
-    """Bring a face onto its landmarks, and write the take.
+    """Fit a face to its landmarks and write the take.
 
     Args:
         job: What to do.
@@ -136,7 +136,7 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 
 
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
-    """Return a face brought onto its landmarks; nothing is written."""
+    """Return a face fitted to its landmarks, without writing it."""
     began = time.perf_counter()
     capture = read_capture(
         job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
@@ -144,8 +144,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
-    points, odd = in_order(capture, model)
-    camera, points = _seen(job, capture, points)
+    points, point_notices = in_order(capture, model)
+    camera, points = _undistorted(job, capture, points)
     read = time.perf_counter()
     try:
         model = _proportions(job.options, model, points, camera is not None)
@@ -169,8 +169,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
         fit = _turned_up(fit)
     motion, more = face_motion(fit, links, rig, head)
-    own = [*capture.notices, *odd, *fit.notices, *more]
-    notices += [_at(str(job.capture), notice) for notice in own]
+    capture_notices = [*capture.notices, *point_notices, *fit.notices, *more]
+    notices += [_at(str(job.capture), notice) for notice in capture_notices]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     scale = None
@@ -195,10 +195,10 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     return capture.model
 
 
-def _seen(
+def _undistorted(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
-    """Return the camera, and landmarks in its pixels free of distortion."""
+    """Return the camera, and landmarks in its pixels without distortion."""
     if not capture.pixels:
         if job.camera is not None:
             message = "is for landmarks in pixels, but these are positions"
@@ -255,7 +255,7 @@ def _proportions(
 
 
 def _turned_up(fit: FaceFit) -> FaceFit:
-    """Return a fit in a world with Z up as one with Y up."""
+    """Return a fit rotated from Z up to Y up."""
     return replace(
         fit,
         rotations=multiply(_Y_UP, fit.rotations),
@@ -266,7 +266,7 @@ def _turned_up(fit: FaceFit) -> FaceFit:
 def face_motion(
     fit: FaceFit, links: ShapeLinks, rig: Rig, head: str
 ) -> tuple[Motion, list[Fault]]:
-    """Return weights and head pose as motion of a rig, and what is odd.
+    """Return weights and head pose as motion of a rig, with warnings.
 
     Args:
         fit: The face over frames.
@@ -285,7 +285,7 @@ def face_motion(
         notices.append(Fault("FAC109", message, severity=Severity.NOTE))
     elif head != "none" and joint is not None:
         mean = np.abs(fit.rotations[:, 3]).mean()
-        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_TURN:
+        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_ROTATION:
             message = "the head faces far away from the rig's in most frames"
             hint = (
                 f"set the up axis with {argument('source.up')}; "
@@ -296,7 +296,7 @@ def face_motion(
         local = local_rotations(rig, joint, fit.rotations)
         rotations = rotations.put(np.array([joint]), local[:, None])
         if head == "pose":
-            translations, more = _placed(fit, rig, joint, translations)
+            translations, more = _head_translations(fit, rig, joint, translations)
             notices += more
     motion = Motion(
         translations.compact(),
@@ -306,10 +306,10 @@ def face_motion(
     return motion, notices
 
 
-def _placed(
+def _head_translations(
     fit: FaceFit, rig: Rig, joint: int, translations: Channel
 ) -> tuple[Channel, list[Fault]]:
-    """Return translations that bring the head to its place by those of its root."""
+    """Return root translations that bring the head to its fitted position."""
     root = rig.upwards(joint)[-1]
     if rig.joints[root].type is not JointType.FREE:
         message = (
@@ -322,5 +322,5 @@ def _placed(
     # The head turns about its joint, so that only this is to be moved.
     moved = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
     shift = moved + fit.translations - at
-    own = rig.rest_translations[root] + shift
-    return translations.put(np.array([root]), own[:, None]), []
+    shifted = rig.rest_translations[root] + shift
+    return translations.put(np.array([root]), shifted[:, None]), []

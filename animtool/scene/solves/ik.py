@@ -1,4 +1,4 @@
-"""Inverse kinematics from files to files: a rig, targets, poses to start from."""
+"""Inverse kinematics between files: a rig, targets and a start pose."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import sparing_inputs
+from animtool.core.files.output import protect_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -68,13 +68,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class IkJob:
-    """What `animtool ik` is told."""
+    """Arguments of `animtool ik`."""
 
     rig: Path  # rig file, USD file or BVH
     targets: Path  # targets file
     # File with the poses to start from; None is the rest pose.
     start: Path | None = None
-    source: SourceOptions = field(default_factory=SourceOptions)  # what that file is
+    source: SourceOptions = field(default_factory=SourceOptions)  # format of that file
     pose: bool = False  # solve one frame only
     frame: Fraction | None = None  # which; None is the first
     options: TakeOptions = field(default_factory=TakeOptions)  # how to solve
@@ -91,7 +91,7 @@ class IkJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes."""
+        """The output."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)
@@ -99,13 +99,13 @@ class IkJob:
 
 @dataclass(slots=True)
 class IkReport:
-    """What came of it."""
+    """Report of an IK solve."""
 
     solved: TakeIk  # the take at its targets
-    goals: list[GoalReport]  # what became of each goal
+    goals: list[GoalReport]  # result of each goal
     notices: list[Fault]  # warnings and notes
     seconds: dict[str, float]  # wall time by stage
-    # The report of what was written; None where nothing was.
+    # Report of the written file; None if nothing was written.
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
         "'ik' targets=solved.tracks.path outputs frames=solved.frames "
@@ -122,26 +122,26 @@ class IkReport:
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """The errors of channels, where a clip was written."""
+        """Errors of the channels of a written clip."""
         return None if self.written is None else self.written.channels
 
     @property
     def outputs(self) -> list[str]:
-        """The files that were written."""
+        """Written files."""
         if self.written is None:
             return []
         return [str(path) for path in self.written.named] or ["stdout"]
 
     @property
     def moved(self) -> bool:
-        """Whether frames are written under other numbers than they were solved as."""
+        """Whether written frames have other numbers than solved ones."""
         clock, span = self.solved.take.clock, self.span
         same = (span.first, span.fps) == (clock.start, clock.fps)
         return self.written is not None and not same
 
     @property
     def span(self) -> FrameSpan:
-        """Frames of what was written, or of what was solved where nothing was."""
+        """Written frames, or solved frames where nothing was written."""
         return (
             self.solved.take.clock.span if self.written is None else self.written.span
         )
@@ -161,13 +161,13 @@ class MissedGoalsError(ToleranceError):
 
 @dataclass(frozen=True, slots=True)
 class IkContext:
-    """A rig, its targets, and the take to bring to them."""
+    """A rig, its targets, and the take to solve."""
 
     tracks: TargetTracks  # the targets
     take: Take  # the poses to start from
-    still: bool  # they are the rest pose
+    at_rest: bool  # they are the rest pose
     only: int | None  # index of the one frame to solve; None is all
-    notices: list[Fault]  # what is odd so far
+    notices: list[Fault]  # warnings collected so far
 
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
@@ -208,7 +208,7 @@ def _outside_targets(job: IkJob, clock: Clock) -> list[Fault]:
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
-    """Return the index of a frame of a take; None is the first.
+    """Return the index of a take's frame; None is the first.
 
     Args:
         take: Of a file.
@@ -221,18 +221,18 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     clock = take.clock
     if frame is None:
         return 0
-    place = (frame - clock.start) / clock.step
-    if place.denominator != 1 or not 0 <= place < clock.count:
+    index = (frame - clock.start) / clock.step
+    if index.denominator != 1 or not 0 <= index < clock.count:
         last = clock.start + clock.step * (clock.count - 1)
         message = f"frame {float(frame):g} is not one of the frames "
         message += f"{float(clock.start):g} to {float(last):g}"
         raise OptionError(Fault("SCN013", message, str(path)))
-    return int(place)
+    return int(index)
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Give faults that name no file the one that they are about."""
+    """Add a file to faults that name none."""
     try:
         yield
     except (FormatError, OptionError) as error:
@@ -241,7 +241,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
-    """Solve a job, and write what comes of it.
+    """Solve a job and write its output.
 
     Outputs are checked before the work. Nothing is written where ``strict`` refuses.
 
@@ -270,7 +270,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
-    """Return the rig if it is a file that a clip beside the output may name."""
+    """Return the rig if a clip of the output can refer to its file."""
     if output is None or output == STDOUT:
         return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
@@ -279,7 +279,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
-    with sparing_inputs(job.target.files):
+    with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with naming(job.rig):
@@ -287,29 +287,29 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
             context.take,
             context.tracks,
             _as_fine(job),
-            static=context.still,
+            static=context.at_rest,
             only=context.only,
             progress=progress,
         )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, *_missed_by(job))
     missed = missed_notices(solved, goals)
-    odd = [
+    notices = [
         *context.notices,
         *span_notices(solved),
         *single_frame_notices(solved, smooth=job.options.smooth > 0),
         *away_notices(solved, goals),
         *jump_notices(solved),
     ]
-    report = IkReport(solved, goals, [*odd, *missed], seconds)
+    report = IkReport(solved, goals, [*notices, *missed], seconds)
     if job.bake.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings(odd, strict=job.bake.strict)
+    refuse_warnings(notices, strict=job.bake.strict)
     return report
 
 
 def _as_fine(job: IkJob) -> TakeOptions:
-    """Return options that solve to within what is taken for a miss."""
+    """Return options whose tolerances are as strict as those of missed goals."""
     length, angle = _missed_by(job)
     options = job.options
     return replace(
@@ -320,7 +320,7 @@ def _as_fine(job: IkJob) -> TakeOptions:
 
 
 def _missed_by(job: IkJob) -> tuple[float, float]:
-    """Return by how much a goal is off that is missed [m], [rad]."""
+    """Return the error of a missed goal [m], [rad]."""
     options, length, angle = job.options, job.tolerance, job.angle_tolerance
     return (
         max(MISSED_LENGTH, options.tolerance) if length is None else length,
@@ -332,10 +332,10 @@ MAX_NAMED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return a take that stays where controls at their defaults leave the rig."""
+    """Return a take with controls at their defaults in all frames."""
     last = clock.start + clock.step * (clock.count - 1)
-    still = Clip("rest", clock.fps, clock.start, last, ())
-    return still.sample(rig, step=clock.step)
+    empty = Clip("rest", clock.fps, clock.start, last, ())
+    return empty.sample(rig, step=clock.step)
 
 
 def open_start(
@@ -346,7 +346,7 @@ def open_start(
     *,
     progress: Progress = None,
 ) -> Take:
-    """Return a take of a rig: a clip for it, or motion of joints of the same names.
+    """Return a take of a rig: its clip, or motion of joints with the same names.
 
     Joints that the motion lacks stay at rest; what it has beside the rig's is left
     out. Both are said in the take's notices.
@@ -358,12 +358,12 @@ def open_start(
     take = _within(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return driven_take(replace(take, rig=rig))
-    motion, odd = _mapped(take, rig, path)
-    return driven_take(Take(rig, take.clock, motion, (*take.notices, *odd)))
+    motion, left_out = _mapped(take, rig, path)
+    return driven_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
 def _within(take: Take, shot: Shot | None) -> Take:
-    """Return the samples that the frames of a shot lie between."""
+    """Return the samples between which the frames of a shot lie."""
     if shot is None:
         return take
     clock = take.clock
@@ -378,7 +378,7 @@ def _within(take: Take, shot: Shot | None) -> Take:
 
 
 def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
-    """Return the motion of the joints that both have, and what is left out."""
+    """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"

@@ -1,4 +1,4 @@
-"""Matching from files to files: poses of a rig's limbs, written as targets."""
+"""Limb matching between files: poses of a rig's limbs, written as targets."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import (
+    atomic_outputs,
     check_outputs,
-    sparing_inputs,
-    together,
+    protect_inputs,
     write_arrays,
     write_parts,
 )
@@ -35,7 +35,7 @@ from animtool.scene.sources.open import SourceOptions
 
 @dataclass(frozen=True, slots=True)
 class MatchJob:
-    """What `animtool ik --match` is told."""
+    """Arguments of `animtool ik --match`."""
 
     rig: Path  # rig file, USD file or BVH, with chains
     take: Path  # file with the poses
@@ -51,7 +51,7 @@ class MatchJob:
 
 @dataclass(frozen=True, slots=True)
 class MatchReport:
-    """What came of it."""
+    """Report of limb matching."""
 
     tracks: TargetTracks  # the targets
     clock: Clock  # of the poses
@@ -65,7 +65,7 @@ class MatchReport:
 
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
-    """Write the targets that give the limbs of a take back.
+    """Write targets that reproduce the limbs of a take.
 
     Args:
         job: What to do.
@@ -83,7 +83,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         message = "is not the name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
-    with together():
+    with atomic_outputs():
         return _run_match(job, progress)
 
 
@@ -91,7 +91,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     inputs = [job.rig, job.take]
     check_outputs([job.output], inputs, overwrite=job.written.overwrite)
     began = time.perf_counter()
-    with sparing_inputs([job.output, arrays_of(job.output)]):
+    with protect_inputs([job.output, arrays_of(job.output)]):
         rig, notices = open_rig(job.rig)
         with naming(job.rig):
             chains = chains_of(rig, job.chains)

@@ -1,4 +1,4 @@
-"""Solving markers from files to files: a capture, a rig, a template."""
+"""Marker solves between files: a capture, a rig, a template."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from animtool.capture.templates.template import template_text
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import (
+    atomic_outputs,
     check_outputs,
-    sparing_inputs,
-    together,
+    protect_inputs,
     write_parts,
 )
-from animtool.core.files.reading import seen_from
+from animtool.core.files.reading import path_from_folder
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of, open_markers
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MocapSolveJob:
-    """What `animtool mocap solve` is told."""
+    """Arguments of `animtool mocap solve`."""
 
     source: Path  # file of markers
     template: Path  # where they are
@@ -63,14 +63,14 @@ class MocapSolveJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes, but for arrays beside a rig."""
+        """The output, without the arrays of a rig."""
         others, rig = (self.write_rig, self.write_template), self.write_rig or self.rig
         return SolvedOutput.of(self.output, self.source, self.bake, rig, others)
 
 
 @dataclass(slots=True)
 class MocapSolveResult:
-    """What a job did."""
+    """Report of a marker solve."""
 
     source: Path
     rig: Path
@@ -91,12 +91,12 @@ class MocapSolveResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """How long a frame took [s]."""
+        """Time for a frame [s]."""
         return self.seconds["solve"] / max(self.solve.score.frames, 1)
 
 
 def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
-    """Solve a capture on a rig, and write the motion.
+    """Solve a capture on a rig and write the motion.
 
     Args:
         job: What to do.
@@ -116,7 +116,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     rig_path = named_rig(template, job.rig, job.template)
     named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
     target.check(file_of(path) for path in named if path is not None)
-    with together():
+    with atomic_outputs():
         stream, result = _solved(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)
         result.outputs = [*_write_subject(job, result), *target.files]
@@ -141,24 +141,24 @@ def _check(job: MocapSolveJob) -> None:
 
 
 def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
-    """Write the rig and the template of a calibration; the files."""
-    found = result.calibration
-    if found is None:
+    """Write the rig and the template of a calibration; return the files."""
+    calibration = result.calibration
+    if calibration is None:
         return []
-    made: list[Path] = []
+    outputs: list[Path] = []
     if job.write_rig is not None:
-        file: RigFile = rig_file(found.rig, job.write_rig, result.rig)
+        file: RigFile = rig_file(calibration.rig, job.write_rig, result.rig)
         check_outputs(file.outputs, [result.rig], overwrite=job.bake.overwrite)
         file.write()
-        made += file.outputs
+        outputs += file.outputs
     if job.write_template is not None:
         rig = job.write_rig or result.rig
-        name = seen_from(rig.resolve(), job.write_template.resolve().parent)
+        name = path_from_folder(rig.resolve(), job.write_template.resolve().parent)
         title = f"markers of {job.source.name}, calibrated"
-        text = template_text(found.template, title, str(name))
+        text = template_text(calibration.template, title, str(name))
         write_parts(job.write_template, [text.encode()])
-        made.append(job.write_template)
-    return made
+        outputs.append(job.write_template)
+    return outputs
 
 
 def _solved(
@@ -171,26 +171,26 @@ def _solved(
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
     began = time.perf_counter()
     reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
-    found: Calibration | None = None
-    with sparing_inputs(outputs):
+    calibration: Calibration | None = None
+    with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
         seconds["read"] = time.perf_counter() - began
         if job.calibrate:
             static = job.static
-            still = None
+            static_markers = None
             if static is not None:
-                still = open_markers(static, **reading)
-            found = at_file(
+                static_markers = open_markers(static, **reading)
+            calibration = at_file(
                 job.source,
                 lambda: calibrate(
-                    markers, rig, template, static=still, options=job.options
+                    markers, rig, template, static=static_markers, options=job.options
                 ),
             )
-            assert found is not None
-            rig, template = found.rig, found.template
-            notices = [*notices, *found.notices]
+            assert calibration is not None
+            rig, template = calibration.rig, calibration.template
+            notices = [*notices, *calibration.notices]
             seconds["calibrate"] = time.perf_counter() - began - seconds["read"]
         solve = at_file(
             job.source, lambda: solve_markers(markers, rig, template, job.options)
@@ -199,6 +199,6 @@ def _solved(
     stream.notices = [*notices, *stream.notices]
     stream.blocks = timed(stream.blocks, seconds, "solve")
     result = MocapSolveResult(
-        job.source, rig_path, solve, found, list(stream.notices), seconds
+        job.source, rig_path, solve, calibration, list(stream.notices), seconds
     )
     return stream, result

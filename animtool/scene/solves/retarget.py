@@ -1,4 +1,4 @@
-"""Retargeting from files to files: a take, a rig, and what became of it."""
+"""Retargeting between files: a take, a rig, and the report."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import (
-    sparing_inputs,
-    together,
+    atomic_outputs,
+    protect_inputs,
     write_parts,
 )
 from animtool.core.names import is_named
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RetargetJob:
-    """What `animtool retarget` is told."""
+    """Arguments of `animtool retarget`."""
 
     source: Path  # BVH, USD or clip with the take
-    rig: Path  # rig file, USD file or BVH that it goes onto
+    rig: Path  # target: rig file, USD file or BVH
     # What the source is.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: RetargetOptions = field(default_factory=RetargetOptions)
@@ -58,14 +58,14 @@ class RetargetJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes, the map among it."""
+        """The outputs, the map included."""
         others = (self.write_map,)
         return SolvedOutput.of(self.output, self.source, self.bake, self.rig, others)
 
 
 @dataclass(slots=True)
 class RetargetResult:
-    """What became of a job."""
+    """Report of retargeting."""
 
     source: Path
     rig: Path
@@ -87,7 +87,7 @@ class RetargetResult:
 
     @property
     def pairs(self) -> list[dict[str, object]]:
-        """The joints that follow each other, by their names."""
+        """Names of the mapped joints."""
         ours, theirs = self.source_rig.names, self.target.names
         return [
             {
@@ -100,22 +100,22 @@ class RetargetResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """How long a frame took [s]."""
+        """Time for a frame [s]."""
         return self.seconds["solve"] / max(self.score.frames, 1)
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the take can be used; frames are numbered as the output has them."""
+        """Whether the take is usable; frames are those of the output."""
         return self.going.verdict().numbered(self.numbers)
 
     @property
     def score(self) -> RetargetReport:
-        """How well the take fits."""
+        """Score of the fit."""
         return self.going.report()
 
 
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
-    """Bring a take onto another rig, and write it.
+    """Retarget a take to another rig and write it.
 
     Args:
         job: What to do.
@@ -140,7 +140,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
     target = job.target
     target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
-    with together():
+    with atomic_outputs():
         stream, report = _retargeted(job, target.files, progress)
         target.write(stream, report, "retarget", progress)
         if job.write_map is not None:
@@ -152,7 +152,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
 
 
 def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
-    """Return how the output numbers the frames of the take."""
+    """Return the frame numbers of the take in the output."""
     start, rate = report.start, report.rate
     fps = job.bake.fps or rate
     if isinstance(report.written, ConvertReport) or report.written is None:
@@ -167,13 +167,15 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 
             target = open_target(job.bake.rig_layer, job.bake.prim_path)
             start = start if target.start is None else target.start
-    wanted = job.bake.frame_range
-    ends = (None, None) if wanted is None else (wanted.first, wanted.last)
+    frame_range = job.bake.frame_range
+    ends = (
+        (None, None) if frame_range is None else (frame_range.first, frame_range.last)
+    )
     return FrameNumbers(start, Fraction(fps) / rate, *ends)
 
 
-def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
-    """Return a take without where it stands, over a rig that stands somewhere.
+def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
+    """Return a take without its placement, over a rig that has one.
 
     Unless an option says which, or the take rides on what moves: as a bake has it.
     """
@@ -182,10 +184,10 @@ def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
         return stream
     from animtool.usd.rigs.target import open_target
 
-    own = open_target(layer, job.bake.prim_path).placement()
-    if own.uneven or own.stands.is_none:
+    placement = open_target(layer, job.bake.prim_path).placement()
+    if placement.uneven or placement.stands.is_none:
         return stream
-    said = placement_notice(rig, str(job.source), kept=False, over=own.stands)
+    said = placement_notice(rig, str(job.source), kept=False, over=placement.stands)
     return replace(at_stage_origin(stream), notices=stream.notices + said)
 
 
@@ -194,22 +196,22 @@ def _retargeted(
 ) -> tuple[TakeStream, RetargetResult]:
     seconds = {"read": 0.0, "solve": 0.0}
     began = time.perf_counter()
-    with sparing_inputs(outputs):
+    with protect_inputs(outputs):
         rig, notices = open_rig(job.rig)
         # The take says where it goes, and not the stage that has the rig.
         rig = at_origin(rig)
         reading = replace(job.reading, placement=job.bake.placement)
         stream = open_source(job.source, reading, progress=progress)
         rig = replace(rig, rides=stream.rig.rides)
-        stream = _without_place(stream, job)
+        stream = _without_placement(stream, job)
         seconds["read"] = time.perf_counter() - began
         stream.blocks = timed(stream.blocks, seconds, "read")
         with naming(job.source):
-            going, found, odd = onto_rig(stream, rig, job.options)
+            going, mapping, map_notices = onto_rig(stream, rig, job.options)
     seconds["solve"] = time.perf_counter() - began - seconds["read"]
-    theirs = found.target.notices
+    theirs = mapping.target.notices
     notices = [*notices, *stream.notices]
-    for notice in odd:
+    for notice in map_notices:
         path = job.rig if notice in theirs else job.source
         notices.append(replace(notice, path=notice.path or str(path)))
     blocks = checked_blocks(going, job.options, notices, job.source)
@@ -223,7 +225,7 @@ def _retargeted(
         control_curves={},
     )
     result = RetargetResult(
-        job.source, job.rig, going, found, stream.rig, rig, notices, seconds
+        job.source, job.rig, going, mapping, stream.rig, rig, notices, seconds
     )
     result.start = Fraction(1) if stream.start is None else stream.start
     result.rate = stream.fps / stream.step

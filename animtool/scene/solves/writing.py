@@ -1,4 +1,4 @@
-"""What a solve writes of its take: checked before the work, and baked after it."""
+"""Output of a solve: checked before the work, baked after it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SolveReport(Protocol):
-    """The report of a solve, as far as writing completes it."""
+    """Report of a solve that writing completes."""
 
     notices: list[Fault]
     written: OutputReport | None
@@ -30,11 +30,11 @@ class SolveReport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SolvedOutput:
-    """What a job writes."""
+    """The output of a solve."""
 
     outline: Outline | None  # of the take; None where it is not written
     bake: BakeOptions  # how it is
-    others: tuple[Path, ...] = ()  # files of what else is written
+    others: tuple[Path, ...] = ()  # further files to write
 
     @staticmethod
     def of(
@@ -44,7 +44,7 @@ class SolvedOutput:
         rig: Path | None,
         others: Iterable[Path | None] = (),
     ) -> SolvedOutput:
-        """Return what is written to an output; of a clip, which names a rig file."""
+        """Return the output of a solve; a clip names a rig file."""
         outline = None
         if output is not None:
             named = rig if rig is not None and is_named(rig, "rig") else None
@@ -53,11 +53,11 @@ class SolvedOutput:
 
     @property
     def files(self) -> list[Path]:
-        """The files, the output last of those of a clip."""
+        """Files to write; the output last of those of a clip."""
         return [*self.others, *([] if self.outline is None else self.outline.files)]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
-        """Raise where something cannot be written.
+        """Raise where an output cannot be written.
 
         Raises:
             OptionError: A file exists or is one of the inputs, or options do not fit.
@@ -75,7 +75,7 @@ class SolvedOutput:
         form: str | None = None,
         progress: Progress = None,
     ) -> None:
-        """Write a take, and complete the report; without an output, solve it all.
+        """Write a take and complete the report; without an output, solve only.
 
         form: What the take is of, as details of its source say; None leaves these.
 

@@ -1,1 +1,1 @@
-"""Sources of motion: opened, joined, retimed, brought onto rigs."""
+"""Sources of motion: opened, joined, retimed, mapped to rigs."""

@@ -1,4 +1,4 @@
-"""Shots whose media lies elsewhere: how far away, and what to state."""
+"""Shots without frames of their media: the distance, and a hint."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 
 HOUR = 3600
-# A range this near to a whole number of hours from its take is said to be hours away.
+# A range this near to an integer number of hours from its take is hours away.
 NEAR_HOUR = 600
 
 
@@ -35,7 +35,7 @@ def no_frames(
 
 
 def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str, str]:
-    """Return how far shot frames are from a take they show nothing of, and what to do.
+    """Return the distance of shot frames from a take without any, and a hint.
 
     Args:
         shot: It places its media.
@@ -63,7 +63,7 @@ def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str
 
 
 def _distance(seconds: Fraction) -> str:
-    """Return a time as people say it.
+    """Return a time as text.
 
     >>> _distance(Fraction(3601)), _distance(Fraction(-12))
     ('about an hour (3601 s)', '12 s')
@@ -77,7 +77,7 @@ def _distance(seconds: Fraction) -> str:
 
 
 def _first_label(shot: Shot, shown: Fraction, length: Fraction) -> str:
-    """Return the hour that a take begins at if it has a time, else a pattern."""
+    """Return the hour of a take's first time code, else a pattern."""
     clock = shot.timecode
     assert clock is not None
     label = clock.label(shown)

@@ -1,4 +1,4 @@
-"""A clip file as a source: its rig opened, its frames sampled."""
+"""Clip files as sources: the rig is opened, the frames are sampled."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def open_clip_source(
 def clip_stream(
     file: ClipFile, clip: Clip, rig: Rig, *, clamp: bool = False
 ) -> TakeStream:
-    """Return the frames of a clip, notices at the lines of its file."""
+    """Return the frames of a clip, with notices located in its file."""
     path = file.document.path
     count = _frame_count(file, clip)
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
@@ -82,7 +82,7 @@ def clip_stream(
 
 
 def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
-    """Return the fault of a notice at the key or the channel that it is due to."""
+    """Return the fault of a notice, at the key or channel that causes it."""
     document = file.document
     for i, channel in _causes(file, rig, notice.target):
         at: Location = ("channels", i)
@@ -103,7 +103,7 @@ def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
 def _causes(
     file: ClipFile, rig: Rig, target: str
 ) -> Iterator[tuple[int, ChannelModel]]:
-    """Yield the channels of a target, then those of the controls that drive it."""
+    """Yield the channels of a target, then those of controls that drive it."""
     targets = [target]
     for one in targets:
         for i, channel in enumerate(file.model.channels):
@@ -119,7 +119,7 @@ def _causes(
 
 
 def _frame_count(file: ClipFile, clip: Clip) -> int:
-    """Return how many frames a clip has; faults have their place in its file."""
+    """Return the number of frames of a clip; faults are located in its file."""
     try:
         return clip.frame_count()
     except FormatError as error:
@@ -135,7 +135,7 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Give the faults of a clip the name of its file."""
+    """Add the clip's file to faults."""
     try:
         yield
     except FormatError as error:

@@ -1,4 +1,4 @@
-"""Several sources as one take: on the rig, the rate and the frames of the first."""
+"""Several sources as one take with the rig, rate and frames of the first."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ from animtool.scene.file.tracks import (
     Tracks,
     chosen_tracks,
     moving_tracks,
-    still_motion,
+    rest_motion,
     with_tracks,
 )
-from animtool.scene.sources.onto_rig import Noter, on_rig
+from animtool.scene.sources.onto_rig import Notify, on_rig
 
 MAX_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """A source that is to be one of several."""
+class SourcePart:
+    """One of several sources to join."""
 
     stream: TakeStream
-    tracks: TrackNames | None  # what it brings; None is what it moves
+    tracks: TrackNames | None  # its tracks; None is those that move
     timecode: str | None  # of its first frame; None states none
     # Frames a second that the time code counts; None is its rate.
     timecode_fps: Fraction | None
-    note: Noter  # makes faults of it
+    note: Notify  # creates its faults
 
 
-def joined(first: Part, others: Sequence[Part]) -> TakeStream:
-    """Return the first source with tracks of others in place of its own.
+def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
+    """Return the first source with tracks replaced by those of the others.
 
     It has the rig, the rate and the frames of the first. The others are found on that
     rig by name, start with the first or where time codes say, and are held at their own
@@ -67,22 +67,22 @@ def joined(first: Part, others: Sequence[Part]) -> TakeStream:
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices
-        first.stream.notices += _taken_twice(layer, layers[:i])
+        first.stream.notices += _duplicate_tracks(layer, layers[:i])
     return _Joining(first.stream, layers).stream()
 
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """A source on the rig of the first."""
+    """A source mapped to the rig of the first."""
 
-    part: Part  # what it was made of
-    take: Take  # all of it
-    tracks: Tracks  # what it brings
+    part: SourcePart  # its source
+    take: Take  # its frames
+    tracks: Tracks  # its tracks
     delay: Fraction  # by how much its first frame is later than the first source's [s]
     notices: list[Fault]  # of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
-        """Return its motion at frames of the first source, held at its ends."""
+        """Return its motion at frames of the first source, clamped to its ends."""
         clock = self.take.clock
         if self.part.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
@@ -94,20 +94,20 @@ class _Layer:
         clock, since = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
             return self._curved(float(clock.start) + since * float(clock.fps))
-        places = nearby_positions(since * float(clock.rate), clock.count)
-        return self.take.motion.map(places.blend)
+        samples = nearby_positions(since * float(clock.rate), clock.count)
+        return self.take.motion.map(samples.blend)
 
     def _curved(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
         assert curve is not None
         last = clock.start + clock.step * (clock.count - 1)
-        return _alike(
+        return _stored_like(
             curve(np.clip(codes, float(clock.start), float(last))), self.take.motion
         )
 
 
-def _alike(motion: Motion, like: Motion) -> Motion:
-    """Return a motion that stores as moving what another does, as blocks have to."""
+def _stored_like(motion: Motion, like: Motion) -> Motion:
+    """Return a motion with the same animated entries as another."""
 
     def same(channel: Channel, other: Channel) -> Channel:
         return Channel(other.rest, other.animated, channel.gather(other.animated))
@@ -125,8 +125,8 @@ def _alike(motion: Motion, like: Motion) -> Motion:
     )
 
 
-def _layer(first: Part, other: Part) -> _Layer:
-    """Return a source as it stands on the rig and the clock of the first."""
+def _layer(first: SourcePart, other: SourcePart) -> _Layer:
+    """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
     stream, names = on_rig(other.stream, rig, other.note)
     placed, take = replace(other, stream=stream), stream.collect()
@@ -137,8 +137,8 @@ def _layer(first: Part, other: Part) -> _Layer:
         for note in placed.stream.notices
     ]
     if other.tracks is None:
-        own = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
-        tracks = moving_tracks(take.motion, names, own)
+        source_rig = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
+        tracks = moving_tracks(take.motion, names, source_rig)
     else:
         tracks, unknown = chosen_tracks(other.tracks, names)
         faults = [
@@ -160,8 +160,8 @@ def _layer(first: Part, other: Part) -> _Layer:
     return _Layer(placed, take, tracks, _delay(first, other), notices)
 
 
-def _delay(first: Part, other: Part) -> Fraction:
-    """Return by how much a source starts later than the first [s]."""
+def _delay(first: SourcePart, other: SourcePart) -> Fraction:
+    """Return the delay of a source after the first [s]."""
     parts = (first, other)
     if first.timecode is None and other.timecode is None:
         return Fraction(0)
@@ -183,8 +183,8 @@ def _delay(first: Part, other: Part) -> Fraction:
     return seconds_between(*stated[0], *stated[1])
 
 
-def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
-    """Say so where a source brings what another before it did, and was not told."""
+def _duplicate_tracks(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
+    """Warn where two sources set the same tracks without a track list."""
     if layer.part.tracks is not None:
         return []
     rig = layer.take.rig
@@ -199,19 +199,19 @@ def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
 
 @dataclass(frozen=True, slots=True)
 class _Joining:
-    """The first source, and what is put on it."""
+    """The first source and the layers over it."""
 
     base: TakeStream
     layers: list[_Layer]
 
     def stream(self) -> TakeStream:
-        """Return the whole."""
+        """Return the joined take."""
         joined = replace(
             self.base, blocks=self._blocks(), control_curves=self._control_curves()
         )
         if self.base.curve is not None:
             joined.curve = self._curve
-            self._say_frames(self.base.count)
+            self._report_frames(self.base.count)
         elif any(layer.part.stream.curve is not None for layer in self.layers):
             # What others bring has curves still, where the first has samples.
             joined.curve, joined.altered = self._curve, True
@@ -235,7 +235,7 @@ class _Joining:
             yield joined
             first += block.frames
         if self.base.curve is None:
-            self._say_frames(first)
+            self._report_frames(first)
 
     def _curve(self, times: FloatArray) -> Motion:
         motion = self._base_at(times)
@@ -245,13 +245,13 @@ class _Joining:
         return motion
 
     def _base_at(self, times: FloatArray) -> Motion:
-        """Return the motion of the first source; of samples at rest."""
+        """Return the motion of the first source; at rest if it is sampled."""
         if self.base.curve is not None:
             return self.base.curve(times)
-        return still_motion(self.base.rig).select(np.zeros(len(times), np.int64))
+        return rest_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
-        """Return the curves of controls, each of the source that brings it."""
+        """Return the curves of controls, each from the source that sets it."""
         merged = dict(self.base.control_curves)
         for layer in self.layers:
             clock, curves = layer.take.clock, layer.part.stream.control_curves
@@ -266,21 +266,23 @@ class _Joining:
                     )
         return merged
 
-    def _say_frames(self, count: int) -> None:
-        """Say which frames each source lacks, and how much of it is left out."""
+    def _report_frames(self, count: int) -> None:
+        """Report missing and unused frames of each source."""
         for layer in self.layers:
-            self.base.notices.extend(self._frames_of(layer, count))
+            self.base.notices.extend(self._frame_messages(layer, count))
 
-    def _frames_of(self, layer: _Layer, count: int) -> Iterator[Fault]:
-        """Yield what there is to say of frames."""
+    def _frame_messages(self, layer: _Layer, count: int) -> Iterator[Fault]:
+        """Yield messages on the frames of a source."""
         clock, note = layer.take.clock, layer.part.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)
-        own_step = self._rate / clock.rate
-        end = begin + (clock.count - 1) * own_step
+        layer_step = self._rate / clock.rate
+        end = begin + (clock.count - 1) * layer_step
         if end < 0 or begin > last:
-            own, theirs = self._span(begin, end), self._span(Fraction(0), last)
-            message = f"overlaps no frame of the first source: {own} is not in {theirs}"
+            frames, theirs = self._span(begin, end), self._span(Fraction(0), last)
+            message = (
+                f"overlaps no frame of the first source: {frames} is not in {theirs}"
+            )
             raise OptionError(
                 note("SCN035", message, "compare their time codes and timecode_fps")
             )
@@ -288,7 +290,7 @@ class _Joining:
         if begin > 0:
             lacking.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
         # A frame of fewer a second lasts until the next would come.
-        if end + max(own_step, Fraction(1)) <= last:
+        if end + max(layer_step, Fraction(1)) <= last:
             lacking.append(self._span(Fraction(end // 1 + 1), last))
         if lacking:
             message = (

@@ -1,4 +1,4 @@
-"""A motion brought onto another rig, by the names of joints, shapes and controls."""
+"""Mapping of a motion to another rig by names of joints, shapes and controls."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.rig.skeleton import Rig
 
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
-    """Return a rig, wherever it lives, and what there is to say of it."""
+    """Return a rig of any format, with notices."""
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.rigs.stored import read_rig_with_data
 
@@ -46,8 +46,8 @@ LOST = "their motion is ignored"
 RESTING = "they stay at rest"
 
 
-class Noter(Protocol):
-    """Makes a fault of a source, with the place where that is named."""
+class Notify(Protocol):
+    """Creates faults of a source, located where it is named."""
 
     def __call__(
         self,
@@ -61,7 +61,7 @@ class Noter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NameMap:
-    """Where what a rig has is in another one."""
+    """Indices of one rig's joints, shapes and controls in another."""
 
     rig: Rig
     # Of the other rig, by joint of this one; -1 where it has none ``(J,)``.
@@ -71,7 +71,7 @@ class NameMap:
     spare: tuple[int, ...]  # joints of the other rig that this one lacks
 
     def apply(self, motion: Motion) -> Motion:
-        """Return a motion of the other rig as one of this; what it lacks is at rest."""
+        """Return a motion of the other rig on this one; missing tracks are at rest."""
         rig, ones = self.rig, np.ones((len(self.rig.joints), 3))
         nothing = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
@@ -85,7 +85,7 @@ class NameMap:
 
 
 def map_names(rig: Rig, other: Rig) -> NameMap:
-    """Return where what a rig has is in another, by name.
+    """Return the indices of a rig's tracks in another rig, by name.
 
     A joint whose source called it otherwise is found under both names.
     """
@@ -105,27 +105,32 @@ def map_names(rig: Rig, other: Rig) -> NameMap:
     )
 
 
-def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameMap]:
-    """Return a source on a rig, by name, and where that has what.
+def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
+    """Return a source mapped to a rig by name, and the name map.
 
     What the rig lacks is left out; what only the rig has stays at rest.
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
-    if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
+    if all(
+        (control_names < 0).all()
+        for control_names in (names.joints, names.shapes, names.controls)
+    ):
         message = f"has no joint, shape or control of {rig.name!r}"
         hint = (
             f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
         )
         hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
-    given, curve = stream.blocks, stream.curve
-    own = {control.name for control in rig.controls}
+    source_blocks, curve = stream.blocks, stream.curve
+    control_names = {control.name for control in rig.controls}
     mapped = replace(
         stream,
         rig=rig,
-        blocks=(names.apply(block) for block in given),
-        control_curves={k: c for k, c in stream.control_curves.items() if k in own},
+        blocks=(names.apply(block) for block in source_blocks),
+        control_curves={
+            k: c for k, c in stream.control_curves.items() if k in control_names
+        },
     )
     if curve is not None:
         mapped.curve = lambda times: names.apply(curve(times))
@@ -133,7 +138,7 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
 
 
 def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
-    """Return notices of what only one of two rigs has."""
+    """Return notices of tracks that only one of two rigs has."""
     shapes = set(names.shapes.tolist())
     joints = [other.names[j] for j in names.spare]
     spare = [shape.name for i, shape in enumerate(other.shapes) if i not in shapes]
@@ -152,7 +157,7 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
 def on_rig_file(
     path: Path, stream: TakeStream, rig_path: Path, *, forced: bool
 ) -> TakeStream:
-    """Return a source on a rig that lives elsewhere."""
+    """Return a source mapped to a rig of another file."""
 
     def note(
         code: str,
@@ -165,13 +170,13 @@ def on_rig_file(
     rig, notices = open_rig(rig_path)
     # The take says where it goes, and not the stage that has the rig.
     rig = at_origin(rig)
-    own = reorient(stream, rig.up)
-    mapped, names = on_rig(own, rig, note)
-    unmatched = left_out(names, own.rig, str(path))
+    reoriented = reorient(stream, rig.up)
+    mapped, names = on_rig(reoriented, rig, note)
+    unmatched = left_out(names, reoriented.rig, str(path))
     differences: list[Fault] = []
-    if own.rig.joints and rig.joints:
+    if reoriented.rig.joints and rig.joints:
         _, differences = check_fit(
-            own.rig,
+            reoriented.rig,
             rig,
             names.joints,
             str(rig_path),
@@ -189,19 +194,21 @@ def _indices(names: list[str], others: list[str]) -> IntArray:
 
 
 def _moved_if(
-    channel: Channel | None, own: IntArray, rest: FloatArray
+    channel: Channel | None, indices: IntArray, rest: FloatArray
 ) -> Channel | None:
-    return None if channel is None or not len(own) else _moved(channel, own, rest)
+    return (
+        None if channel is None or not len(indices) else _moved(channel, indices, rest)
+    )
 
 
-def _moved(channel: Channel, own: IntArray, rest: FloatArray) -> Channel:
-    """Return the values at some indices, -1 being one that stays at rest."""
-    there = own >= 0
-    whole = np.array(rest, np.float64)
-    whole[there] = channel.rest[own[there]]
-    places = np.full(len(channel.rest), -1)
-    places[channel.animated] = np.arange(len(channel.animated))
-    at = np.full(len(own), -1)
-    at[there] = places[own[there]]
+def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
+    """Return a channel's entries at indices; -1 is an entry at rest."""
+    there = indices >= 0
+    values = np.array(rest, np.float64)
+    values[there] = channel.rest[indices[there]]
+    columns = np.full(len(channel.rest), -1)
+    columns[channel.animated] = np.arange(len(channel.animated))
+    at = np.full(len(indices), -1)
+    at[there] = columns[indices[there]]
     animated = np.flatnonzero(at >= 0)
-    return Channel(whole, animated, channel.values[:, at[animated]])
+    return Channel(values, animated, channel.values[:, at[animated]])

@@ -1,4 +1,4 @@
-"""Opening a source by what it is."""
+"""Opening a source by its format."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
-from animtool.core.options import Key, called, described, option, options_of
+from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
@@ -32,10 +32,10 @@ _OF_BVH = "sets what a BVH does not state; this file states it"
 _UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
-    """What a source is, where the file does not say.
+    """Properties of a source that its file does not state.
 
     Attributes:
         force_fit: Take motion that does not fit the rig all the same.
@@ -224,33 +224,33 @@ class SourceOptions:
     shot: Shot | None = None
 
     def __post_init__(self) -> None:
-        """Take the rate as it is written."""
+        """Convert the rate from a number or text."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
 
 
 @dataclass(frozen=True, slots=True)
 class OpenTake:
-    """A take that is open already, as a source."""
+    """An open take, as a source."""
 
     path: Path  # the file that messages and reports name
     stream: TakeStream  # its motion, which can be read once
 
 
 def is_usd(path: Path) -> bool:
-    """Return whether a path is that of a USD file."""
+    """Return whether a path is a USD file."""
     return READERS.get(path.suffix.lower()) is USD
 
 
 def motion_bytes(path: Path) -> int:
-    """Return the size of a file that holds motion; 0 of a scene, which names others."""
-    # That it is gone since is said by those who look at what was read.
+    """Return the size of a motion file; 0 for a scene, which names others."""
+    # A file removed since is reported by the check of inputs.
     state = None if is_named(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
 
 def source_stem(path: Path) -> str:
-    """Return a file's name without what says its kind.
+    """Return a file's name without the suffixes of its kind.
 
     >>> source_stem(Path("takes/walk.clip.yaml"))
     'walk'
@@ -259,7 +259,7 @@ def source_stem(path: Path) -> str:
 
 
 def takes_option(path: Path, name: str) -> bool:
-    """Return whether files of a path's suffix take an option of `SourceOptions`.
+    """Return whether a file format supports an option of `SourceOptions`.
 
     >>> takes_option(Path("walk.bvh"), "unit"), takes_option(Path("walk.bvh"), "rig")
     (True, False)
@@ -273,7 +273,7 @@ def takes_option(path: Path, name: str) -> bool:
 def fitting_options(
     options: SourceOptions, path: Path, others: Sequence[Path]
 ) -> SourceOptions:
-    """Return options for one of several files that are opened alike.
+    """Return the options that apply to one of several files.
 
     What files of its kind do not take is left out, where one of the others takes it.
     All take a rig.
@@ -284,9 +284,9 @@ def fitting_options(
     >>> found.up, found.clamp
     (None, True)
     """
-    usual = SourceOptions()
+    defaults = SourceOptions()
     left_out = {
-        field.name: getattr(usual, field.name)
+        field.name: getattr(defaults, field.name)
         for field in fields(SourceOptions)
         if field.name not in ANY_SOURCE
         and not takes_option(path, field.name)
@@ -321,42 +321,42 @@ def open_source(
     if options.shot is not None:
         from animtool.scene.sources.retime import in_shot
 
-        own = replace(options, shot=None)
-        return in_shot(open_source(path, own, progress=progress), options.shot)
+        unmapped = replace(options, shot=None)
+        return in_shot(open_source(path, unmapped, progress=progress), options.shot)
     reader = find_reader(path)
     if options.rig is not None and "rig" not in reader.options:
-        own = replace(options, rig=None, force_fit=False)
-        stream = open_source(path, own, progress=progress)
+        unmapped = replace(options, rig=None, force_fit=False)
+        stream = open_source(path, unmapped, progress=progress)
         from animtool.scene.sources.onto_rig import on_rig_file
 
         mapped = on_rig_file(path, stream, options.rig, forced=options.force_fit)
         return _driven(mapped)
     note_input(path)
-    usual = SourceOptions()
-    given = {
+    defaults = SourceOptions()
+    arguments = {
         field.name: value
         for field in fields(SourceOptions)
         if field.name not in BEYOND_READERS
-        and (value := getattr(options, field.name)) != getattr(usual, field.name)
+        and (value := getattr(options, field.name)) != getattr(defaults, field.name)
     }
     if "placement" not in reader.options:
         # Only stages have a character stand somewhere.
-        given.pop("placement", None)
-    refused = [name for name in given if name not in reader.options]
+        arguments.pop("placement", None)
+    refused = [name for name in arguments if name not in reader.options]
     if refused:
         raise OptionError([_refusal(name, path) for name in refused])
     if "progress" in reader.options:
-        given["progress"] = progress
-    stream = cast("TakeStream", reader.source_opener(path)(path, **given))
-    if "unit" not in reader.options or "unit" in given:
+        arguments["progress"] = progress
+    stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
+    if "unit" not in reader.options or "unit" in arguments:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
-    # A clip's keys were evaluated with what they drive.
+    # A clip's keys are evaluated together with the tracks they drive.
     return stream if reader is DOCUMENT else _driven(stream)
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return what opens the take of each Skeleton of a USD file, by its path."""
+    """Return openers of the take of each Skeleton of a USD file, by path."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -368,7 +368,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def _driven(stream: TakeStream) -> TakeStream:
-    """Return a source with what its rig drives in place of what it says of that."""
+    """Return a source whose driven tracks are evaluated from its rig."""
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driving import driven_stream
@@ -385,7 +385,7 @@ def _refusal(name: str, path: Path) -> Fault:
         )
     return Fault(
         "CLI004",
-        f"{called(f'source.{name}', refused)} {refused.reason}",
+        f"{option_marker(f'source.{name}', refused)} {refused.reason}",
         str(path),
         (),
         hint,

@@ -1,4 +1,4 @@
-"""What a scene carries beside its character, on the frames of its sources."""
+"""Props of a scene, sampled at the frames of its sources."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from animtool.scene.file.entries import SceneProp
 from animtool.usd.props.reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
-SEEN_SHEAR = 1e-9
+VISIBLE_SHEAR = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class OpenProp:
-    """A thing that a scene names, open."""
+    """An open prop of a scene."""
 
-    entry: SceneProp  # what the scene says of it
+    entry: SceneProp  # its entry in the scene
     source: PropSource
     track: Track  # the same, counted by the scene's meter
 
@@ -44,23 +44,25 @@ def open_props(
     meter: Meter,
     notices: list[Fault],
 ) -> list[OpenProp]:
-    """Return the things that a scene names, open, in a world of an up axis.
+    """Open the props of a scene, in a world with an up axis.
 
     source: the file of the take, whose things go where that is brought.
     """
     opened: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        stage = meter.stage(entry.file.name, entry.place.where)
+        stage = meter.stage(entry.file.name, entry.location.where)
         try:
             with meter.running(stage):
                 prop = open_prop(entry, up)
         except AnimtoolError as error:
-            faults += map(entry.place.put, error.faults)
+            faults += map(entry.location.locate, error.faults)
             continue
         track = _counted(entry, prop, stage, meter, notices)
-        own = same_file(entry.file.resolve(), source) or not entry.path.startswith("/")
-        opened.append(OpenProp(entry, prop, replace(track, along=own)))
+        same_source = same_file(
+            entry.file.resolve(), source
+        ) or not entry.path.startswith("/")
+        opened.append(OpenProp(entry, prop, replace(track, along=same_source)))
     if faults:
         raise FormatError(faults)
     return opened
@@ -73,7 +75,7 @@ def with_props(
     fps: Fraction | None,
     dropped: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
-    """Return a take with more things beside its rig, on its frames.
+    """Return a take with more props, sampled at its frames.
 
     first: number of its first frame; None is what it says itself, or 1; fps: frames a
     second of the output; None is the take's time codes; dropped: as `TakeStream` has
@@ -91,8 +93,8 @@ def with_props(
     props_stream = _PropStream(stream, props)
     for prop in props:
         stream.notices += prop.notes(fps or stream.fps)
-    own = (prop.track(stream, dropped) for prop in props)
-    tracks = (*stream.tracks, *own)
+    prop_tracks = (prop.track(stream, dropped) for prop in props)
+    tracks = (*stream.tracks, *prop_tracks)
     joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
@@ -109,27 +111,27 @@ def _counted(
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
-    """Return a track whose reading is counted, and shear of it said."""
+    """Return a track whose reading is measured, and whose shear is reported."""
     noticed = False
 
     def sample(times: FloatArray) -> Transforms:
         nonlocal noticed
-        with meter.running(stage), entry.place.located():
+        with meter.running(stage), entry.location.located():
             sampled = source.track.sample(times)
         shear = source.shear()
-        if shear > SEEN_SHEAR and not noticed:
+        if shear > VISIBLE_SHEAR and not noticed:
             noticed = True
             message = f"{entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is ignored"
-            notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
+            notices.append(entry.location.fault("SCN113", message, None, Severity.NOTE))
         return sampled
 
-    return replace(source.track, sample=sample, note=entry.place.fault)
+    return replace(source.track, sample=sample, note=entry.location.fault)
 
 
 @dataclass(frozen=True, slots=True)
 class _Prop:
-    """A thing on the frames of a take."""
+    """A prop sampled at the frames of a take."""
 
     opened: OpenProp
     begin: Fraction  # time code of its file at the first frame
@@ -142,7 +144,7 @@ class _Prop:
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track, brought along where a take's place is dropped."""
+        """Return its track, transformed with a take whose placement is dropped."""
         track = self.opened.track
         if dropped is None or not track.along:
             return track
@@ -156,9 +158,9 @@ class _Prop:
         return placed_track(track, back)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
-        """Yield what there is to say of it, whatever the frames are."""
+        """Yield notices of the prop that do not depend on frames."""
         source, entry = self.opened.source, self.opened.entry
-        note = entry.place.fault
+        note = entry.location.fault
         if source.unstated:
             message = f"{entry.prim} does not state {listed(source.unstated)}"
             hint = "the default of USD is written"
@@ -179,7 +181,7 @@ class _Prop:
 
 @dataclass(frozen=True, slots=True)
 class _PropStream:
-    """A take, and what comes beside it."""
+    """A take with its props."""
 
     stream: TakeStream
     props: Sequence[_Prop]
@@ -196,7 +198,7 @@ class _PropStream:
             first += block.frames
 
     def added(self, motion: Motion, times: FloatArray) -> Motion:
-        """Return a motion with the times ``(F, N)`` of the things, behind others."""
+        """Return a motion with the times ``(F, N)`` of props appended."""
         if motion.track_times is not None:
             times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)
         return replace(motion, track_times=_channel(times))
@@ -210,6 +212,6 @@ class _PropStream:
 
 
 def _channel(times: FloatArray) -> Channel:
-    """Return times ``(F, N)`` as a channel in which all move, as blocks have to."""
+    """Return times ``(F, N)`` as a channel whose entries are all animated."""
     count = times.shape[1]
     return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])

@@ -1,4 +1,4 @@
-"""Takes at other times: frames before the first, and the frames of a shot."""
+"""Retimed takes: preroll frames, and frames of a shot."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ from animtool.scene.sources.away import no_frames
 
 @dataclass(frozen=True, slots=True)
 class Preroll:
-    """How early passes are to begin, in frames of the output."""
+    """Number of frames that passes need before the output."""
 
-    # Of the take's first frame; None is what its source says, or 1.
+    # Frame of the take's start; None is as its source states, or 1.
     start: Fraction | None
     first: int  # frame at which they begin
     fps: Fraction | None  # frames a second of the output; None is the take's rate
 
     def frames(self, stream: TakeStream) -> int:
-        """Return how many frames a take has too few before its first."""
+        """Return the number of frames that a take lacks before its first."""
         start = self.start if self.start is not None else stream.start
         lacking = (Fraction(1) if start is None else start) - self.first
         rate = stream.fps / stream.step
         return max(0, math.ceil(lacking * rate / (self.fps or stream.fps)))
 
 
-def begun_early(stream: TakeStream, count: int) -> TakeStream:
-    """Return a take with frames before its first that hold it.
+def with_preroll(stream: TakeStream, count: int) -> TakeStream:
+    """Return a take with frames before its first that repeat its pose.
 
     The take's own frames keep their time codes.
     """
-    given, curve = stream.blocks, stream.curve
+    source_blocks, curve = stream.blocks, stream.curve
     start = Fraction(1) if stream.start is None else stream.start
     first = float(start)
 
-    def held(times: FloatArray) -> Motion:
+    def first_pose(times: FloatArray) -> Motion:
         assert curve is not None
         return curve(np.maximum(times, first))
 
     def blocks() -> Iterator[Motion]:
-        for i, block in enumerate(given):
+        for i, block in enumerate(source_blocks):
             if not i:
                 yield block.select(np.zeros(count, np.int64))
             yield block
@@ -59,23 +59,23 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
         stream,
         start=start - count * stream.step,
         blocks=blocks(),
-        curve=None if curve is None else held,
+        curve=None if curve is None else first_pose,
         altered=True,
         count=0,
         control_curves={},
     )
 
 
-def without_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
+def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
     """Return a take without its first frames.
 
     start: time code of the first that stays; None states none.
     """
-    given = stream.blocks
+    source_blocks = stream.blocks
 
     def blocks() -> Iterator[Motion]:
         left = count
-        for block in given:
+        for block in source_blocks:
             if left < block.frames:
                 yield block.select(slice(left, None))
             left = max(0, left - block.frames)
@@ -84,7 +84,7 @@ def without_first(stream: TakeStream, count: int, start: Fraction | None) -> Tak
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
-    """Return a take whose time codes are shot frames, each sample at its own time.
+    """Return a take in shot frames, each sample at its exact time.
 
     Nothing is resampled or left out; a shot that does not place its media leaves the
     take as it is. One that holds a pose has that of each of its frames.
@@ -95,7 +95,7 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     if shot is None or shot.fps is None or not shot.places_media:
         return stream
     if shot.speed == 0:
-        return _held(stream, shot)
+        return _constant_pose(stream, shot)
     if shot.speed < 0:
         return _backwards(stream, shot)
     step = stream.step / stream.fps * shot.fps / shot.speed
@@ -105,7 +105,7 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
 def _moved(
     stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
 ) -> TakeStream:
-    """Return a take with its samples at other frames, its curves at their times."""
+    """Return a take with its samples at other frames and its curves retimed."""
     assert shot.fps is not None
     ratio = stream.fps * shot.speed / shot.fps
     curve, first = stream.curve, float(1 if stream.start is None else stream.start)
@@ -130,7 +130,7 @@ def _moved(
 
 
 def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return a take whose last sample comes first; it is read whole."""
+    """Return a take reversed in time; all of it is read."""
     assert shot.fps is not None
     motion = stream.collect().motion
     between = stream.step / stream.fps
@@ -140,22 +140,22 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
     return _moved(replace(stream, blocks=iter([last_first])), shot, start, step)
 
 
-def _held(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return one pose of a take in every frame of a shot; the take is read whole."""
+def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
+    """Return one pose of a take in every frame of a shot; all of it is read."""
     assert shot.fps is not None
     assert shot.media_in is not None
     take, count = stream.collect(), shot.end - shot.start + 1
-    place = shot.media_in * stream.fps / stream.step
-    if not 0 <= place < take.clock.count:
+    sample = shot.media_in * stream.fps / stream.step
+    if not 0 <= sample < take.clock.count:
         raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
-    pose = Between.of(take).at(nearby_positions([float(place)], take.clock.count))
-    held = pose.select(np.zeros(count, np.int64))
+    pose = Between.of(take).at(nearby_positions([float(sample)], take.clock.count))
+    constant = pose.select(np.zeros(count, np.int64))
     return replace(
         stream,
         fps=shot.fps,
         start=Fraction(shot.start),
         step=Fraction(1),
-        blocks=iter([held]),
+        blocks=iter([constant]),
         curve=None,
         count=0,
         control_curves={},

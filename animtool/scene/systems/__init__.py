@@ -1,1 +1,1 @@
-"""What a scene simulates, of whichever kind: entries, order, run and bake."""
+"""The systems of a scene: entries, order, run and bake."""

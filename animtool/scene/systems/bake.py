@@ -1,4 +1,4 @@
-"""Systems as prims of a bake: alone, or alongside a take."""
+"""Systems as prims of a bake: alone, or with a take."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.prims import BakePlan, Draft, OneFile, TakeReport
+from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
@@ -46,38 +46,38 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
 FPS = Fraction(24)
-# From the world of a take to where a layer has what is simulated, at time codes.
-Way: TypeAlias = Callable[[FloatArray], FloatArray | None]
+# Maps the world of a take to that of a layer's systems, at time codes.
+Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
 class SystemPrims:
-    """Points, curves and meshes that systems simulate."""
+    """Prims of simulated points, curves and meshes."""
 
     scene: Scene
     job: SimulatedJob
-    start: Fraction  # time code at 0 s; with a take, that of its first frame
+    start: Fraction  # time code at 0 s; with a take, its first frame
     codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
     watch: CharacterWatch | None = None  # sees the take
-    way: Way | None = None  # of a layer; None is the same
+    displacement: Displacement | None = None  # of a layer; None is the same
 
     def seconds(self, code: Fraction) -> float:
-        """Return when a time code is, on the clock of the systems [s]."""
+        """Return the time of a time code on the clock of the systems [s]."""
         return float((code - self.start) / self.job.metadata.span.fps)
 
-    def author(self, draft: Draft) -> None:
-        """Simulate; without chunks, as soon as the layer is saved."""
+    def author(self, draft: BakeState) -> None:
+        """Simulate; without chunks, when the layer is saved."""
         plan = draft.plan
         prims = self if self.watch is None else self._on_take(self.watch)
         codes, job = prims.codes, prims.job
-        own = None if self.watch is None else self.watch.motion(self.scene.path)
-        if own is not None and prims.start < self.start:
-            held = float((self.start - prims.start) / job.metadata.span.fps)
-            own = replace(own, times=own.times + held)
+        character = None if self.watch is None else self.watch.motion(self.scene.path)
+        if character is not None and prims.start < self.start:
+            delay = float((self.start - prims.start) / job.metadata.span.fps)
+            character = replace(character, times=character.times + delay)
         systems = self.scene.systems
         main_rig = None if self.watch is None else plan.takes[0].stream.rig
         last = prims.seconds(codes[-1])
-        run = SystemRun(systems, last, own, draft.progress, main_rig)
+        run = SystemRun(systems, last, character, draft.progress, main_rig)
         keep = plan.options.keep_stopped
         rows = run.rows(codes, prims.start, job.metadata.span.fps, keep_stopped=keep)
         if draft.report is None:
@@ -88,21 +88,26 @@ class SystemPrims:
         draft.growth = frames
 
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
-        """Return these with the time codes of the take."""
+        """Return a copy with the time codes of the take."""
         codes = [Fraction(code) for code in watch.codes.tolist()]
         stated = self.job.metadata
         span = FrameSpan(codes[0], codes[-1], stated.span.fps)
         metadata = replace(stated, span=span)
         # Where a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
-        way = None if self.way is None else self.way(watch.codes)
+        displacement = (
+            None if self.displacement is None else self.displacement(watch.codes)
+        )
         job = replace(
-            self.job, metadata=metadata, placement_matrices=way, codes=watch.codes
+            self.job,
+            metadata=metadata,
+            placement_matrices=displacement,
+            codes=watch.codes,
         )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
-    def _begin(self, draft: Draft) -> None:
-        """Begin a layer of systems alone, and its report."""
+    def _begin(self, draft: BakeState) -> None:
+        """Create a layer that holds only systems, and its report."""
         plan, metadata = draft.plan, self.job.metadata
         layer = simulated_layer(self.job, plan.output)
         take = WrittenTake("", metadata.span, samples=len(self.codes))
@@ -127,7 +132,7 @@ class SystemPrims:
 
 @dataclass(slots=True)
 class SystemFrames:
-    """Frames of systems, simulated as they are written; see `Growth`."""
+    """Frames of systems, simulated while they are written; see `Growth`."""
 
     prims: SystemPrims
     job: SimulatedJob
@@ -141,7 +146,7 @@ class SystemFrames:
     ended: Any = None
 
     def chunk(self, layer: Any, output: Path | None, size: int) -> None:
-        """Simulate into files of so many samples, which a layer joins."""
+        """Simulate into files of some samples each, which a layer joins."""
         assert output is not None
         clips = system_files(output)
         self.files, self.written = chunk_simulated(
@@ -159,7 +164,7 @@ class SystemFrames:
         return growing.size
 
     def _end(self, layer: Any) -> None:
-        """End with the last frame that was reached; keep states that are asked for."""
+        """Set the last frame that was reached; save requested states."""
         run, prims = self.run, self.prims
         if run.stopped is not None and prims.watch is None:
             metadata = prims.job.metadata
@@ -170,8 +175,8 @@ class SystemFrames:
         refuse_warnings(run.notices, strict=self.strict)
         run.save_states(prims.scene.path.resolve().parent)
 
-    def complete(self, draft: Draft) -> None:
-        """Add what was simulated to the report."""
+    def complete(self, draft: BakeState) -> None:
+        """Add the simulated frames to the report."""
         report, run, written = draft.report, self.run, self.written
         assert report is not None
         report.notices += run.notices
@@ -188,7 +193,7 @@ class SystemFrames:
             stopped = report.takes[0]
             stopped.source_frames = stopped.written.samples = run.done
             stopped.written.span = report.result.span
-        worst = max(written, key=lambda found: found.error)
+        worst = max(written, key=lambda prim: prim.error)
         (take,) = report.takes
         take.written.sampled = list(worst.sampled)
         take.written.rounding = Rounding(worst.error, worst.error_code)
@@ -198,16 +203,20 @@ class SystemFrames:
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
-    """Return what is to become of the systems of a scene."""
+    """Return the plan of a scene's systems."""
     _check(scene, options)
     fps = options.fps or FPS
-    frames, own = options.frame_range, scene.bake.frame_range
+    frames, scene_frames = options.frame_range, scene.bake.frame_range
     if frames is None:
         message = "a simulation has no natural end"
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
     # Where only a part is asked for, the simulation still begins with the whole.
-    first = Fraction((own or frames).first) if options.start is None else options.start
+    first = (
+        Fraction((scene_frames or frames).first)
+        if options.start is None
+        else options.start
+    )
     codes = _codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
@@ -219,19 +228,19 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
-    whole = range(frames.first, frames.last + 1, frames.step)
-    count = len(whole) * max(1, len(offsets))
+    frame_numbers = range(frames.first, frames.last + 1, frames.step)
+    count = len(frame_numbers) * max(1, len(offsets))
     if count > MAX_FRAMES:
         message = f"the range has {count} samples; the limit is {MAX_FRAMES}"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
-        frame + offset for frame in whole for offset in offsets or (Fraction(),)
+        frame + offset for frame in frame_numbers for offset in offsets or (Fraction(),)
     )
 
 
 def _check(scene: Scene, options: BakeOptions) -> None:
-    """Refuse what only characters have."""
-    names = [given.label for given in refused_options(options, "systems").values()]
+    """Refuse options that need a character."""
+    names = [option.label for option in refused_options(options, "systems").values()]
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
@@ -244,7 +253,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 
 
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
-    """Return what is to become of the systems of a scene that has a source.
+    """Return the plan of a scene's systems with a take.
 
     They are below the character's model, so that both are in one world wherever that
     stands: in its unit, turned to its up axis.
@@ -255,22 +264,22 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     unknown = FrameSpan(Fraction(0), Fraction(0), plan.fps)
     metadata = StageMetadata(model.split("/")[1], unknown, *stage)
     job = system_job(scene.systems, model, metadata, unit, up)
-    _check_places(scene, job, plan)
+    _check_prim_paths(scene, job, plan)
     watch = CharacterWatch(
-        wanted=any(scene.path in system.setup.files for system in scene.systems)
+        records_motion=any(scene.path in system.setup.files for system in scene.systems)
     )
-    way: Way | None = None
+    displacement: Displacement | None = None
     if plan.target is not None:
         from animtool.usd.props.placement import matrices_inside
 
         mapping, path = plan.takes[0].mapping, f"{model}/system"
         to_rig = None if mapping is None else mapping.to_rig
-        way = partial(matrices_inside, plan.target, to_rig, path)
-    return SystemPrims(scene, job, plan.start, watch=watch, way=way)
+        displacement = partial(matrices_inside, plan.target, to_rig, path)
+    return SystemPrims(scene, job, plan.start, watch=watch, displacement=displacement)
 
 
-def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prims something else has."""
+def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
+    """Refuse systems whose prim paths are taken."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     taken = {paths.root: "the character"}
@@ -278,18 +287,20 @@ def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):
-        whose = [owner for place, owner in taken.items() if overlap(path, place)]
+        whose = [owner for prim, owner in taken.items() if overlap(path, prim)]
         if not whose and target is not None and _is_other(target, path):
             whose = ["the rig layer"]
         if whose:
             message = f"{path} belongs to {whose[0]}"
-            faults.append(system.place.fault("SCN068", message, "give it another name"))
+            faults.append(
+                system.location.fault("SCN068", message, "give it another name")
+            )
     if faults:
         raise FormatError(faults)
 
 
 def _is_other(target: RigTarget, path: str) -> bool:
-    """Return whether a shot has another prim there than an earlier bake's."""
+    """Return whether a stage has a prim there that no earlier bake wrote."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
     if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
         return False

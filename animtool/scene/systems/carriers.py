@@ -1,4 +1,4 @@
-"""What carries particles that are held: joints, vertices and prims in motion."""
+"""Carriers of pinned particles: joints, vertices and prims in motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import PropRequest
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.file.entries import Place
+from animtool.scene.file.entries import EntryLocation
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
     CharacterSkin,
@@ -37,10 +37,10 @@ class OnJoint:
     file: Path  # A clip or a scene
     joint: str  # its name
     # Of the entry that names it.
-    place: Place | None = field(default=None, compare=False, repr=False)
+    location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return what is wrong with it, at its key; None where it is there."""
+        """Return the fault of an unknown joint, at its key; None without one."""
         if self.joint in rig.names:
             return None
         message = f"unknown joint {self.joint!r} of {rig.name!r}"
@@ -48,10 +48,12 @@ class OnJoint:
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time."""
-        found = characters.of(self.file)
-        _check(self.fault(found.rig), self.place)
-        return joint_poses(found.world, found.rig.index(self.joint), found.times)
+        """Return its poses over time."""
+        character = characters.of(self.file)
+        _check(self.fault(character.rig), self.location)
+        return joint_poses(
+            character.world, character.rig.index(self.joint), character.times
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +64,10 @@ class OnVertex:
     mesh: str  # name of the mesh
     vertex: int  # its number
     # Of the entry that names it.
-    place: Place | None = field(default=None, compare=False, repr=False)
+    location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return what is wrong with it, at its key; None where it is there."""
+        """Return the fault of an unknown vertex, at its key; None without one."""
         fault = no_mesh(rig, self.mesh)
         if fault is not None:
             return fault
@@ -77,21 +79,23 @@ class OnVertex:
         return Fault("SIM053", message, where="vertex")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time; it never turns."""
-        found = characters.of(self.file)
-        _check(self.fault(found.rig), self.place)
-        # The next block stands where the last one did.
+        """Return its positions over time, with constant rotation."""
+        character = characters.of(self.file)
+        _check(self.fault(character.rig), self.location)
+        # The next block reuses the buffer of the last one.
         parts = [
             block.points[:, self.vertex].copy()
-            for block in CharacterSkin(found, self.mesh).blocks()
+            for block in CharacterSkin(character, self.mesh).blocks()
         ]
-        places = np.concatenate(parts)
-        return Poses(found.times, places, np.tile(so3.IDENTITY, (len(places), 1)))
+        positions = np.concatenate(parts)
+        return Poses(
+            character.times, positions, np.tile(so3.IDENTITY, (len(positions), 1))
+        )
 
 
-def _check(fault: Fault | None, place: Place | None) -> None:
+def _check(fault: Fault | None, location: EntryLocation | None) -> None:
     if fault is not None:
-        raise OptionError(fault if place is None else place.put(fault))
+        raise OptionError(fault if location is None else location.locate(fault))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +107,11 @@ class OnPrim:
     frame: float | None = None  # time code that comes at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
-        """Return where it is over time."""
+        """Return its poses over time."""
         return self.over_time()
 
     def over_time(self) -> Poses:
-        """Return where it is over time, the frame of 0 s among its times."""
+        """Return its poses over time, with a sample at 0 s."""
         from animtool.usd.props.reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
@@ -120,27 +124,31 @@ class OnPrim:
             codes = np.linspace(first, last, max(count, 2))
             codes = np.unique(np.concatenate([codes, prop.keys]))
             codes = codes[(codes >= first) & (codes <= last)]
-        found = prop.track.sample(codes)
+        sample = prop.track.sample(codes)
         times = (codes - start) / float(prop.fps)
-        return Poses(times, found.translations, so3.align_signs(found.rotations))
+        return Poses(times, sample.translations, so3.align_signs(sample.rotations))
 
 
-def moved_poses(model: PlacedModel, own: Poses) -> Poses:
-    """Return where an entry stands that moves and turns by itself."""
+def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
+    """Return the poses of an entry with its own translation and rotation keys."""
     if not model.moves and not model.turns:
-        return own
-    ways = np.array(model.moves or [[0.0] * 4])
-    turns = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
-    still = np.zeros((len(turns), 3))
-    gone = Poses(ways[:, 0], ways[:, 1:], np.tile(so3.IDENTITY, (len(ways), 1)))
-    turned = Poses(turns[:, 0], still, turns[:, [2, 3, 4, 1]])
-    # Each goes evenly between its own times, and so it does between those of both.
-    times = ways[:, 0] if not model.turns else turns[:, 0]
+        return entry_poses
+    translation_keys = np.array(model.moves or [[0.0] * 4])
+    rotation_keys = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
+    origins = np.zeros((len(rotation_keys), 3))
+    gone = Poses(
+        translation_keys[:, 0],
+        translation_keys[:, 1:],
+        np.tile(so3.IDENTITY, (len(translation_keys), 1)),
+    )
+    turned = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
+    # Each is linear between its own keys, and so between those of both.
+    times = translation_keys[:, 0] if not model.turns else rotation_keys[:, 0]
     if model.moves and model.turns:
-        times = np.union1d(ways[:, 0], turns[:, 0])
-    place = own.rows[0]
+        times = np.union1d(translation_keys[:, 0], rotation_keys[:, 0])
+    offset = entry_poses.rows[0]
     return Poses(
         times,
-        gone.over(times)[:, :3] + place[:3],
-        so3.multiply(turned.over(times)[:, 3:], place[3:]),
+        gone.over(times)[:, :3] + offset[:3],
+        so3.multiply(turned.over(times)[:, 3:], offset[3:]),
     )

@@ -1,4 +1,4 @@
-"""Characters in motion that systems meet: poses, capsules and skins over time."""
+"""Characters as colliders of systems: poses, capsules and skins over time."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from animtool.systems.framework.fields import CharacterModel
 
 @dataclass(frozen=True, slots=True)
 class CharacterMotion:
-    """A character over its F frames, y up; held before the first and after the last."""
+    """A character over F frames, y up; clamped to its first and last pose."""
 
     path: Path  # its file
     rig: Rig  # its rig
@@ -42,7 +42,7 @@ class CharacterMotion:
     times: FloatArray  # of the frames, the first at 0 s ``(F,)`` [s]
 
     def colliders(self, like: Collider) -> list[Collider]:
-        """Return the capsules of its rig over its frames, like a collider [m]."""
+        """Return the capsules of its rig over its frames [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
             hint = "particles collide with the capsules listed in its rig file"
@@ -52,7 +52,7 @@ class CharacterMotion:
 
 @dataclass
 class CharacterMotions:
-    """Characters by their files, each read once; the scene's own by its file."""
+    """Characters by file, each read once; the scene's own by its file."""
 
     by_path: dict[Path, CharacterMotion] = field(default_factory=dict)
 
@@ -68,7 +68,7 @@ def _read(path: Path) -> CharacterMotion:
 
 
 def motion_of(path: Path, take: Take) -> CharacterMotion:
-    """Return a take as systems see it, the first frame at 0 s."""
+    """Return a take as character motion, the first frame at 0 s."""
     if take.rig.up is not UpAxis.Y:
         take = reorient(TakeStream.of(take), UpAxis.Y).collect()
     world = take.world()
@@ -86,12 +86,12 @@ def open_take(path: Path) -> TakeStream:
     return load_scene(path).open(keeps=False)
 
 
-# Frames of which the points are kept: both ends of a step, and those of the one before.
+# Frames whose points are cached: both ends of a step, and those of the last.
 KEPT = 4
 
 
 def no_mesh(rig: Rig, name: str) -> Fault | None:
-    """Return that a rig has no such mesh (SIM053); None where it has."""
+    """Return the fault of a mesh that a rig lacks (SIM053); None where it exists."""
     names = [surface.name for surface in surfaces_of(rig)]
     if name in names:
         return None
@@ -131,7 +131,7 @@ class CharacterSkin:
         )
 
     def blocks(self) -> Iterator[Deformed]:
-        """Yield all frames in blocks that share their memory."""
+        """Yield all frames in blocks that reuse one buffer."""
         return deform_blocks(self._mesh, self._weights, self._world, normals=False)
 
     def frame(self, i: int) -> FloatArray:
@@ -140,12 +140,12 @@ class CharacterSkin:
             self._world.positions[i : i + 1], self._world.linear[i : i + 1]
         )
         weights = None if self._weights is None else self._weights[i : i + 1]
-        (made,) = deform_blocks(self._mesh, weights, world, normals=False)
-        return np.array(made.points[0], np.float64)
+        (deformed,) = deform_blocks(self._mesh, weights, world, normals=False)
+        return np.array(deformed.points[0], np.float64)
 
 
 class SkinMotion:
-    """A mesh of a character over time, straight from frame to frame and held outside.
+    """A character's mesh over time, linear between frames and clamped outside.
 
     Args:
         character: In motion.
@@ -169,21 +169,21 @@ class SkinMotion:
         before = self._frame(i)
         if not times[0] < t < times[-1] or t == times[i]:
             return before
-        share = (t - times[i]) / (times[i + 1] - times[i])
-        return np.asarray(before + (self._frame(i + 1) - before) * share)
+        fraction = (t - times[i]) / (times[i + 1] - times[i])
+        return np.asarray(before + (self._frame(i + 1) - before) * fraction)
 
     @property
     def faces(self) -> tuple[IntArray, IntArray]:
-        """Corners of each face ``(M,)``, and these face by face."""
+        """Vertex counts of the faces ``(M,)``, and their corner indices."""
         surface = self._skin.surface
         return surface.counts, surface.indices
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return corners of its triangles ``(T, 3)``: always the same."""
+        """Return the corners of its triangles ``(T, 3)``."""
         return self._faces
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Drop data before a time, which will not be sampled again [s]."""
 
 
 def character_colliders(
@@ -201,14 +201,14 @@ def character_colliders(
             like = record_of(Collider, one, shape=Sphere(1.0))
             colliders += character.colliders(like)
         else:
-            own = {"radius": one.margin, "name": mesh}
+            sheet_options = {"radius": one.margin, "name": mesh}
             motion = SkinMotion(character, mesh)
-            sheets.append(record_of(Sheet, one, motion=motion, **own))
+            sheets.append(record_of(Sheet, one, motion=motion, **sheet_options))
     return colliders, sheets
 
 
 class CharacterWatch:
-    """Keeps the time codes that are written of a take, and its motion if need be.
+    """Records the written time codes of a take, and its motion if required.
 
     Frames are read once: by the writer, whose blocks it sees pass. Of a source that is
     sampled as a function of time, and has no blocks read, it asks for its frames.
@@ -217,8 +217,8 @@ class CharacterWatch:
         wanted: Whether the motion is kept.
     """
 
-    def __init__(self, *, wanted: bool) -> None:
-        self.wanted = wanted
+    def __init__(self, *, records_motion: bool) -> None:
+        self.records_motion = records_motion
         self._codes: list[FloatArray] = []
         self._blocks: list[Motion] = []
         self._stream: TakeStream | None = None
@@ -229,39 +229,39 @@ class CharacterWatch:
         return np.concatenate(self._codes)
 
     def read(self, stream: TakeStream) -> TakeStream:
-        """Return a take whose frames are seen as they are read."""
-        if not self.wanted:
+        """Return a take whose frames are recorded as they are read."""
+        if not self.records_motion:
             return stream
         self._stream = stream
-        return replace(stream, blocks=self._seen(stream.blocks))
+        return replace(stream, blocks=self._recorded(stream.blocks))
 
-    def see(self, codes: FloatArray) -> None:
-        """Keep time codes of frames that are written ``(F,)``."""
+    def record_codes(self, codes: FloatArray) -> None:
+        """Record time codes of written frames ``(F,)``."""
         self._codes.append(codes)
 
     def motion(self, path: Path) -> CharacterMotion | None:
-        """Return the whole motion, when all is read; None where it is not wanted."""
+        """Return the complete motion after reading; None if not recorded."""
         stream = self._stream
         if stream is None:
             return None
-        motion = self._whole(stream)
+        motion = self._complete(stream)
         start = Fraction(1) if stream.start is None else stream.start
         clock = Clock(stream.fps, start, stream.step, motion.frames)
         return motion_of(path, Take(stream.rig, clock, motion))
 
-    def _whole(self, stream: TakeStream) -> Motion:
+    def _complete(self, stream: TakeStream) -> Motion:
         if self._blocks:
             return Motion.concatenate(self._blocks)
         assert stream.curve is not None
         start = Fraction(1) if stream.start is None else stream.start
         return _bare(stream.curve(time_codes(start, stream.step, stream.count)))
 
-    def _seen(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _recorded(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             self._blocks.append(_bare(block))
             yield block
 
 
 def _bare(motion: Motion) -> Motion:
-    """Return joints and shapes alone."""
+    """Return a motion with only its joints and shapes."""
     return replace(motion, controls=None, track_times=None, points={})

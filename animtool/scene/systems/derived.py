@@ -1,4 +1,4 @@
-"""What a kind gets that is a spec and a build: it is read, run and tried from these."""
+"""Reading, running and trials of a system kind, derived from its spec and build."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.documents.document import Document, Location, location_of
 from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
-from animtool.scene.file.entries import SystemSetup, place_of_entry
+from animtool.scene.file.entries import SystemSetup, entry_location
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
@@ -39,9 +39,9 @@ from animtool.systems.framework.fields import (
     CarryingPrimModel,
     CarryingVertexModel,
     CharacterModel,
+    EntryPart,
     GaitsModel,
     MovingMeshModel,
-    Part,
     PhysicsStageModel,
     PlacedModel,
     PrimMeshModel,
@@ -62,15 +62,15 @@ Reader: TypeAlias = Callable[[Location, Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Prototype:
-    """A mesh, and the phases of its cycle; those that are equal are shown by one."""
+    """A mesh that copies are made of, at the phases of its cycle."""
 
     path: Path
     prim: str | None  # of a USD file
     mesh: str | None  # of a rig
-    samples: int  # phases of what moves
+    samples: int  # phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return its mesh at each phase; of what does not move there is one.
+        """Return its mesh at each phase; one for a static mesh.
 
         Raises:
             OptionError: There is no such mesh (SIM051, SIM053).
@@ -79,7 +79,9 @@ class Prototype:
         at, span = self._of_rig() if self.prim is None else self._of_stage()
         shares = [0.0] if span is None else np.arange(self.samples) / self.samples
         first, last = span or (0.0, 0.0)
-        return tuple(at(first + (last - first) * float(share)) for share in shares)
+        return tuple(
+            at(first + (last - first) * float(fraction)) for fraction in shares
+        )
 
     def _of_stage(self) -> _Moving:
         from animtool.usd.caches.reader import open_mesh
@@ -88,8 +90,8 @@ class Prototype:
         source = open_mesh(self.path, self.prim, UpAxis.Y)
 
         def at(code: float) -> MeshFrame:
-            found = source.at(None if source.span is None else code)
-            return _frame(found.points, found.counts, found.indices)
+            surface = source.at(None if source.span is None else code)
+            return _frame(surface.points, surface.counts, surface.indices)
 
         return at, source.span
 
@@ -117,8 +119,8 @@ def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame
     )
 
 
-class PartReader(EntryReader):
-    """Reads what the models of entries hold.
+class SpecPartReader(EntryReader):
+    """Reads the entries of a system spec by the types of their keys.
 
     Attributes:
         carriers: Files of what carries others.
@@ -138,7 +140,7 @@ class PartReader(EntryReader):
     def parts(
         self, at: Location, model: FileModel, keys: Collection[str] | None = None
     ) -> dict[str, Any]:
-        """Return what keys of a model are read as, by key; plain ones are left out.
+        """Return the parsed entries of a model by key, without plain values.
 
         A list has one of each entry, without those that faults leave none. A model in a
         model is such parts again, or its record, and what is placed has its ``poses``
@@ -148,7 +150,7 @@ class PartReader(EntryReader):
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(at, model, model.code)
-            parts["poses"] = self._sound(at, poses, check=check)
+            parts["poses"] = self._checked_part(at, poses, check=check)
         for key, declared in type(model).model_fields.items():
             if keys is not None and key not in keys:
                 continue
@@ -157,7 +159,7 @@ class PartReader(EntryReader):
             read = self._reader(declared.annotation, declared.metadata, check=check)
             if placing or read is None or value is None:
                 continue
-            if Part.ARRAY in _marks(declared.annotation, declared.metadata):
+            if EntryPart.ARRAY in _marks(declared.annotation, declared.metadata):
                 values = read((*at, key), value)
                 factor = self.units.array_factor(declared.description)
                 parts[key] = values
@@ -170,40 +172,42 @@ class PartReader(EntryReader):
         return parts
 
     def entry(self, at: Location, model: FileModel) -> Any:
-        """Return the parts of a model, or its record; None where faults leave none."""
+        """Return the parts of a model, or its record; None with faults."""
         self.note_ranges(at, model)
         parts = self.parts(at, model)
         if not isinstance(model, RecordModel):
             return parts
-        whole = all(part is not None for part in parts.values())
-        record = model.record(parts) if whole else None
+        complete = all(part is not None for part in parts.values())
+        record = model.record(parts) if complete else None
         return self.checked(at, record, model)
 
     def _reader(
         self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
     ) -> Reader | None:
-        """Return what reads entries of a type; None for plain values.
+        """Return the method that reads entries of a type; None for plain values.
 
         Faults of places and shapes are noted where nothing else does.
         """
         for mark in marks:
-            if isinstance(mark, Part):
+            if isinstance(mark, EntryPart):
                 read: Reader = getattr(self, READERS[mark])
-                if mark in {Part.PLACE, Part.SHAPE}:
-                    return lambda at, one: self._sound(at, read(at, one), check=check)
+                if mark in {EntryPart.EMITTER_SHAPE, EntryPart.SHAPE}:
+                    return lambda at, one: self._checked_part(
+                        at, read(at, one), check=check
+                    )
                 return read
         if get_origin(annotation) is Annotated:
             marks = annotation.__metadata__
             return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            own = (READERS[one] for one in annotation.__mro__ if one in READERS)
-            found: Reader = getattr(self, next(own, "entry"))
-            return found
+            readers = (READERS[one] for one in annotation.__mro__ if one in READERS)
+            reader: Reader = getattr(self, next(readers, "entry"))
+            return reader
         inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
     def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
-        """Return a mesh that copies are made of; a USD file is looked at now."""
+        """Return the mesh of copies; a USD file is checked now."""
         if (model.prim is None) is (model.mesh is None):
             message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
@@ -212,25 +216,25 @@ class PartReader(EntryReader):
         path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
-        made = Prototype(path, model.prim, model.mesh, model.samples)
+        prototype = Prototype(path, model.prim, model.mesh, model.samples)
         if model.prim is not None:
-            self.opened((*at, "prim"), made, "SIM051")
-        return made
+            self.opened((*at, "prim"), prototype, "SIM051")
+        return prototype
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return clips of a rig; they are looked at now, once for all of one rig."""
+        """Return gait clips of a rig, checked now and once for each rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.followed((*at, "rig"), model.rig)
         clips = self.each((*at, "clips"), model.clips, self.followed)
         if rig is None or len(clips) < len(model.clips):
             return None
-        made = GaitsSource(rig, tuple(clips))
-        made = self._gaits.setdefault(made, made)
-        return None if self.opened(at, made) is None else made
+        source = GaitsSource(rig, tuple(clips))
+        source = self._gaits.setdefault(source, source)
+        return None if self.opened(at, source) is None else source
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
-        """Return what UsdPhysics says of a stage."""
+        """Return the UsdPhysics bodies of a stage."""
         from animtool.usd.physics.read import read_bodies
 
         path = self.followed((*at, "file"), model.file)
@@ -246,15 +250,15 @@ class PartReader(EntryReader):
             return None
 
     def names(self, at: Location, entry: str | int) -> list[str | int]:
-        """Return a name or number, or those of an array; none of one not read."""
+        """Return a name or number, or those of an array; none if unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
         above = [step for step in at[:-2] if isinstance(step, str)]
         values = self.array(at, entry, above[-1])
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
-    def still_mesh(self, at: Location, model: PrimMeshModel) -> StaticMesh | None:
-        """Return a mesh of a USD file as it is at its first frame."""
+    def rest_mesh(self, at: Location, model: PrimMeshModel) -> StaticMesh | None:
+        """Return a mesh of a USD file at its first frame."""
         from animtool.usd.caches.reader import read_static_mesh
 
         path = self.input((*at, "file"), model.file)
@@ -269,26 +273,26 @@ class PartReader(EntryReader):
     def carrying_character(
         self, at: Location, model: CarryingJointModel | CarryingVertexModel
     ) -> OnJoint | OnVertex | None:
-        """Return a joint or a vertex that carries others.
+        """Return a joint or vertex as a carrier.
 
         It is checked now; of the scene's own character that is later.
         """
         path = self.character(at, model)
         if path is None:
             return None
-        place = place_of_entry(self.document, at, model)
+        location = entry_location(self.document, at, model)
         carrier: OnJoint | OnVertex
         if isinstance(model, CarryingJointModel):
-            carrier = OnJoint(path, model.joint, place)
+            carrier = OnJoint(path, model.joint, location)
         else:
-            carrier = OnVertex(path, model.mesh, model.vertex, place)
+            carrier = OnVertex(path, model.mesh, model.vertex, location)
         self.carriers.append(path)
         if path == self.document.path:
             return carrier
         try:
             rig = open_take(path).rig
         except AnimtoolError as error:
-            # They are of that file, and are told with it.
+            # They are faults of that file, and are reported with it.
             self.document.faults.extend(error.faults)
             self.sound = False
             return None
@@ -298,7 +302,7 @@ class PartReader(EntryReader):
         return carrier
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
-        """Return a prim that carries others."""
+        """Return a prim as a carrier."""
         from animtool.usd.props.reader import open_prop
 
         path = self.input((*at, "file"), model.file)
@@ -310,11 +314,11 @@ class PartReader(EntryReader):
         return OnPrim(path, model.prim, model.frame)
 
     def carrying_body(self, at: Location, model: CarryingBodyModel) -> OnBody:  # noqa: ARG002
-        """Return a rigid body that carries others; systems are looked at later."""
+        """Return a rigid body as a carrier; its system is checked later."""
         return OnBody(model.system, model.body)
 
-    def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
-        """Return what an entry is read as, and note its own faults if asked to."""
+    def _checked_part(self, at: Location, part: Any, *, check: bool) -> Any:
+        """Return a parsed entry, with its own faults recorded if requested."""
         self.sound &= part is not None
         for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
@@ -323,15 +327,15 @@ class PartReader(EntryReader):
 
 # What reads entries that are marked, or of a model, by the name of its method.
 READERS: Mapping[Any, str] = {
-    Part.ARRAY: "array",
-    Part.NAMES: "names",
-    Part.FORCE: "force",
-    Part.PLACE: "emitter_place",
-    Part.SHAPE: "shape",
+    EntryPart.ARRAY: "array",
+    EntryPart.NAMES: "names",
+    EntryPart.FORCE: "force",
+    EntryPart.EMITTER_SHAPE: "emitter_shape",
+    EntryPart.SHAPE: "shape",
     PrototypeModel: "prototype",
     GaitsModel: "gaits",
     PhysicsStageModel: "physics",
-    PrimMeshModel: "still_mesh",
+    PrimMeshModel: "rest_mesh",
     CarryingJointModel: "carrying_character",
     CarryingVertexModel: "carrying_character",
     CarryingPrimModel: "carrying_prim",
@@ -344,10 +348,10 @@ READERS: Mapping[Any, str] = {
 
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
-    """Return what marks a type, or one that it may be."""
+    """Return the markers of a type or of its alternatives."""
     inner = [_marks(one, ()) for one in get_args(annotation)]
-    own = getattr(annotation, "__metadata__", ())
-    return [*marks, *own, *(mark for found in inner for mark in found)]
+    metadata = getattr(annotation, "__metadata__", ())
+    return [*marks, *metadata, *(mark for part in inner for mark in part)]
 
 
 def read_spec(
@@ -357,7 +361,7 @@ def read_spec(
     roots: Sequence[Path],
     units: SceneUnits = METRES,
 ) -> SystemSetup | None:
-    """Return the setup of an entry; None where faults leave none.
+    """Return the setup of an entry; None with faults.
 
     ``units`` are those of the scene, which arrays of files that it names count too.
 
@@ -365,7 +369,7 @@ def read_spec(
     into, where the spec has them; other keys are read as their types say.
     """
     spec = units.converted(spec)
-    outside, reader = (PartReader(document, roots, units) for _ in range(2))
+    outside, reader = (SpecPartReader(document, roots, units) for _ in range(2))
     outer = outside.parts(at, spec, AROUND[:1])
     # Systems that are named are looked for, whatever else makes no sense.
     sound = outside.sound
@@ -375,12 +379,12 @@ def read_spec(
     if "stretch" in type(spec).model_fields:
         sizes = {"radius", "stretch", "self_contact"}
         warn_of_sizes(document, at, spec.model_dump(include=sizes))
-    record, faults = spec.made(parts)
+    record, faults = spec.build_record(parts)
     for fault in faults:
-        place = (*at, *location_of(fault.where or ""))
-        document.add(fault.code, place, fault.message, fault.hint)
+        at_key = (*at, *location_of(fault.where or ""))
+        document.add(fault.code, at_key, fault.message, fault.hint)
     if reader.sound:
-        reader.note_whole(at, spec, spec.faults(parts))
+        reader.note_entry(at, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
         resume = reader.input((*at, "resume"), spec.resume)

@@ -1,4 +1,4 @@
-"""Reading what entries of systems have in common, all faults noted."""
+"""Reading of entries that systems have in common; all faults are recorded."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ from animtool.systems.framework.fields import (
 if TYPE_CHECKING:
     from animtool.systems.particles.forces.base import Force
 
-# Keys that say where an entry stands.
+# Keys of the poses of an entry.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
 RecordT = TypeVar("RecordT", bound=Checked)
 
 
 class EntryReader:
-    """Makes records of the keys of an entry.
+    """Reads records from the keys of an entry.
 
     Attributes:
         document: Where faults are noted.
@@ -74,17 +74,17 @@ class EntryReader:
         self.files: list[Path] = []
 
     def note(self, at: Location, fault: Fault) -> None:
-        """Note a fault at a place."""
+        """Record a fault at a location."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
 
     def note_all(self, at: Location, faults: Located) -> None:
-        """Note faults, each at its place below another."""
-        for place, fault in faults:
-            self.note((*at, *place), fault)
+        """Record faults, each at a key below a location."""
+        for key, fault in faults:
+            self.note((*at, *key), fault)
 
     def note_ranges(self, at: Location, model: FileModel) -> None:
-        """Note the numbers of an entry that are out of their ranges."""
+        """Record numbers of an entry that are out of range."""
         for fault in range_faults(model, OF_ENTRY):
             self.note((*at, fault.where or ""), fault)
 
@@ -95,7 +95,7 @@ class EntryReader:
         code: str | None = None,
         kind: type[AnimtoolError] = AnimtoolError,
     ) -> Kind | None:
-        """Return what a function reads; None, and its faults, where it raises.
+        """Return what a function reads; None with recorded faults if it raises.
 
         With a code that is the first alone, as one of that code.
         """
@@ -109,20 +109,20 @@ class EntryReader:
     def checked(
         self, at: Location, record: RecordT | None, model: FileModel
     ) -> RecordT | None:
-        """Return what an entry is made into, its own faults noted at their keys."""
+        """Return a record after recording its faults at their keys."""
         if record is None:
             self.sound = False
             return None
         problems = record.problems()
-        self.note_whole(
+        self.note_entry(
             at, model, [Fault(record.code, why, where=key) for key, why in problems]
         )
         return record
 
-    def note_whole(
+    def note_entry(
         self, at: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
-        """Note faults of a whole entry, each at its key where that is given."""
+        """Record faults of an entry, each at its key if that is present."""
         for fault in faults:
             key = fault.where
             self.note((*at, key) if key in model.model_fields_set else at, fault)
@@ -130,36 +130,36 @@ class EntryReader:
     def each(
         self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
     ) -> list[Any]:
-        """Return what entries of a list are read as, without those that leave none."""
-        found = [read((*at, i), model) for i, model in enumerate(models)]
-        return [part for part in found if part is not None]
+        """Return the parsed entries of a list, without faulty ones."""
+        parts = [read((*at, i), model) for i, model in enumerate(models)]
+        return [part for part in parts if part is not None]
 
     def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
-        """Return what is run into, as one of the keys of `AROUND` lists it."""
+        """Return the parsed colliders of one of the keys in `AROUND`."""
         readers: Mapping[str, Callable[[Location, Any], Any]] = {
             "colliders": self.collider,
             "characters": self.character_collider,
             "systems": self.surface,
             "meshes": self.mesh,
         }
-        made = map(self.units.converted, models)
-        return tuple(self.each((*at, key), made, readers[key]))
+        converted = map(self.units.converted, models)
+        return tuple(self.each((*at, key), converted, readers[key]))
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
-        """Return the collider of an entry that makes sense."""
+        """Return a valid collider of an entry; None with faults."""
         shape = self.shape((*at, "shape"), model.shape)
         poses = None if shape is None else self.poses(at, model, "SIM020")
-        made = None
+        collider = None
         if poses is not None:
-            made = record_of(Collider, model, shape=shape, poses=poses)
-        return self.checked(at, made, model)
+            collider = record_of(Collider, model, shape=shape, poses=poses)
+        return self.checked(at, collider, model)
 
     def shape(self, at: Location, entry: Named) -> Any:
-        """Return a shape of colliders."""
+        """Return a collider shape."""
         return self.named(at, entry, SHAPES, "shape", "SIM020")
 
     def force(self, at: Location, entry: Named) -> Force | None:
-        """Return a force of the table, its numbers in their ranges."""
+        """Return a force, its numbers checked for their ranges."""
         from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
@@ -172,18 +172,18 @@ class EntryReader:
             self.note((*at, name, *key), Fault("SIM022", f"its {option} {why}"))
         return force
 
-    def emitter_place(self, at: Location, entry: Named) -> Any:
-        """Return where particles are made: a place, on the surface of a mesh too."""
+    def emitter_shape(self, at: Location, entry: Named) -> Any:
+        """Return an emitter shape, which may be the surface of a mesh."""
         from animtool.systems.particles.emitter_shapes import (
             EMITTER_SHAPES,
             MeshSurface,
         )
 
-        place = self.named(at, entry, EMITTER_SHAPES, "place", "SIM021")
-        return MeshSurface(place) if isinstance(place, Mesh) else place
+        shape = self.named(at, entry, EMITTER_SHAPES, "place", "SIM021")
+        return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
-        """Return the mesh of a USD file, whose points may move, with its whole path."""
+        """Return a mesh of a USD file, possibly animated, with its full path."""
         path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
@@ -193,7 +193,7 @@ class EntryReader:
         return mesh
 
     def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
-        """Return where an entry stands over time; None where what is noted leaves none.
+        """Return the poses of an entry over time; None with faults.
 
         Args:
             at: Place of the entry.
@@ -201,11 +201,11 @@ class EntryReader:
             code: Of what makes no sense.
         """
         w, x, y, z = model.rotate
-        own = Poses.fixed(model.at, (x, y, z, w))
-        if own.faults():
-            return own
+        entry_poses = Poses.fixed(model.at, (x, y, z, w))
+        if entry_poses.faults():
+            return entry_poses
         if model.prim is not None:
-            return self._followed(at, model, own, code)
+            return self._followed(at, model, entry_poses, code)
         sound = True
         for key in ("moves", "turns"):
             rows = np.array(getattr(model, key)).reshape(-1, 5 if key == "turns" else 4)
@@ -217,16 +217,16 @@ class EntryReader:
             if message:
                 sound = False
                 self.note((*at, key), Fault(code, message))
-        return moved_poses(model, own) if sound else None
+        return moved_poses(model, entry_poses) if sound else None
 
     def _followed(
         self,
         at: Location,
         model: PlacedModel,
-        own: Poses,
+        entry_poses: Poses,
         code: str,
     ) -> Poses | None:
-        """Return the poses of what goes with a prim."""
+        """Return the poses of an entry that follows a prim."""
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
@@ -239,18 +239,18 @@ class EntryReader:
         carrier = self.opened((*at, "prim", "prim"), prim.over_time, "SIM053")
         if carrier is None:
             return None
-        place = own.rows[0]
-        turns = carrier.rows[:, 3:]
+        offset = entry_poses.rows[0]
+        rotations = carrier.rows[:, 3:]
         return Poses(
             carrier.sample_times,
-            carrier.rows[:, :3] + so3.rotate(turns, place[:3]),
-            so3.multiply(turns, place[3:]),
+            carrier.rows[:, :3] + so3.rotate(rotations, offset[:3]),
+            so3.multiply(rotations, offset[3:]),
         )
 
     def character_collider(
         self, at: Location, model: CharacterModel
     ) -> CharacterModel | None:
-        """Return a character that is run into, with the whole path of its file."""
+        """Return a character collider, with its file's full path."""
         path = self.character(at, model)
         if path is None:
             return None
@@ -261,7 +261,7 @@ class EntryReader:
         return model.model_copy(update={"file": str(path)})
 
     def surface(self, at: Location, model: SystemSurfaceModel) -> SystemSurfaceModel:
-        """Return a surface of the scene that an entry names."""
+        """Return the surface of a scene's system that an entry names."""
         self.note_ranges(at, model)
         return model
 
@@ -270,7 +270,7 @@ class EntryReader:
         at: Location,
         model: CharacterModel | CarryingJointModel | CarryingVertexModel,
     ) -> Path | None:
-        """Return the file of a character; the scene's own has that of the scene."""
+        """Return the file of a character; the scene file for its own one."""
         if model.source is (model.file is not None):
             message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
@@ -294,30 +294,30 @@ class EntryReader:
         code: str,
     ) -> Any:
         """Return the record of an entry that names one of a table."""
-        ((name, given),) = entry.items()
+        ((name, values),) = entry.items()
         if name not in table:
             hint = nearest(name, list(table))
             self.note((*at, name), Fault(code, f"no {what} is {name!r}", hint=hint))
             return None
         if table[name] is Mesh:
-            return self._mesh((*at, name), given or {})
+            return self._mesh((*at, name), values or {})
         if table[name] is HeightField:
-            return self._height_field((*at, name), given or {})
-        return self.record((*at, name), table[name], given or {}, name)
+            return self._height_field((*at, name), values or {})
+        return self.record((*at, name), table[name], values or {}, name)
 
     def record(
-        self, at: Location, kind: type[Kind], given: dict[str, Any], name: str
+        self, at: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
-        """Return a record of options, all of which are checked."""
-        made, faults = record_of_options(kind, given, name)
+        """Return a record of options after checking all of them."""
+        record, faults = record_of_options(kind, values, name)
         self.note_all(at, faults)
-        return None if faults else made
+        return None if faults else record
 
-    def _mesh(self, at: Location, given: dict[str, Any]) -> Mesh | None:
-        """Return the mesh whose arrays a file has."""
-        unknown = unknown_options(given, ["points", "triangles", "closed"], "mesh")
+    def _mesh(self, at: Location, values: dict[str, Any]) -> Mesh | None:
+        """Return the mesh of a file's arrays."""
+        unknown = unknown_options(values, ["points", "triangles", "closed"], "mesh")
         self.note_all(at, unknown)
-        closed = given.get("closed", False)
+        closed = values.get("closed", False)
         if not isinstance(closed, bool):
             fault = Fault(
                 "SCN002", f"must be true or false, not {excerpt(repr(closed))}"
@@ -325,7 +325,9 @@ class EntryReader:
             self.note((*at, "closed"), fault)
             return None
         points, triangles = (
-            self._named_array(at, given, key, f"a mesh needs {key}, such as stairs.npz")
+            self._named_array(
+                at, values, key, f"a mesh needs {key}, such as stairs.npz"
+            )
             for key in ("points", "triangles")
         )
         if unknown or points is None or triangles is None:
@@ -333,13 +335,13 @@ class EntryReader:
         points = points * self.units.length
         return Mesh(points, np.asarray(triangles, np.int64), closed)
 
-    def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
-        """Return the mesh of the heights that a file has."""
+    def _height_field(self, at: Location, values: dict[str, Any]) -> Mesh | None:
+        """Return the mesh of a file's heights."""
         what = "a height field needs heights, such as hill.npz"
-        heights = self._named_array(at, given, "heights", what)
+        heights = self._named_array(at, values, "heights", what)
         if heights is not None:
             heights = heights * self.units.length
-        rest = {key: value for key, value in given.items() if key != "heights"}
+        rest = {key: value for key, value in values.items() if key != "heights"}
         field = self.record(at, HeightField, rest, "height_field")
         if heights is None or field is None:
             return None
@@ -350,20 +352,20 @@ class EntryReader:
         return None if faults else field.mesh(heights)
 
     def _named_array(
-        self, at: Location, given: dict[str, Any], key: str, what: str
+        self, at: Location, values: dict[str, Any], key: str, what: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that an option names, which must be given."""
-        text = given.get(key)
+        """Return the array that a required option names."""
+        text = values.get(key)
         if isinstance(text, str):
             return self.array((*at, key), text, key)
-        place = (*at, key) if key in given else at
-        self.note(place, Fault("SCN002", f"{what}#{key}"))
+        at_key = (*at, key) if key in values else at
+        self.note(at_key, Fault("SCN002", f"{what}#{key}"))
         return None
 
     def array(
         self, at: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a reference names; None, and a fault, where none is.
+        """Return the array of a reference; None with a fault if unreadable.
 
         ``default`` is the name of the array where it gives none; None is its key.
         """
@@ -382,25 +384,25 @@ class EntryReader:
         return values if why is None else None
 
     def input(self, at: Location, name: str) -> Path | None:
-        """Return a file to read; None, and a fault, where there is none."""
+        """Return a file to read; None with a fault if it is missing."""
         path = referred_input(self.document, at, name, self.roots)
         self.sound &= path is not None
         return path
 
     def followed(self, at: Location, name: str) -> Path | None:
-        """Return a USD file to read, which the system goes with; None as `input`."""
+        """Return a USD file that the system depends on; None as in `input`."""
         path = self.input(at, name)
         self.files += [] if path is None else [path]
         return path
 
     def output(self, at: Location, name: str) -> None:
-        """Note what keeps a file from being written."""
-        found = referred(self.document, at, name, self.roots, written=True)
-        self.sound &= found is not None
+        """Record the fault of a file that cannot be written."""
+        path = referred(self.document, at, name, self.roots, written=True)
+        self.sound &= path is not None
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
-    """Return why a system can do nothing with an array."""
+    """Return why an array is not usable in a system."""
     if not values.ndim:
         return "is a single number, not a list"
     if np.abs(values).max(initial=0.0) > MAX_NUMBER:

@@ -1,4 +1,4 @@
-"""Clips of a rig as gaits: read, and retargeted where they are of another skeleton."""
+"""Clips as gaits of a rig, retargeted from other skeletons."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from animtool.systems.crowds.gaits import Gaits
 
 @dataclass(frozen=True)
 class GaitsSource:
-    """Files of a rig and of clips for it."""
+    """Files of a rig and its gait clips."""
 
     rig: Path
     clips: tuple[Path, ...]
 
     def __call__(self) -> Gaits:
-        """Return the clips as gaits, y up; files are read once."""
+        """Return the clips as gaits, y up; each file is read once."""
         return self._gaits
 
     @cached_property
@@ -43,9 +43,9 @@ class GaitsSource:
                 none of the clips walks (SIM149).
         """
         rig = at_origin(open_rig(self.rig)[0])
-        turn = up_from_up(UpAxis.Y, rig.up)
-        if turn is not None:
-            rig = rotated_rig(rig, np.array(turn), UpAxis.Y)
+        rotation = up_from_up(UpAxis.Y, rig.up)
+        if rotation is not None:
+            rig = rotated_rig(rig, np.array(rotation), UpAxis.Y)
         return gaits_of(rig, [(path.stem, _on_rig(path, rig)) for path in self.clips])
 
 
@@ -63,12 +63,12 @@ def _on_rig(path: Path, rig: Rig) -> Take:
 
 
 def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:
-    """Return whether another rig has all joints of a rig at the same places."""
+    """Return whether another rig has all joints of a rig at equal positions."""
     if (names.joints < 0).any():
         return False
     off = other.rest_translations[names.joints] - rig.rest_translations
     return bool((abs(off) < SAME).all())
 
 
-# Places of joints that differ by less are those of one rig [m].
+# Joint positions that differ by less are of one rig [m].
 SAME = 1e-4

@@ -1,4 +1,4 @@
-"""How systems of a scene depend on each other."""
+"""Dependencies between the systems of a scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.systems.framework.spec import Member
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return systems by number, those that are simulated as one together.
+    """Return groups of system indices in simulation order.
 
     What others need comes before them; else they stand in the scene's order.
     """
@@ -35,27 +35,29 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     return [groups[k] for k in sorter.static_order()]
 
 
-def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
-    """Return which systems must be there before some that are simulated as one.
+def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
+    """Return the systems that a joined group depends on.
 
     Those that they need, and what these need, each with what it is joined to.
     """
     groups = in_order(systems)
-    wanted = {name for i in group for name, _ in systems[i].setup.around.needs}
-    found: list[int] = []
+    names = {name for i in group for name, _ in systems[i].setup.around.needs}
+    numbers: list[int] = []
     for other in reversed(groups[: groups.index(list(group))]):
-        if any(systems[i].name in wanted for i in other):
-            found += other
-            wanted |= {name for i in other for name, _ in systems[i].setup.around.needs}
-    return sorted(found)
+        if any(systems[i].name in names for i in other):
+            numbers += other
+            names |= {name for i in other for name, _ in systems[i].setup.around.needs}
+    return sorted(numbers)
 
 
-def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> list[int]:
-    """Return some systems, what they are joined to, and what these need."""
-    every, found = in_order(systems), {*wanted}
+def with_dependencies(
+    systems: Sequence[SceneSystem], requested: Sequence[int]
+) -> list[int]:
+    """Return some systems with those they are joined to or depend on."""
+    every, included = in_order(systems), {*requested}
     while True:
-        groups = [group for group in every if not found.isdisjoint(group)]
-        more = {i for group in groups for i in (*group, *needed(systems, group))}
+        groups = [group for group in every if not included.isdisjoint(group)]
+        more = {i for group in groups for i in (*group, *dependencies(systems, group))}
         names = {systems[i].name for i in more}
         # Who pushes one of them moves it.
         more |= {
@@ -63,13 +65,13 @@ def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> lis
             for i, system in enumerate(systems)
             if any(name in names for name, _ in system.setup.around.pushes)
         }
-        if more == found:
-            return sorted(found)
-        found = more
+        if more == included:
+            return sorted(included)
+        included = more
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return systems that are joined together, each group as its first stands.
+    """Return groups of joined systems, ordered by their first member.
 
     Those that the same rigid bodies carry are joined by these.
     """
@@ -92,7 +94,7 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
-    """Note names of systems that there are none of, and joints that cannot be."""
+    """Record unknown system names and invalid joins."""
     sound = len(systems) == len(names)
     for system in systems:
         setup = system.setup
@@ -110,15 +112,15 @@ def check_links(
             _check_joined(document, [systems[i] for i in group])
 
 
-def check_met(
+def check_colliders(
     document: Document,
     passes: Sequence[ScenePass],
     systems: Sequence[SceneSystem],
     names: Sequence[str],
 ) -> None:
-    """Note what passes name that cannot be run into (SIM183, SIM184, SCN063)."""
+    """Record unknown colliders that passes name (SIM183, SIM184, SCN063)."""
     for entry in passes:
-        at = location_of(entry.place.where)
+        at = location_of(entry.location.where)
         for i, one in enumerate(getattr(entry.options, "characters", ())):
             if one.source:
                 message = (
@@ -130,10 +132,10 @@ def check_met(
         for i, one in enumerate(getattr(entry.options, "systems", ())):
             if not isinstance(one, SystemSurfaceModel):
                 continue
-            place = (*at, "systems", i)
+            at_key = (*at, "systems", i)
             _check_name(
                 document,
-                (*place, "system"),
+                (*at_key, "system"),
                 one.system,
                 None,
                 systems,
@@ -143,7 +145,7 @@ def check_met(
             if one.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
-                document.add("SIM184", (*place, "two_way"), message, hint)
+                document.add("SIM184", (*at_key, "two_way"), message, hint)
 
 
 def _check_body(
@@ -154,7 +156,7 @@ def _check_body(
     body: str,
     where: str,
 ) -> bool:
-    """Note a body that a rigid system has not (SIM162); builds know all of stages."""
+    """Record a body that a rigid system lacks (SIM162); stages are checked later."""
     specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
     if not specs or specs[0].stages:
         return True
@@ -168,19 +170,19 @@ def _check_body(
 
 
 def member_of(system: SceneSystem) -> Member:
-    """Return an entry as a build sees it."""
+    """Return an entry in the form that a build takes."""
     setup = system.setup
     return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
 
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
-    """Note what keeps systems that are joined from being one."""
+    """Record faults of systems that cannot be joined."""
     members = [member_of(system) for system in systems]
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):
-            place = (*system.setup.at, *location_of(fault.where or ""))
-            document.add(fault.code, place, fault.message, fault.hint)
+            at_key = (*system.setup.at, *location_of(fault.where or ""))
+            document.add(fault.code, at_key, fault.message, fault.hint)
     meets = any(system.setup.around.anything for system in systems)
     first: dict[str, tuple[str, Any]] = {}
     for system in systems:
@@ -194,7 +196,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
 
 
 def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
-    """Note the first system that runs into another which runs into it."""
+    """Record the first cycle of systems that collide with each other."""
     try:
         in_order(systems)
     except CycleError as error:
@@ -212,11 +214,11 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
 
 
 def check_names(
-    document: Document, at: Location, wanted: Sequence[str], names: Sequence[str]
+    document: Document, at: Location, requested: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Note names of systems for an output that there are none of."""
+    """Record unknown system names of an output."""
     known = sorted({*names})
-    for i, name in enumerate(wanted):
+    for i, name in enumerate(requested):
         if name not in names:
             hint = nearest(name, known) or f"the scene has {listed(known)}"
             hint = hint if known else "the scene has no systems"
@@ -233,20 +235,20 @@ def _check_name(
     names: Sequence[str],
     having: str,
 ) -> bool:
-    """Note a name that is none of another system that can serve."""
-    own = None if system is None else system.name
+    """Record a name that is not another suitable system."""
+    self_name = None if system is None else system.name
     named = [other for other in systems if other.name == name]
     message, hint = "", None
     if name not in names:
-        others = sorted({*names} - {own})
+        others = sorted({*names} - {self_name})
         message = f"unknown system {name!r}"
         hint = nearest(name, others) or f"the scene has {listed(others)}"
-        none = "there is no other" if own else "the scene has no systems"
+        none = "there is no other" if self_name else "the scene has no systems"
         hint = hint if others else none
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a unique name"
-    elif name == own:
+    elif name == self_name:
         message = f"{name!r} is the system itself"
     elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):
         kinds = [kind for kind, it in SYSTEM_KINDS.items() if getattr(it, having)]

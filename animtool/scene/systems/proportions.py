@@ -1,4 +1,4 @@
-"""Systems that do not fit the characters beside them: far off, or far too large."""
+"""Systems that do not fit their characters: far away, or out of scale."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def misplaced(
     characters: CharacterMotions,
     main_rig: Rig | None = None,
 ) -> list[Fault]:
-    """Return warnings of systems that do not fit the characters that they go with.
+    """Return warnings of systems that do not fit their characters.
 
     Pins that begin beyond the size of their character (SIM168), as far as the nearest
     of their particles is, at 0 s; else systems that are far off or large, and would fit
@@ -51,25 +51,25 @@ def misplaced(
     faults = []
     for system in systems:
         counted = system.unit or LengthUnit.M
-        found: list[Fault] = []
+        warnings: list[Fault] = []
         for pinned in getattr(system.setup.record, "pinned", ()):
             if not isinstance(pinned.carrier, OnJoint | OnVertex):
                 continue
             path = pinned.carrier.file
             if path not in first.by_path:
                 first.by_path[path] = _first_frame(characters.of(path))
-            found += _faults(pinned, first, counted)
+            warnings += _faults(pinned, first, counted)
         rigs = [characters.of(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
         scaled = (_out_of_scale(system, rig, counted) for rig in rigs)
-        if not found:
-            found += next(filter(None, map(list, scaled)), [])
-        faults += [system.place.put(fault) for fault in found]
+        if not warnings:
+            warnings += next(filter(None, map(list, scaled)), [])
+        faults += [system.location.locate(fault) for fault in warnings]
     return faults
 
 
 def _characters(system: SceneSystem) -> list[Path]:
-    """Return the files of the characters that a system goes with."""
+    """Return the files of the characters that a system depends on."""
     files = [Path(str(one.file)) for one in system.setup.around.characters]
     pins = getattr(system.setup.record, "pinned", ())
     carriers = [pinned.carrier for pinned in pins]
@@ -80,16 +80,16 @@ def _characters(system: SceneSystem) -> list[Path]:
 def _out_of_scale(
     system: SceneSystem, rig: Rig, counted: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of a system that fits a character in the rig's unit alone."""
+    """Yield the warning of a system that fits a character only in the rig's unit."""
     points = _points(system)
     tall, size = _sizes(rig)
     scale = rig.meters_per_unit / counted.meters
     if not size or not len(points) or np.isclose(scale, 1.0):
         return
     around = rest_world(rig).positions[0]
-    turn = up_from_up(UpAxis.Y, rig.up)
-    if turn is not None:
-        around = so3.rotate(turn, around)
+    rotation = up_from_up(UpAxis.Y, rig.up)
+    if rotation is not None:
+        around = so3.rotate(rotation, around)
     away, length = _gap(points, around), float(np.ptp(points, axis=0).max())
     fits = _gap(points * scale, around) <= NEAR * size
     if not fits or length * scale > FITTING * size:
@@ -111,27 +111,27 @@ def _out_of_scale(
 
 
 def _points(system: SceneSystem) -> FloatArray:
-    """Return where a system is at 0 s, as far as its entry says it ``(N, 3)`` [m]."""
+    """Return the stated positions of a system at 0 s ``(N, 3)`` [m]."""
     positions: FloatArray | None = getattr(system.setup.record, "positions", None)
     if positions is not None:
         return positions
     spec = system.setup.spec
-    places = [
+    corners = [
         entry.at
         for key in type(spec).model_fields.keys() - {*AROUND}
         if isinstance(entries := getattr(spec, key), list)
         for entry in entries
         if isinstance(entry, PlacedModel) and "at" in entry.model_fields_set
     ]
-    return np.array(places, np.float64).reshape(-1, 3)
+    return np.array(corners, np.float64).reshape(-1, 3)
 
 
 def _gap(points: FloatArray, others: FloatArray) -> float:
     """Return the distance between the bounds of two sets of points [m]."""
-    apart = np.maximum(
+    gaps = np.maximum(
         points.min(axis=0) - others.max(axis=0), others.min(axis=0) - points.max(axis=0)
     )
-    return float(np.linalg.norm(np.maximum(apart, 0.0)))
+    return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def _first_frame(character: CharacterMotion) -> CharacterMotion:
@@ -147,7 +147,7 @@ def _first_frame(character: CharacterMotion) -> CharacterMotion:
 def _faults(
     pinned: PinnedPoints, characters: CharacterMotions, counted: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of what is pinned, if it is far from what carries it.
+    """Yield the warning of a pin that is far from its carrier.
 
     counted: what lengths of the system count.
     """
@@ -176,7 +176,7 @@ def _faults(
 
 
 def _counting_as(unit: str) -> str:
-    """Return how a scene counts in a unit; empty of one that it cannot name."""
+    """Return how to state a unit in a scene; empty if it has no name."""
     if unit not in {one.value for one in LengthUnit}:
         return ""
     return f"units: {{length: {unit}}} in the scene uses the rig's unit"

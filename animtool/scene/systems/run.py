@@ -1,4 +1,4 @@
-"""Systems of a scene taken through the frames, those that tear looked at first."""
+"""A run of systems through the frames, after a tear pre-pass."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from animtool.core.quantities import plain
 from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.prims import MeshReport
-from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import (
     SystemProgress,
     located_systems,
@@ -38,12 +38,12 @@ from animtool.usd.props.simulated import SimulatedJob
 
 def last_states(
     systems: Sequence[SceneSystem],
-    wanted: Sequence[int],
+    requested: Sequence[int],
     times: Sequence[float],
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
     progress: Progress = None,
 ) -> Mapping[int, Any]:
-    """Return the states that some systems end in, by number.
+    """Return the final states of some systems, by index.
 
     A mesh that parts has all its points from the first frame on, so that it keeps its
     topology: what will tear must be known before anything is written. Systems that
@@ -51,16 +51,18 @@ def last_states(
 
     ``times`` [s].
     """
-    numbers = simulated_with(systems, wanted)
-    opened = open_systems([systems[i] for i in numbers], times[-1], own)
-    found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
+    numbers = with_dependencies(systems, requested)
+    opened = open_systems([systems[i] for i in numbers], times[-1], character)
+    final_runs = {
+        i: one for i, one in zip(numbers, opened, strict=True) if i in requested
+    }
     for k, t in enumerate(times):
-        for i, one in found.items():
+        for i, one in final_runs.items():
             with located_systems([systems[i]]):
                 one.run.reach(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: one.run.state.state for i, one in found.items()}
+    return {i: one.run.state.state for i, one in final_runs.items()}
 
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
@@ -73,7 +75,7 @@ LIKELY = 9.0
 
 
 class SystemRun:
-    """Systems under way.
+    """A run of systems.
 
     Attributes:
         systems: What is simulated.
@@ -87,21 +89,21 @@ class SystemRun:
         self,
         systems: Sequence[SceneSystem],
         last: float,
-        own: CharacterMotion | None = None,
+        character: CharacterMotion | None = None,
         progress: Progress = None,
         main_rig: Rig | None = None,
     ) -> None:
-        """Begin: ``last`` [s]; ``main_rig`` is the rig of the scene's own character."""
+        """Build the systems: ``last`` [s]; ``main_rig`` is the scene's rig."""
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
         self.stopped: ToleranceError | None = None
         self.done = 0
-        self._own = own
-        self._phases: Phases | None = None
+        self._character = character
+        self._phases: ProgressPhases | None = None
         self._frames: Progress = None
-        # Of systems whose states are to be saved the time codes, and what was kept.
+        # Time codes and states of systems whose states are saved.
         self._saving: dict[int, float | None] = {
             i: system.setup.spec.save_at
             for i, system in enumerate(systems)
@@ -111,32 +113,32 @@ class SystemRun:
         self._warnings: list[Fault] = []
         if progress is not None:
             progress(0.0)
-            self._phases = Phases(progress)
+            self._phases = ProgressPhases(progress)
         self._open: list[EntryRun] = open_systems(
-            systems, last, own, self._shown(last), self._warnings, main_rig
+            systems, last, character, self._shown(last), self._warnings, main_rig
         )
 
     def _shown(self, last: float) -> SystemProgress | None:
-        """Return where systems tell how far they are."""
+        """Return the progress callbacks of the systems."""
         if self._phases is None:
             return None
 
-        def tell(share: float) -> None:
-            # While the first frame is made: a pre-roll, or what others look back to.
+        def tell(fraction: float) -> None:
+            # Before the first frame is done: a pre-roll, or history for others.
             if self._frames is not None:
-                self._frames(share)
+                self._frames(fraction)
 
         return SystemProgress(self._phases, TimeProgress(tell, last))
 
     @property
     def notices(self) -> list[Fault]:
-        """What is odd so far, each at the place of its system."""
-        alike = named_alike([self.systems[i] for i in self.written])
+        """Warnings collected so far, each located at its system."""
+        duplicates = duplicate_prims([self.systems[i] for i in self.written])
         return (
-            alike
+            duplicates
             + self._warnings
             + [
-                system.place.put(notice)
+                system.location.locate(notice)
                 for system, opened in zip(self.systems, self._open, strict=True)
                 for notice in opened.notices
             ]
@@ -144,7 +146,7 @@ class SystemRun:
 
     @property
     def simulated(self) -> list[dict[str, object]]:
-        """What became of each that has something to say, as plain values."""
+        """Reports of the systems as plain values."""
         return [said for opened in self._open if (said := opened.report())]
 
     def rows(
@@ -155,14 +157,14 @@ class SystemRun:
         *,
         keep_stopped: bool = False,
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system that is written is then.
+        """Yield every time code with the frames of the written systems.
 
         With ``keep_stopped`` they end before the first frame that a system does not
         reach, unless that is the first of all.
         """
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
-        self._see_ahead(times)
+        self._run_tear_pre_pass(times)
         show = None if self._phases is None else self._phases.last()
         self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
@@ -185,7 +187,7 @@ class SystemRun:
     def _check_resumed(
         self, codes: Sequence[Fraction], times: Sequence[float], fps: Fraction
     ) -> None:
-        """Refuse frames before the state that a system goes on from (SIM035)."""
+        """Refuse frames before the state that a system resumes (SIM035)."""
         faults = []
         for system, opened in zip(self.systems, self._open, strict=True):
             run = opened.run
@@ -197,60 +199,61 @@ class SystemRun:
                 message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)
-                faults.append(system.place.fault("SIM035", message, hint))
+                faults.append(system.location.fault("SIM035", message, hint))
         if faults:
             raise FormatError(faults)
 
     def _note_kept(self) -> None:
-        """Note states that were to be saved of frames that there are not (SIM185)."""
+        """Warn of states to save at frames outside the range (SIM185)."""
         for i, at in self._saving.items():
             code = self._kept[i][0] if i in self._kept else None
             if at is not None and code != at:
                 saved = "nothing" if code is None else f"the state of frame {code:g}"
                 message = f"save_at is {at:g}, which is not a frame: {saved} is saved"
-                place = self.systems[i].place
+                location = self.systems[i].location
                 hint = "use one of the frames that are written"
-                fault = place.fault("SIM185", message, hint, Severity.WARNING)
+                fault = location.fault("SIM185", message, hint, Severity.WARNING)
                 self._warnings.append(fault)
 
-    def _see_ahead(self, times: Sequence[float]) -> None:
-        """Let systems whose frames need to know how they end see that."""
+    def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
+        """Give their final states to systems that need them in advance."""
         runs = {i: self._open[i].run for i in self.written}
-        ahead = {
+        predicted = {
             i: run
             for i, run in runs.items()
-            if isinstance(run.simulation, NeedsFinalState) and run.simulation.ahead
+            if isinstance(run.simulation, NeedsFinalState)
+            and run.simulation.needs_final_state
         }
-        if not ahead:
+        if not predicted:
             return
         began = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
-        last = last_states(self.systems, list(ahead), times, self._own, phase)
-        for i, run in ahead.items():
-            run.simulation.see(last[i])
-        self.seconds[min(ahead)] += time.perf_counter() - began
+        last = last_states(self.systems, list(predicted), times, self._character, phase)
+        for i, run in predicted.items():
+            run.simulation.set_final_state(last[i])
+        self.seconds[min(predicted)] += time.perf_counter() - began
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
-        """Return the faults of a system that stopped, the last with the frame."""
+        """Return the faults of a stopped system, the last with the frame."""
         *others, last = error.faults
         message = last.message + f", before frame {float(code):g}"
         hints = [last.hint] if last.hint else []
         for system in self.systems if last.code == "SIM102" else ():
-            if last.where is not None and last.where.startswith(system.place.where):
+            if last.where is not None and last.where.startswith(system.location.where):
                 hints += _unlikely(system)
         return [*others, replace(last, message=message, hint=", ".join(hints) or None)]
 
     def _keep(self, code: Fraction) -> None:
-        """Keep the states that are to be saved at a time code."""
+        """Keep the states that are saved at a time code."""
         for i in self._saving:
-            # Who is pushed takes who pushes it along: all end at the same time.
+            # Coupled systems stop together: all end at the same time.
             self._open[i].run.receive()
         for i, at in self._saving.items():
             if at is None or code <= at:
                 self._kept[i] = float(code), self._open[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
-        """Write the states that systems are to save, into the folder of their scene.
+        """Write the states to save, into the folder of the scene.
 
         Raises:
             OutputError: One cannot be written.
@@ -269,34 +272,34 @@ class SystemRun:
         return row
 
     def note(self, written: Sequence[CachedMesh]) -> None:
-        """Add what is odd about prims to the notices, each at its system."""
+        """Add the notices of prims, each located at its system."""
         self._warnings += [
-            self.systems[i].place.put(notice)
-            for i, found in zip(self.written, written, strict=True)
-            for notice in found.notices
+            self.systems[i].location.locate(notice)
+            for i, prim in zip(self.written, written, strict=True)
+            for notice in prim.notices
         ]
 
     def reports(self, written: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
-        """Return what became of each that is written, of a file."""
+        """Return the report of each written system."""
         return [
             MeshReport(
                 self.systems[i].name,
-                found,
+                prim,
                 self.seconds[i],
-                found.samples,
+                prim.samples,
                 self.systems[i].kind,
                 True,
                 scene,
             )
-            for i, found in zip(self.written, written, strict=True)
+            for i, prim in zip(self.written, written, strict=True)
         ]
 
 
 def _unlikely(system: SceneSystem) -> list[str]:
-    """Return a hint at the number of a system that is farthest from those of scenes."""
-    given = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
-    found = [*_sizes(given, ""), *_sizes(system.setup.parts, "")]
-    far = [(abs(math.log10(size)), name, size) for name, size in found if size > 0]
+    """Return a hint at the number of a system that is most unusual."""
+    values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
+    sizes = [*_sizes(values, ""), *_sizes(system.setup.parts, "")]
+    far = [(abs(math.log10(size)), name, size) for name, size in sizes if size > 0]
     most, name, size = max(far, default=(0.0, "", 0.0))
     return [f"check the unit of {name}: {size:g}"] if most > LIKELY else []
 
@@ -321,7 +324,7 @@ def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
 
 
 def _step_end(frame: float, length: float, fps: Fraction) -> str:
-    """Return why a state is of no whole frame; empty where it is of one."""
+    """Return why a state is between frames; empty if it is on one."""
     if abs(frame - round(frame)) < 1e-6 or length * float(fps) > 1:
         return ""
     return (
@@ -331,7 +334,7 @@ def _step_end(frame: float, length: float, fps: Fraction) -> str:
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
-    """Refuse systems that would take hours, by their steps (SCN091)."""
+    """Refuse systems whose steps would take hours (SCN091)."""
     faults = []
     for system in systems:
         step = system.setup.facts.step or LONGEST_STEP
@@ -340,7 +343,7 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
             message = f"{plain(seconds)} s in steps of {plain(step)} s are "
             message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
-            faults.append(system.place.fault("SCN091", message, hint))
+            faults.append(system.location.fault("SCN091", message, hint))
     if faults:
         raise FormatError(faults)
 
@@ -352,27 +355,29 @@ def system_job(
     meters_per_unit: float,
     up: UpAxis,
 ) -> SimulatedJob:
-    """Return what is to be written of systems: ``meters_per_unit`` [m]."""
-    turn = up_from_up(up, UpAxis.Y)
+    """Return the writer's job for systems: ``meters_per_unit`` [m]."""
+    rotation = up_from_up(up, UpAxis.Y)
     written = [system for system in systems if system.written]
     return SimulatedJob(
         model,
         _prim_names(written),
         metadata,
         meters_per_unit,
-        None if turn is None else np.array(turn),
+        None if rotation is None else np.array(rotation),
     )
 
 
-def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return a warning for every system whose prim another's name has (SCN090)."""
+def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
+    """Return a warning for each system whose prim name is taken (SCN090)."""
     said = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
         if prim != legal_name(system.name):
             message = f"another system is already named {excerpt(system.name)}: its "
             message += f"prim is {excerpt(prim)}"
             hint = "give each a unique name"
-            said.append(system.place.fault("SCN090", message, hint, Severity.WARNING))
+            said.append(
+                system.location.fault("SCN090", message, hint, Severity.WARNING)
+            )
     return said
 
 

@@ -18,10 +18,10 @@ from animtool.motion.take import Take
 from animtool.scene.bake.progress import Progress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
-from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.framework.run import EntryRun
-from animtool.systems.springs.drawing import Curves
+from animtool.systems.springs.drawing import CurveShape
 from animtool.systems.springs.pins import numbered
 from animtool.systems.springs.view import SpringView
 
@@ -43,24 +43,24 @@ def segments_of(
     ``lead`` [s].
     """
     index = _index(systems, name)
-    numbers = simulated_with(systems, [index])
-    own = motion_of(path, take)
-    times = own.times + lead
+    numbers = with_dependencies(systems, [index])
+    character = motion_of(path, take)
+    times = character.times + lead
     opened = open_systems(
-        [systems[i] for i in numbers], float(times[-1]), replace(own, times=times)
+        [systems[i] for i in numbers], float(times[-1]), replace(character, times=times)
     )
     running = opened[numbers.index(index)]
-    found = _particles(_view(running, name), name, particle)
+    particles = _particles(_view(running, name), name, particle)
     rows = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
             state, _ = running.run.reach(t)
-        rows.append(state.motion[0, found])
+        rows.append(state.motion[0, particles])
         if progress is not None:
             progress((k + 1) / len(times))
     ends = np.array(rows)
-    turn = up_from_up(take.rig.up, UpAxis.Y)
-    return ends if turn is None else so3.rotate(np.array(turn), ends)
+    rotation = up_from_up(take.rig.up, UpAxis.Y)
+    return ends if rotation is None else so3.rotate(np.array(rotation), ends)
 
 
 def _index(systems: Sequence[SceneSystem], name: str) -> int:
@@ -77,9 +77,9 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
 
 
 def _view(opened: EntryRun, name: str) -> SpringView:
-    """Return what a rope or strands show."""
+    """Return the rows of a rope or strand that are shown."""
     view = opened.simulation
-    if isinstance(view, SpringView) and isinstance(view.body.shape, Curves):
+    if isinstance(view, SpringView) and isinstance(view.body.shape, CurveShape):
         return view
     message = f"{name!r} has no segments to attach to"
     hint = "use a rope or strands"
@@ -87,17 +87,17 @@ def _view(opened: EntryRun, name: str) -> SpringView:
 
 
 def _particles(view: SpringView, name: str, particle: str) -> IntArray:
-    """Return the particle before one, and it, as numbers of the run ``(2,)``."""
+    """Return the rows of a particle and of the one before it ``(2,)``."""
     body = view.body
     number = particle.strip().removeprefix("-").isdecimal()
-    found, faults = numbered([int(particle) if number else particle], body)
-    if faults or len(found) != 1:
-        message = f"{name!r} has {len(found)} particles {particle!r}, not one"
+    particles, faults = numbered([int(particle) if number else particle], body)
+    if faults or len(particles) != 1:
+        message = f"{name!r} has {len(particles)} particles {particle!r}, not one"
         if faults:
             message = f"{name!r} has no particle {particle!r}"
-        hint = f"write one of {', '.join(body.places)}, or a number"
+        hint = f"write one of {', '.join(body.regions)}, or a number"
         raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
-    shape = cast(Curves, body.shape)
+    shape = cast(CurveShape, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])
-    before = found[0] + 1 if found[0] in starts else found[0] - 1
-    return np.asarray(view.rows[[before, found[0]]], np.int64)
+    before = particles[0] + 1 if particles[0] in starts else particles[0] - 1
+    return np.asarray(view.rows[[before, particles[0]]], np.int64)

@@ -1,4 +1,4 @@
-"""What a scene simulates, under way."""
+"""A running simulation of a scene's systems."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.documents.document import Document
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, joined_groups, member_of
@@ -41,15 +41,15 @@ from animtool.systems.framework.tied import OnBody
 
 @dataclass(frozen=True, slots=True)
 class SystemProgress:
-    """Where systems tell how far they are."""
+    """Progress callbacks of systems."""
 
-    phases: Phases  # of what comes before the first frame
+    phases: ProgressPhases  # progress of work before the first frame
     times: TimeProgress  # of the simulation itself
 
 
 @dataclass
 class BuildContext:
-    """What systems ask for while they are built."""
+    """State that systems share while they are built."""
 
     last: float  # the last time that will be asked for [s]
     # Characters in motion, each read once.
@@ -60,24 +60,24 @@ class BuildContext:
     progress: SystemProgress | None = None
 
     def phase(self) -> Progress:
-        """Return what work before the first frame tells its share."""
+        """Return the progress callback of work before the first frame."""
         return None if self.progress is None else self.progress.phases.phase()
 
     def clock(self, begin: float) -> Progress:
-        """Return what a system tells the time that it reached, from its begin on."""
+        """Return the callback by which a system reports its time."""
         return None if self.progress is None else self.progress.times.clock(begin)
 
 
 @contextmanager
 def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
-    """Give faults that have no file the place of systems that are simulated as one.
+    """Attach the location of jointly simulated systems to faults without a file.
 
     That is of the first that has the key that a fault names, else of the first.
     """
 
     def put(fault: Fault) -> Fault:
-        having = (one for one in members if one.place.key_of(fault))
-        return next(having, members[0]).place.put(fault)
+        having = (one for one in members if one.location.key_of(fault))
+        return next(having, members[0]).location.locate(fault)
 
     try:
         yield
@@ -90,7 +90,7 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
 def build_entries(
     members: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return what is simulated as one, each entry at its beginning."""
+    """Return the runs of jointly simulated systems, at their start."""
     run = run_entries(members, context)
     for member in members:
         if member.setup.resume is not None:
@@ -106,14 +106,14 @@ def build_entries(
 
 
 def _resume(run: SimulationRun, member: SceneSystem) -> None:
-    """Go on from the state of a file."""
+    """Resume from a saved state."""
     path = member.setup.resume
     assert path is not None
     with open_states(path) as saved:
         run.state = saved.read("", clocked(member, run), run.state)
     if isinstance(run.simulation, Resumed):
         t = run.time(run.state.steps)
-        why = run.simulation.misfit(run.state.state, t)
+        why = run.simulation.incompatibility(run.state.state, t)
         if why:
             raise OptionError(
                 Fault("SIM035", f"its state does not match: {why}", str(path))
@@ -121,7 +121,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
 
 
 def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
-    """Return which steps lead to states of a system."""
+    """Return the steps between the states of a system."""
     return Clocked(member.kind, run.begin, run.step_length)
 
 
@@ -131,7 +131,7 @@ def run_entries(
     changes: Mapping[str, Any] | None = None,
     budget: int | None = None,
 ) -> SimulationRun:
-    """Return what is simulated as one at its beginning; characters are read now.
+    """Return the runs of joined systems at their start; characters are read now.
 
     ``changes`` are of their spec, by key.
     """
@@ -148,8 +148,8 @@ def run_entries(
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, OnBody):
             return carriers[carrier.system].start(carrier)
-        found: Poses = carrier.poses(context.characters)
-        return found
+        poses_over_time: Poses = carrier.poses(context.characters)
+        return poses_over_time
 
     build = cast(
         Callable[[SystemSpec, SimContext], Simulation[Any]],
@@ -178,17 +178,17 @@ def run_entries(
 def open_systems(
     systems: Sequence[SceneSystem],
     last: float = 0.0,
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
     warnings: list[Fault] | None = None,
     main_rig: Rig | None = None,
 ) -> list[EntryRun]:
-    """Return systems at their beginnings, in their order; the first frame is at 0 s.
+    """Return systems at their start, in order; the first frame is at 0 s.
 
     ``last`` [s]; what is odd about how they begin, and beside a rig, is added to
     ``warnings``.
     """
-    context = BuildContext(last, characters_with(own), progress=progress)
+    context = BuildContext(last, characters_with(character), progress=progress)
     built = build_systems(systems, context)
     if warnings is not None:
         warnings += misplaced(systems, context.characters, main_rig)
@@ -198,13 +198,13 @@ def open_systems(
 def build_systems(
     systems: Sequence[SceneSystem], context: BuildContext
 ) -> list[EntryRun]:
-    """Return systems at their beginnings, and record them in the context by name.
+    """Return systems at their start, and record them in the context by name.
 
     Raises:
         FormatError: What is wrong with any of them; those that need one that is wrong
             are left out.
     """
-    found: dict[int, EntryRun] = {}
+    built: dict[int, EntryRun] = {}
     faults: list[Fault] = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
@@ -213,20 +213,20 @@ def build_systems(
             continue
         try:
             with located_systems(members):
-                made = build_entries(members, context)
+                runs = build_entries(members, context)
         except FormatError as error:
             faults += error.faults
             continue
-        found |= dict(zip(group, made, strict=True))
-        named = zip(members, made, strict=True)
+        built |= dict(zip(group, runs, strict=True))
+        named = zip(members, runs, strict=True)
         context.built |= {member.name: one for member, one in named}
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [one for _, one in sorted(found.items())]
+    return [one for _, one in sorted(built.items())]
 
 
 def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return what building refuses of the systems of a scene with other faults.
+    """Return the faults of building the systems of a scene, with other faults.
 
     Left out are systems with faults, those that need one or are joined with it, and
     those that the scene's own character is for.
@@ -235,7 +235,7 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     if any(where.startswith("units") for where in wrong):
         return []
     sound = [
-        not any(where.startswith(system.place.where) for where in wrong)
+        not any(where.startswith(system.location.where) for where in wrong)
         and document.path not in system.setup.files
         for system in systems
     ]
@@ -252,9 +252,9 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     return []
 
 
-def characters_with(own: CharacterMotion | None) -> CharacterMotions:
-    """Return characters that are read when asked for, that of the scene known."""
+def characters_with(character: CharacterMotion | None) -> CharacterMotions:
+    """Return characters that are read on demand, the scene's own included."""
     characters = CharacterMotions()
-    if own is not None:
-        characters.by_path[own.path] = own
+    if character is not None:
+        characters.by_path[character.path] = character
     return characters

@@ -1,4 +1,4 @@
-"""What an entry says that its system runs into, and this as colliders."""
+"""Colliders of a system, from the keys of its entry."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 from animtool.systems.framework.run import EntryRun
-from animtool.systems.framework.surfaces import Bodies
+from animtool.systems.framework.surfaces import BodyColliders
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
 
 
-# Times of which the points are kept: both ends of a step, and those of a look within.
+# Times whose points are cached: both ends of a step, and one within.
 KEPT = 4
 
 
 def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a file, read with its whole path, as what particles run into.
+    """Return a mesh of a file as a moving sheet, with its full path.
 
     Raises:
         OptionError: There is no such mesh, or it makes no sense (SIM051).
@@ -51,7 +51,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
 
 
 class _Motion:
-    """Points of a mesh over time; before its first sample and after its last it stays.
+    """Points of a mesh over time, clamped to its first and last sample.
 
     Args:
         source: The mesh.
@@ -66,9 +66,9 @@ class _Motion:
         span = source.span or (0.0, 0.0)
         self._first, self._last = span
         self._start = self._first if frame is None else frame
-        still = source.at(None if source.span is None else self._first)
-        self._count = len(still.points)
-        self._faces = triangulated(still.counts, still.indices)
+        first = source.at(None if source.span is None else self._first)
+        self._count = len(first.points)
+        self._faces = triangulated(first.counts, first.indices)
         self._at = lru_cache(KEPT)(self._points)
 
     def points(self, t: float) -> FloatArray:
@@ -77,23 +77,23 @@ class _Motion:
         return self._at(min(max(code, self._first), self._last))
 
     def _points(self, code: float) -> FloatArray:
-        found = self._source.at(None if self._source.span is None else code).points
-        if len(found) != self._count:
-            message = f"it has {len(found)} points at {code:g}, but had {self._count}"
+        points = self._source.at(None if self._source.span is None else code).points
+        if len(points) != self._count:
+            message = f"it has {len(points)} points at {code:g}, but had {self._count}"
             refuse("SIM051", message)
-        return found
+        return points
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return corners of its triangles ``(T, 3)``: always the same."""
+        """Return the corners of its triangles ``(T, 3)``."""
         return self._faces
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Drop data before a time, which will not be sampled again [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Shapes, characters, surfaces of the scene and meshes of files.
+    """Colliders of a system: shapes, characters, surfaces and meshes of files.
 
     Characters and meshes are as their file has them, but for the whole path.
     """
@@ -109,7 +109,7 @@ class Surroundings:
 
     @staticmethod
     def of(every: Sequence[Surroundings]) -> Surroundings:
-        """Return what entries run into that are simulated as one."""
+        """Return the colliders of jointly simulated entries."""
         (first, *more) = every
         return replace(
             first,
@@ -121,19 +121,19 @@ class Surroundings:
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that are run into, or carry it, and where they are named."""
+        """Systems that it collides with or that carry it, and their locations."""
         return (*((one.system, at) for one, at in self._named("system")), *self._ties)
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
-        """Those whose bodies are pushed or pulled, and where that is said."""
+        """Systems whose bodies it pushes or pulls, and their locations."""
         named = self._named("two_way")
         pushed = ((one.system, at) for one, at in named if one.two_way)
         return (*pushed, *self._ties)
 
     @property
     def _ties(self) -> tuple[tuple[str, Location], ...]:
-        """Rigid systems that carry particles, and where they are named."""
+        """Rigid systems that carry its particles, and their locations."""
         return tuple(
             (name, (*self.at, *location_of(where)[:-1], "system"))
             for name, _, where in self.tied
@@ -141,17 +141,17 @@ class Surroundings:
 
     @property
     def carriers(self) -> list[str]:
-        """Names of the rigid systems that carry particles, each once."""
+        """Distinct names of the rigid systems that carry its particles."""
         return list(dict.fromkeys(name for name, *_ in self.tied))
 
     def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
-        """Yield systems that are run into, each with the place of a key of it."""
+        """Yield the systems it collides with, each with the location of a key."""
         for i, one in enumerate(self.systems):
             yield one, (*self.at, "systems", i, key)
 
     @property
     def reads(self) -> list[str]:
-        """What they are, in words."""
+        """Text of all colliders."""
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
@@ -163,28 +163,28 @@ class Surroundings:
 
     @property
     def met(self) -> list[str]:
-        """Names of systems that are run into."""
+        """Names of the systems that it collides with."""
         return [one.system for one in self.systems]
 
     @property
     def tied_bodies(self) -> list[str]:
-        """Bodies that carry particles, each once, as system.body."""
+        """Distinct bodies that carry particles, as system.body."""
         return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 
     @property
     def anything(self) -> bool:
-        """Whether there is anything to run into."""
+        """Whether there is any collider."""
         return any(getattr(self, name) for name in AROUND)
 
     @property
     def count(self) -> int:
-        """Shapes and meshes; those of characters are not counted."""
+        """Number of shapes and meshes, without those of characters."""
         return len(self.colliders) + len(self.meshes)
 
     def built(
         self, characters: CharacterMotions, opened: Mapping[str, EntryRun]
     ) -> Colliders:
-        """Return all of them; characters are read now.
+        """Return all colliders; characters are read now.
 
         Args:
             characters: Those in motion.
@@ -197,16 +197,20 @@ class Surroundings:
         """
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
-        bodies: list[Bodies] = []
+        bodies: list[BodyColliders] = []
         for one in self.systems:
             other = opened[one.system]
             if other.rigid:
-                own = record_of(Material, one)
-                made = other.bodies(own.restitution, own.friction, two_way=one.two_way)
-                bodies.append(made)
+                material = record_of(Material, one)
+                bodies_of_system = other.bodies(
+                    material.restitution, material.friction, two_way=one.two_way
+                )
+                bodies.append(bodies_of_system)
                 continue
-            seen = other.surface()
-            thick = {"radius": seen.radius, "closed": seen.closed}
-            sheets.append(record_of(Sheet, one, motion=seen, name=one.system, **thick))
+            surface = other.surface()
+            thick = {"radius": surface.radius, "closed": surface.closed}
+            sheets.append(
+                record_of(Sheet, one, motion=surface, name=one.system, **thick)
+            )
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

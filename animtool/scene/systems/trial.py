@@ -1,4 +1,4 @@
-"""Systems simulated in several ways: methods, steps and tolerances."""
+"""Trials of systems with other methods, steps and tolerances."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.plugins import load_object
 from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.links import dependencies, in_order
 from animtool.scene.systems.simulation import (
     BuildContext,
     build_systems,
@@ -22,7 +22,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     run_entries,
 )
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
@@ -56,17 +56,17 @@ MAX_EVALUATIONS = 1000
 def system_trials(
     systems: Sequence[SceneSystem],
     times: FloatArray,
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
-    """Return what can be simulated in several ways, with the systems of each.
+    """Return the trials of systems, with the systems of each.
 
     ``times`` ``(F,)`` [s].
     """
-    last, characters = float(times[-1]), characters_with(own)
-    found = []
+    last, characters = float(times[-1]), characters_with(character)
+    trials = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        others = [systems[i] for i in needed(systems, group)]
+        others = [systems[i] for i in dependencies(systems, group)]
 
         def rebuild(others: Sequence[SceneSystem] = others) -> BuildContext:
             context = BuildContext(last, characters)
@@ -74,8 +74,8 @@ def system_trials(
             return context
 
         with located_systems(members):
-            found.append((members, _trial(members, rebuild, times)))
-    return found
+            trials.append((members, _trial(members, rebuild, times)))
+    return trials
 
 
 def _trial(
@@ -83,9 +83,9 @@ def _trial(
     rebuild: Callable[[], BuildContext],
     times: FloatArray,
 ) -> Trial:
-    """Return what is simulated as one in the way of its file, and in others.
+    """Return the trial of jointly simulated systems.
 
-    ``rebuild`` opens what it needs, each time anew; ``times`` ``(F,)`` [s].
+    ``rebuild`` rebuilds its dependencies for each run; ``times`` ``(F,)`` [s].
     """
     most = 0  # points at once in any run so far
     spec = members[0].setup.spec
@@ -119,7 +119,7 @@ def _trial(
 
 
 def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
-    """Return the keys of a system that ask for a setting."""
+    """Return the keys of a system that select a setting."""
     keys = ", ".join(
         f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"
         for key, value in changes.items()
@@ -128,52 +128,56 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
     return f"{system.kind}: {{{keys}}}"
 
 
-def _trial_settings(spec: SystemSpec, own: str) -> TrialSettings:
-    """Return methods, steps and tolerances about those of a file."""
+def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
+    """Return methods, steps and tolerances around those of a spec."""
     tolerance = getattr(spec, "tolerance", None)
-    usual = TOLERANCE if tolerance is None else tolerance
-    options = {} if _is_fixed(own) else {"tolerance": usual}
+    default = TOLERANCE if tolerance is None else tolerance
+    options = {} if _is_fixed(spec_method) else {"tolerance": default}
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
         tried: list[Setting] = []
-        for method in INTEGRATORS if spec.methods is None else spec.methods or [own]:
+        for method in (
+            INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
+        ):
             if _is_fixed(method):
                 tried += stepwise(method, spec.step)
                 continue
-            longest = spec.step if method == own else LONGER * spec.step
-            values = ladder(usual if method == own else TOLERANCE, TOLERANCES)
+            longest = spec.step if method == spec_method else LONGER * spec.step
+            values = ladder(default if method == spec_method else TOLERANCE, TOLERANCES)
             tried += [Setting.of(method, step=longest, tolerance=v) for v in values]
         return tried
 
     def references() -> list[list[Setting]]:
-        """Return finer and finer steps of the exact method, else of that of the file.
+        """Return ever finer steps of the exact method, else of the spec's.
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
-        exact = spec.exact or own
+        exact = spec.exact or spec_method
         shares = [(exact, 1.0)]
-        if own != exact:
-            shares += [(own, 1.0)] if _is_fixed(own) else []
+        if spec_method != exact:
+            shares += [(spec_method, 1.0)] if _is_fixed(spec_method) else []
         if spec.exact:
             shares.append((exact, MUCH_FINER))
-        return [stepwise(method, share * spec.step, FINER) for method, share in shares]
+        return [
+            stepwise(method, fraction * spec.step, FINER) for method, fraction in shares
+        ]
 
     def changes(setting: Setting) -> dict[str, Any]:
         keys = type(spec).model_fields
         changes: dict[str, Any] = dict(setting.options)
         changes |= {spec.method_key: setting.method} if spec.method_key in keys else {}
         if "tolerance" in keys:
-            stated = tolerance if setting.method == own else None
+            stated = tolerance if setting.method == spec_method else None
             changes.setdefault("tolerance", stated)
         return changes
 
-    chosen = Setting.of(own, step=spec.step, **options)
+    chosen = Setting.of(spec_method, step=spec.step, **options)
     return TrialSettings(chosen, settings, references, changes)
 
 
 def _budget(method: str, most: int, *, other: bool) -> int | None:
-    """Return the most evaluations that a step of a method may take; None is any.
+    """Return the maximum of evaluations in a step of a method; None is unlimited.
 
     ``most`` is how many points there were at once in a run, ``other`` whether the
     method is another than that of the file.
@@ -195,7 +199,7 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
-    """Return what a simulation comes to, at times ``(F,)`` [s]."""
+    """Return the result of a simulation at times ``(F,)`` [s]."""
     began = time.perf_counter()
     shots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
@@ -211,7 +215,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     seconds = time.perf_counter() - began
     last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
     known = [energy for energy in energies if energy is not None]
-    whole = len(known) == len(shots) and _same(shots)
+    complete = len(known) == len(shots) and _same(shots)
     return TrialOutcome(
         seconds,
         run.taken if last.steps is None else last.steps,
@@ -219,25 +223,25 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         status,
         reason,
         last.stable_step() if stable is None else stable,
-        known if whole else None,
+        known if complete else None,
         figures={} if last.stretch is None else {Figure.STRETCH: last.stretch},
     )
 
 
 def _is_fixed(method: str) -> bool:
-    """Return whether a method takes steps of one length; those of a kind's own do."""
+    """Return whether a method takes steps of constant length."""
     known = method in INTEGRATORS
-    return not known or find_integrator(method).control is Control.FIXED
+    return not known or find_integrator(method).control is StepControl.FIXED
 
 
 def _same(shots: Sequence[Snapshot]) -> bool:
-    """Return whether no point comes or goes."""
+    """Return whether the number of points is constant."""
     ids = [shot.ids for shot in shots if shot.ids is not None]
     return all(np.array_equal(each, ids[0]) for each in ids)
 
 
 def _shot(frame: Frame) -> Snapshot:
-    """Return what a table compares of a frame."""
+    """Return the compared points of a frame."""
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)

@@ -1,4 +1,4 @@
-"""Ways to bring a take to targets: tolerances and methods."""
+"""Work-precision trials of IK: tolerances and methods."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ REACH = 0.1
 
 
 def job_trial(job: IkJob) -> Trial:
-    """Return ways to solve a job; nothing is written.
+    """Return the trial of an IK job; nothing is written.
 
     Raises:
         FormatError: A file is malformed.
@@ -47,7 +47,7 @@ def job_trial(job: IkJob) -> Trial:
             context.take,
             context.tracks,
             options,
-            static=context.still,
+            static=context.at_rest,
             only=context.only,
         )
 
@@ -60,7 +60,7 @@ def job_trial(job: IkJob) -> Trial:
 
 
 def pass_trial(take: Take, tracks: TargetTracks, options: TakeOptions) -> Trial:
-    """Return ways to run a pass of a scene that brings a take to targets."""
+    """Return the trial of a scene's IK pass."""
 
     def scene_text(options: TakeOptions) -> list[str]:
         tolerance = f"{options.tolerance * 1000:.3g}mm"
@@ -78,7 +78,7 @@ def solve_trial(
     solve: Callable[[TakeOptions], TakeIk],
     scene_text: Callable[[TakeOptions], list[str]],
 ) -> Trial:
-    """Return ways to solve for targets: tolerances by one method, and each method.
+    """Return the trial of targets: tolerances of one method, and each method.
 
     Points are those of the effectors, where the take asks for them; those of the finest
     solution are what others are compared with. Figures are misses of the targets.
@@ -129,18 +129,18 @@ def _where(solved: TakeIk, shot: int, point: int) -> str:
 
 
 def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
-    """Return the points that are compared: of which goal and joint, and where on it."""
-    found = []
+    """Return the compared points: goal, joint and offset of each."""
+    points = []
     for i, track in enumerate(solved.tracks.goals):
         goal, joint = track.goal, solved.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
         arms = REACH * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
-        found += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
-    return found
+        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
+    return points
 
 
 def _outcome(solved: TakeIk) -> TrialOutcome:
-    """Return where the effectors are, and what they miss."""
+    """Return the positions of the effectors and their errors."""
     take, compared = solved.take, _compared(solved)
     joints = [joint for _, joint, _ in compared]
     offsets = np.array([offset for _, _, offset in compared])

@@ -1,4 +1,4 @@
-"""Ways to make what a scene simulates and solves: methods, steps and tolerances."""
+"""Work-precision trials of a scene's systems, springs and IK passes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.prims import BakePlan
-from animtool.scene.file.entries import Place, ScenePass, SceneSystem
+from animtool.scene.file.entries import EntryLocation, ScenePass, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
@@ -39,12 +39,17 @@ from animtool.sim.trials.trial import (
     Trial,
     TrialOutcome,
 )
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.bodies import (
+    AttachedBody,
+    ChainBody,
+    SurfaceBody,
+    bodies_of,
+)
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
 
 METHOD = "xpbd"
-# Steps over those of the chosen setting: they are mostly more than need be.
+# Factors of steps around the chosen setting, which is mostly finer than needed.
 COARSEST = 8.0
 
 # Frames that are compared, evenly over the range.
@@ -52,7 +57,7 @@ MAX_INSTANTS = 100
 
 
 def simulates(scene: Scene) -> bool:
-    """Return whether there is anything to simulate in a scene."""
+    """Return whether a scene simulates anything."""
     return bool(scene.systems) or any(
         entry.pass_.name == "simulate" for entry in scene.passes
     )
@@ -60,8 +65,8 @@ def simulates(scene: Scene) -> bool:
 
 def simulation_trials(
     scene: Scene, options: BakeOptions | None = None
-) -> list[tuple[Place, Trial]]:
-    """Return ways to simulate what a scene does, and to reach its targets, in order.
+) -> list[tuple[EntryLocation, Trial]]:
+    """Return the trials of a scene's systems and passes, in order.
 
     Args:
         scene: It has systems, or passes that simulate or bring to targets.
@@ -71,16 +76,16 @@ def simulation_trials(
         FormatError: A source is malformed, or a pass cannot be applied to it.
         OptionError: An option makes no sense.
     """
-    trials: list[tuple[Place, Trial]] = []
+    trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
         trials += _pass_trials(scene, MAX_INSTANTS)
     if scene.systems:
-        times, own = _times(scene, options or BakeOptions())
+        times, character = _times(scene, options or BakeOptions())
         picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
         looked = times[picked.astype(np.int64)]
-        for members, trial in system_trials(scene.systems, looked, own):
+        for members, trial in system_trials(scene.systems, looked, character):
             write = partial(_write_systems, scene, members, trial)
-            trials.append((members[0].place, replace(trial, write=write)))
+            trials.append((members[0].location, replace(trial, write=write)))
     return trials
 
 
@@ -91,7 +96,7 @@ def _write_systems(
     setting: Setting,
     output: Path,
 ) -> None:
-    """Write a scene in which some systems have another setting."""
+    """Write a scene with another setting of some systems."""
     assert trial.changes is not None
     changes = dict(trial.changes(setting))
     systems = list(scene.systems)
@@ -105,7 +110,7 @@ def _write_systems(
 def _write_pass(
     scene: Scene, at: int, setting: Setting, output: Path, name: str
 ) -> None:
-    """Write a scene in which an option of a pass is that of a setting."""
+    """Write a scene with another option of a pass."""
     passes = list(scene.passes)
     options = replace(passes[at].options, **{name: setting[name]})
     passes[at] = replace(passes[at], options=options)
@@ -125,21 +130,21 @@ def _write(scene: Scene, output: Path) -> None:
 def _times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
-    """Return when systems are looked at [s], and the character beside them."""
+    """Return the compared times of systems [s], and the scene's character."""
     # Nothing is written: chunks would need a file.
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
     plan = plan_stage(replace(scene, outputs=(plain,)), None, options)
     if plan.takes:
-        own = motion_of(scene.path, plan.takes[0].stream.collect())
-        return _within(own.times, plan), own
+        character = motion_of(scene.path, plan.takes[0].stream.collect())
+        return _within(character.times, plan), character
     (systems,) = plan.prims
     assert isinstance(systems, SystemPrims)
     return np.array([systems.seconds(code) for code in systems.codes]), None
 
 
 def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
-    """Return those of a take's times [s] that are in the range of an output."""
+    """Return a take's times [s] in the range of an output."""
     frame_range = plan.options.frame_range
     if frame_range is None:
         return times
@@ -148,35 +153,35 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     return times[inside] if inside.any() else times
 
 
-def _pass_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
-    """Return what passes of a scene simulate or bring to targets, at their entries.
+def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
+    """Return the trials of a scene's spring and IK passes, with their entries.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
         OptionError: An option does not apply to the source.
     """
-    whole = scene
+    full_scene = scene
     measured = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
-            with entry.place.located():
+            with entry.location.located():
                 asked = asked_of(take, entry.options, scene.path.resolve().parent)
                 trials.append(
-                    (entry.place, pass_trial(*asked, settings_of(entry.options)))
+                    (entry.location, pass_trial(*asked, settings_of(entry.options)))
                 )
         if not _simulates(entry):
             continue
-        with entry.place.located():
+        with entry.location.located():
             bodies = bodies_of(take.rig, entry.options.what)
         for body in bodies:
             options = replace(entry.options, what=(body.name,))
-            own = replace(entry, options=options)
-            trial = _attach_trial(scene, own, take, body, instants)
-            write = partial(_write_pass, whole, at, name="rate")
-            trials.append((entry.place, replace(trial, write=write)))
+            pass_entry = replace(entry, options=options)
+            trial = _attach_trial(scene, pass_entry, take, body, instants)
+            write = partial(_write_pass, full_scene, at, name="rate")
+            trials.append((entry.location, replace(trial, write=write)))
     return trials
 
 
@@ -193,15 +198,15 @@ def _simulates(entry: ScenePass) -> bool:
 
 
 def _attach_trial(
-    scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
+    scene: Scene, entry: ScenePass, take: Take, body: AttachedBody, instants: int
 ) -> Trial:
-    """Return an attachment in the steps of its pass, and in more or fewer."""
+    """Return the trial of a spring attachment, with more and fewer steps."""
     clock = take.clock
     spread = np.linspace(0, clock.count - 1, min(clock.count, instants))
     frames = np.unique(spread.astype(np.int64))
 
     def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
-        """Return what the pass with some options makes of a motion, and its report."""
+        """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed = replace(entry.options, **options)
         done = scene.passed(stream, replace(entry, options=changed))
@@ -215,7 +220,7 @@ def _attach_trial(
 
     def settings(shares: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        steps = [math.ceil(rate / share / frame_rate - 1e-9) for share in shares]
+        steps = [math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in shares]
         counts = dict.fromkeys(steps)
         return [Setting.of(METHOD, rate=count * frame_rate) for count in counts]
 
@@ -248,7 +253,7 @@ def _attach_trial(
 
 
 def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
-    """Return how an attachment was strained, and how deep in what it meets."""
+    """Return the strain of an attachment and its penetration depth."""
     figures = {Figure.STRETCH: float(report["stretch"])}
     if report["kind"] == AttachKind.CLOTH:
         figures[Figure.DEPTH] = float(report["depth"]["value"])
@@ -256,8 +261,8 @@ def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
     return figures
 
 
-def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
-    """Return the points of an attachment that are compared ``(F, N, 3)`` [m]."""
+def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
+    """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
@@ -265,5 +270,5 @@ def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
     shell = attached_points(rig, SHELL)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
-    whole: FloatArray = points.reshape(motion.frames, -1, 3)
-    return whole
+    all_points: FloatArray = points.reshape(motion.frames, -1, 3)
+    return all_points

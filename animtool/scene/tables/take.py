@@ -1,4 +1,4 @@
-"""Ways to write a take: sample rates, samples left out, keys."""
+"""Work-precision trials of a take's output: sample rates, reduction, keys."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ FINE = 8
 MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
-SOURCE = Setting("source", ())  # what the source has, in float64
+SOURCE = Setting("source", ())  # the source in float64
 
 
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
-    """Return ways to write a take in USD, and ways to write it as keys.
+    """Return the trials of a take as USD samples and as keys.
 
     Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
     interpolation included. A clip is compared with its curves between the frames, a
@@ -81,14 +81,14 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     curved = stream.curve is not None and not stream.altered
-    whole = stream.collect()
-    take = _in_range(whole, plan)
+    full_take = stream.collect()
+    take = _in_range(full_take, plan)
     known = _Known.of(take, plan.options.fps or take.clock.rate, curved=curved)
     path = source_file(source)
     beyond = tuple(
         replace(notice, path=notice.path or str(path))
         for notice in take.notices
-        if notice not in whole.notices
+        if notice not in full_take.notices
     )
 
     def opened() -> Source:
@@ -107,7 +107,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:
-    """Return the frames of a take that the output is to have."""
+    """Return the frames of a take that the output has."""
     frames, clock = plan.options.frame_range, take.clock
     if frames is None:
         return take
@@ -121,7 +121,7 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """Where the points of a take are at some instants [s]."""
+    """Reference points of a take at some times [s]."""
 
     rig: Rig
     seconds: FloatArray
@@ -148,26 +148,28 @@ class _Known:
         return _Known(take.rig, frames / float(clock.rate), shots)
 
     def where(self, shot: int, point: int) -> str:
-        """Return the joint that carries a point, and when."""
+        """Return the joint of a point, and the time."""
         each = len(self.shots[shot].points) // max(1, len(self.rig.joints))
         return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
 
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
-    """Return the points that joints carry, for each instant."""
+    """Return the points that joints carry, at each time."""
     attached = attached_points(rig, SHELL)
     return [
         Snapshot(
-            (place[:, None] + np.einsum("jab,jpb->jpa", turn, attached)).reshape(-1, 3)
+            (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(
+                -1, 3
+            )
         )
-        for place, turn in zip(world.positions, world.linear, strict=True)
+        for position, linear in zip(world.positions, world.linear, strict=True)
     ]
 
 
 def _tolerances(rig: Rig) -> list[float]:
     size = rest_size(rig) or 1.0
     scale = 10.0 ** math.floor(math.log10(size))
-    return [float(f"{share * scale:.12g}") for share in TOLERANCES]
+    return [float(f"{fraction * scale:.12g}") for fraction in TOLERANCES]
 
 
 def _samples(
@@ -179,11 +181,11 @@ def _samples(
     *,
     curved: bool,
 ) -> Trial:
-    """Return ways to write a take's samples in USD."""
+    """Return the trial of a take's samples in USD."""
     requested = plan.options
     plain = BakeOptions(source=requested.source, to_up=requested.to_up)
     rate = take.clock.rate if requested.fps is None else requested.fps
-    rates = [rate * share for share in (CURVE_RATES if curved else SAMPLE_RATES)]
+    rates = [rate * fraction for fraction in (CURVE_RATES if curved else SAMPLE_RATES)]
     by_label = {float(one): one for one in rates}
 
     def options_of(setting: Setting) -> BakeOptions:
@@ -235,7 +237,7 @@ def _samples(
 
 
 def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
-    """Return how a scene's output asks for a setting, or a command of another file."""
+    """Return how a scene's output or a command selects a setting."""
     if setting.method == RATE:
         key, value = "fps", str(rates[setting["fps"]])
     else:
@@ -251,7 +253,7 @@ def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -
 
 @dataclass(frozen=True, slots=True)
 class _Baked:
-    """A stage that was written."""
+    """A written stage."""
 
     samples: int
     bytes: int
@@ -267,7 +269,7 @@ def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
 
 
 def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
-    """Return ways to write a take as keys of a clip."""
+    """Return the trial of a take as keys of a clip."""
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
@@ -280,13 +282,13 @@ def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
         where = f"{reduction.joint} at {at:.2f} s"
         return TrialOutcome(seconds, reduction.keys, [], error=error, worst=where)
 
-    usual = parse_length(KEY_TOLERANCE)
-    tolerances = sorted({*_tolerances(take.rig), usual}, reverse=True)
+    default = parse_length(KEY_TOLERANCE)
+    tolerances = sorted({*_tolerances(take.rig), default}, reverse=True)
     return Trial(
         path.name,
         "keys of a clip",
         float(take.clock.duration),
-        Setting.of(KEYS, reduce=usual),
+        Setting.of(KEYS, reduce=default),
         lambda: [Setting.of(KEYS, reduce=each) for each in tolerances],
         lambda: [[SOURCE]],
         run,

@@ -1,4 +1,4 @@
-"""Time against error of what an input can trade, by one runner for all of it."""
+"""Tables of time against error, for everything that an input offers."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from animtool.core.names import is_named
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, source_file
-from animtool.scene.file.entries import Place
+from animtool.scene.file.entries import EntryLocation
 from animtool.scene.file.read import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.solves.ik import IkJob
@@ -30,12 +30,12 @@ SUITE = ("orbits.scene.yaml", "rope.scene.yaml", "reach.scene.yaml", "arm.clip.y
 
 @dataclass(frozen=True, slots=True)
 class Tradeoffs:
-    """What an input can trade, one table for each thing that is made of it.
+    """Tables of an input, one for each result.
 
     Attributes:
         source: The file.
         tables: In the order in which a bake makes them.
-        notices: What is odd about them.
+        notices: Warnings about them.
         budget: The largest error that will do [m]; None asks for none.
     """
 
@@ -49,7 +49,7 @@ class Tradeoffs:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two settings of a table as stages, to be looked at beside each other."""
+    """Two settings of a table as stages, for comparison by eye."""
 
     table: int  # index of the table
     settings: tuple[Setting, Setting]  # the current one, and another
@@ -65,7 +65,7 @@ def measure_tradeoffs(
     folder: Path | None = None,
     progress: Progress = None,
 ) -> Tradeoffs:
-    """Measure time against error of all that an input can trade.
+    """Measure time against error for all results of an input.
 
     That is the integrator, step and tolerance of what a scene simulates, method and
     tolerance of what it brings to targets, and the sample rate, the thinning and the
@@ -95,7 +95,7 @@ def measure_tradeoffs(
 def suite_tradeoffs(
     *, budget: float | None = None, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure animtool's own examples, as `measure_tradeoffs` does its source.
+    """Measure animtool's own examples; see `measure_tradeoffs`.
 
     They are comets by each integrator, a rope by each solver, an arm that reaches by
     each method, and a wave of it as samples and keys: what this machine makes of them.
@@ -105,7 +105,7 @@ def suite_tradeoffs(
     for i, name in enumerate(SUITE):
         path = SUITE_FOLDER / name
         source = load_scene(path) if is_named(path, "scene") else path
-        shown = share_of(progress, i, len(SUITE))
+        shown = part_progress(progress, i, len(SUITE))
         report = measure_tradeoffs(source, budget=budget, progress=shown)
         tables += report.tables
         notices += report.notices
@@ -115,7 +115,7 @@ def suite_tradeoffs(
 def simulation_tradeoffs(
     scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure what a scene simulates and solves, as `measure_tradeoffs` does."""
+    """Measure a scene's simulations and solves; see `measure_tradeoffs`."""
     trials = simulation_trials(scene, options)
     return _measured(scene.path, trials, None, progress)
 
@@ -123,22 +123,22 @@ def simulation_tradeoffs(
 def take_tradeoffs(
     source: Source, options: BakeOptions | None = None, *, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure ways to write the take of a source, as `measure_tradeoffs` does."""
-    trials: list[tuple[Place | None, Trial]] = [
+    """Measure settings of a take's output; see `measure_tradeoffs`."""
+    trials: list[tuple[EntryLocation | None, Trial]] = [
         (None, trial) for trial in take_trials(source, options)
     ]
     return _measured(source_file(source), trials, None, progress)
 
 
 def ik_tradeoffs(job: IkJob, *, progress: Progress = None) -> Tradeoffs:
-    """Measure ways to solve a job, as `measure_tradeoffs` does; nothing is written."""
+    """Measure settings of an IK job; see `measure_tradeoffs`."""
     return _measured(job.targets, [(None, job_trial(job))], None, progress)
 
 
 def _trials(
     source: Source, options: BakeOptions | None
-) -> Sequence[tuple[Place | None, Trial]]:
-    trials: list[tuple[Place | None, Trial]] = []
+) -> Sequence[tuple[EntryLocation | None, Trial]]:
+    trials: list[tuple[EntryLocation | None, Trial]] = []
     if isinstance(source, Scene):
         trials += simulation_trials(source, options)
         if not source.sources or source.outputs[0].bake.deform:
@@ -148,7 +148,7 @@ def _trials(
 
 def _measured(
     path: Path,
-    trials: Sequence[tuple[Place | None, Trial]],
+    trials: Sequence[tuple[EntryLocation | None, Trial]],
     budget: float | None,
     progress: Progress,
 ) -> Tradeoffs:
@@ -157,25 +157,25 @@ def _measured(
         hint = "it has no systems, and no simulate pass with something to move"
         raise OptionError(Fault("SCN071", message, str(path), (), hint))
     tables = []
-    for i, (place, trial) in enumerate(trials):
-        shown = share_of(progress, i, len(trials))
-        if place is None:
+    for i, (location, trial) in enumerate(trials):
+        shown = part_progress(progress, i, len(trials))
+        if location is None:
             tables.append(measure(trial, budget=budget, progress=shown))
             continue
-        with place.located():
+        with location.located():
             table = measure(trial, budget=budget, progress=shown)
-        notices = [place.put(notice) for notice in table.notices]
+        notices = [location.locate(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
     notices = [notice for table in tables for notice in table.notices]
-    return Tradeoffs(path, tables, notices + _beyond(path, tables), budget)
+    return Tradeoffs(path, tables, notices + _over_budget(path, tables), budget)
 
 
 def _pairs(
-    trials: Sequence[tuple[Place | None, Trial]],
+    trials: Sequence[tuple[EntryLocation | None, Trial]],
     tables: Sequence[TrialTable],
     folder: Path,
 ) -> list[Pair]:
-    """Write two settings of each table, where they can be looked at."""
+    """Write two settings of each table as stages."""
     pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
         other = _other(table)
@@ -191,7 +191,7 @@ def _pairs(
 
 
 def _other(table: TrialTable) -> TrialRow | None:
-    """Return what to look at beside the chosen setting; None where there is nothing."""
+    """Return the setting to compare with the chosen one; None without any."""
     better = table.recommended
     if better is not None and not better.chosen:
         return better
@@ -199,8 +199,8 @@ def _other(table: TrialTable) -> TrialRow | None:
     return next(iter([row for row in works if row.best] or works), None)
 
 
-def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
-    """Return a warning for each table in which nothing keeps the budget (SIM176)."""
+def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
+    """Return a warning for each table without a setting in the budget (SIM176)."""
     faults = []
     for table in tables:
         if table.budget is None or table.recommended is not None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.options import Checked, Range, above, described
+from animtool.core.options import Checked, Range, above, inherits_docs
 from animtool.core.record import dataclass
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
@@ -31,7 +31,7 @@ class SheetMotion(Protocol):
         """Release buffered states before a time [s]."""
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet(Material, Checked):
     """A deforming surface and its contact material.

@@ -15,7 +15,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.explicit import RK4, Tableau
-from animtool.sim.integrators.integrator import Control, Integrator, Step
+from animtool.sim.integrators.integrator import Integrator, Step, StepControl
 from animtool.sim.stability import rate_limit
 
 
@@ -30,7 +30,7 @@ def doubled(base: Integrator) -> Integrator:
             (SIM006).
     """
     step = base.step
-    if step is None or base.control is not Control.FIXED or base.multistep:
+    if step is None or base.control is not StepControl.FIXED or base.multistep:
         message = f"{base.name} cannot be the base of adaptive_doubling"
         hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
@@ -55,7 +55,7 @@ def doubled(base: Integrator) -> Integrator:
         name="adaptive_doubling",
         summary="one step and two half steps, until they agree",
         order=base.order + 1,
-        control=Control.ADAPTIVE,
+        control=StepControl.ADAPTIVE,
         step=both,
         limit=rate_limit(growth) if growth else None,
         growth=growth,
@@ -106,14 +106,14 @@ DOP853 = Integrator(
     "dop853",
     "scipy's, adaptive: for smooth motion to many digits",
     order=8,
-    control=Control.SCIPY,
+    control=StepControl.SCIPY,
     solver="scipy.integrate:DOP853",
 )
 LSODA = Integrator(
     "lsoda",
     "scipy's, switches between methods for stiff and non-stiff systems",
     order=5,
-    control=Control.SCIPY,
+    control=StepControl.SCIPY,
     implicit=True,
     solver="scipy.integrate:LSODA",
 )
@@ -121,7 +121,7 @@ RADAU = Integrator(
     "radau",
     "scipy's, implicit, adaptive: for stiff systems",
     order=5,
-    control=Control.SCIPY,
+    control=StepControl.SCIPY,
     implicit=True,
     solver="scipy.integrate:Radau",
 )

@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Control, Form, Integrator, Step
+from animtool.sim.integrators.integrator import Form, Integrator, Step, StepControl
 from animtool.sim.stability import jury_limit, rate_limit
 
 
@@ -58,7 +58,7 @@ class Tableau:
             name,
             summary,
             order=order,
-            control=Control.ADAPTIVE if self.errors else Control.FIXED,
+            control=StepControl.ADAPTIVE if self.errors else StepControl.FIXED,
             step=self.step,
             limit=rate_limit(growth),
             growth=growth,

@@ -24,7 +24,7 @@ class Form(StrEnum):
     ACCELERATIONS = "accelerations"
 
 
-class Control(StrEnum):
+class StepControl(StrEnum):
     """How the step size is chosen.
 
     Attributes:
@@ -88,7 +88,7 @@ class Integrator:
     summary: str
     order: int
     form: Form = Form.RATES
-    control: Control = Control.FIXED
+    control: StepControl = StepControl.FIXED
     step: StepFunction | None = None
     limit: Limit | None = None
     growth: tuple[float, ...] = ()

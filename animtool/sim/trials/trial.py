@@ -179,7 +179,7 @@ class PointDistances:
     # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
     at: tuple[int, int] | None = None  # its snapshot and point; None if empty
-    json_keys: ClassVar[str] = "largest rms median apart angle?"
+    json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
         """Return the distance at a given reach from the points [m]."""
@@ -203,7 +203,8 @@ def distances(truth: Sequence[Snapshot], shots: Sequence[Snapshot]) -> PointDist
 
     Points are compared by their ids.
 
-    >>> here, there = Shot(np.zeros((2, 3))), Shot(np.array([[0, 0, 3.0], [0, 4, 0]]))
+    >>> here = Snapshot(np.zeros((2, 3)))
+    >>> there = Snapshot(np.array([[0, 0, 3.0], [0, 4, 0]]))
     >>> distances([here], [there]).largest
     4.0
     """

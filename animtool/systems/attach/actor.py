@@ -1,4 +1,4 @@
-"""One attachment on its way through a take."""
+"""Simulation of one attachment through a take."""
 
 from __future__ import annotations
 
@@ -16,20 +16,26 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders import Colliders
+from animtool.sim.colliders import Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.attach.bodies import Body
+from animtool.systems.attach.bodies import AttachedBody
+from animtool.systems.attach.layers import ClothMotion, cloth_sheet
 from animtool.systems.attach.network import Network, lost_links, typical_edge
-from animtool.systems.attach.poses import Pose, PosePath, pose_path
-from animtool.systems.attach.settings import Settings
-from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
-from animtool.systems.attach.stepping import State, Stepper, cells_of, steps_per_second
+from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
+from animtool.systems.attach.settings import AttachSettings
+from animtool.systems.attach.skins import SkinContacts, SkinSurface, margin_for
+from animtool.systems.attach.stepping import (
+    AttachState,
+    Stepper,
+    cells_of,
+    steps_per_second,
+)
 from animtool.systems.attach.strands import (
     DEPENETRATION,
     CharacterColliders,
     depth_at_bind,
 )
-from animtool.systems.framework.meter import ContactMeter, Sides, Solid
+from animtool.systems.framework.meter import ClosedSurface, ContactMeter, Sides
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.contacts import Cells
 
@@ -41,23 +47,23 @@ def upwards(rig: Rig) -> FloatArray:
 
 @dataclass
 class PosePaths:
-    """A character over one frame, worked out once for each number of steps."""
+    """Character poses within one frame, cached by number of steps."""
 
     rig: Rig  # the character
-    before: Pose  # its pose at the begin
-    after: Pose  # its pose at the end
-    skins: Sequence[Skin] = ()  # what of it is met
+    before: LocalPose  # pose at the begin
+    after: LocalPose  # pose at the end
+    skins: Sequence[SkinSurface] = ()  # its collision meshes
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
-        """Return the character at the begin, and at the end of each step."""
+        """Return the poses at the begin and at the end of each step."""
         if steps not in self._by_steps:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
     def skin_points(self, steps: int) -> list[FloatArray]:
-        """Return the points of each skin at the same times ``(K, P, 3)`` [m]."""
+        """Return points of each skin at these times ``(K, P, 3)`` [m]."""
         if steps not in self._skin_points:
             path = self.of(steps)
             self._skin_points[steps] = [skin.points(path) for skin in self.skins]
@@ -65,26 +71,30 @@ class PosePaths:
 
 
 class Actor:
-    """Carries one attachment from frame to frame."""
+    """Simulates one attachment frame by frame."""
 
     def __init__(
         self,
         rig: Rig,
-        body: Body,
-        settings: Settings,
+        body: AttachedBody,
+        settings: AttachSettings,
         span: float,
-        pose: Pose,
-        skins: Sequence[Skin] = (),
+        pose: LocalPose,
+        skins: Sequence[SkinSurface] = (),
         world: Colliders | None = None,
+        layers: Sequence[Sheet] = (),
     ) -> None:
-        """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
+        """Start at rest in a pose, at its scale; a frame lasts ``span`` [s].
+
+        ``layers`` is cloth that was simulated before.
+        """
         self.body, self.settings = body, settings
         self._rig = rig
         first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
-        self._cells, self._substeps = cells_of(max(1, wanted))
+        needed = math.ceil(steps_per_second(network, settings) * span - 1e-9)
+        self._cells, self._substeps = cells_of(max(1, needed))
         self.steps = self._cells * self._substeps
         self.jumps = 0
         self.seconds = 0.0
@@ -94,18 +104,18 @@ class Actor:
         self.meter = ContactMeter()
         self._sides = _sides(network)
         if not self._stepper.thickness and not skins:
-            # It may go through itself, and there is no other surface.
+            # Without self-contact and skins there is no piercing to count.
             self._sides = replace(self._sides, triangles=network.triangles[:0])
-        self._solids: list[Solid] = []  # skins as the last frame ended
+        self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
-            [] if network.strands else list(skins),
+            list(skins),
             settings.options.friction,
             margin_for(typical_edge(network), settings.radius),
             DEPENETRATION,
         )
         capsules = Capsules.of(rig) if settings.options.capsules else Capsules.none()
         if self._skins:
-            # What has a skin is met by that.
+            # Joints with a skin collide with that instead of their capsules.
             covered = np.any([skin.joints for skin in skins], axis=0)
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
@@ -118,7 +128,9 @@ class Actor:
             settings.radius,
             settings.options.friction,
             world,
+            layers,
         )
+        self._layers = [one.motion for one in layers]
         self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (
@@ -126,15 +138,34 @@ class Actor:
             if self._stepper.thickness
             else []
         )
-        self.state = State(self.target, np.zeros_like(self.target))
+        self.state = AttachState(self.target, np.zeros_like(self.target))
+        # Cloth with self-contact, as a collider of attachments that come later.
+        self.sheet: Sheet | None = None
+        if self._stepper.thickness:
+            self.sheet = cloth_sheet(
+                body.name,
+                self.target,
+                network.triangles,
+                self._stepper.thickness,
+                settings.options.friction,
+                DEPENETRATION,
+            )
+
+    def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
+        """Set the motion of the collider over a frame, from points at its begin."""
+        if self.sheet is not None:
+            motion = self.sheet.motion
+            assert isinstance(motion, ClothMotion)
+            motion.begin, motion.end = begin, self.state.positions
+            motion.times = times
 
     def rush(self, speed: FloatArray) -> None:
-        """Add a velocity ``(3,)`` [m/s] to the whole."""
+        """Add a velocity ``(3,)`` [m/s] to all particles."""
         state = self.state
         self.state = replace(state, velocities=state.velocities + speed)
 
     def cross(self, paths: PosePaths, frame: int) -> None:
-        """Go on by a frame of a number; the take begins with that of 0."""
+        """Advance by a frame; frame 0 is the first of the take."""
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
@@ -143,82 +174,92 @@ class Actor:
             points = paths.skin_points(self._cells)
             surfaces = self._skins.over(points)
             self._solids = [
-                Solid(rows[-1], skin.triangles)
+                ClosedSurface(rows[-1], skin.triangles)
                 for skin, rows in zip(paths.skins, points, strict=True)
             ]
         length, first = self._span / self._cells, frame * self._cells
         cells = Cells(0.0, length, first, self._cells)
         met = self._contacts.over(motion.world, cells, surfaces)
+        begun = self.state
         self.state = self._stepper.cross(
-            self.state, targets, met, self._span, self._substeps
+            begun, targets, met, self._span, self._substeps
         )
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span
+        self._move_sheet((frame * self._span, self._time), begun.positions)
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
-        """Note how it lies at the end of a frame, by its time code."""
+        """Measure contact and strain at the end of a frame, by its time code."""
         points = self.state.positions
         depths = self._contacts.depths(self._world, points, self._time)
         solids = [*self._solids, *self._contacts.solids(self._time)]
-        self.meter.look(frame, points, self._sides, solids, depths)
+        layers = [
+            ClosedSurface(one.points(self._time), one.triangles(self._time))
+            for one in self._layers
+        ]
+        self.meter.look(frame, points, self._sides, solids, depths, layers)
 
     def follow(self, paths: PosePaths) -> None:
-        """Go on by a frame as the animation does."""
+        """Follow the animation for a frame without simulation."""
         self.target = self.body.targets(paths.of(1))[-1]
-        self.state = State(self.target, np.zeros_like(self.target))
+        self.state = AttachState(self.target, np.zeros_like(self.target))
+        self._move_sheet((0.0, 0.0), self.state.positions)
 
-    def place(self, pose: Pose) -> None:
-        """Note where the animation has it in a pose; it stays where it is."""
+    def set_target(self, pose: LocalPose) -> None:
+        """Set the animated target from a pose; the state stays."""
         self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
 
     def jump(self, paths: PosePaths) -> None:
-        """Go on by a frame that is a jump: all moves with what carries it."""
+        """Advance over a teleport: all particles move rigidly with the carrier."""
         motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
-        shift, turn = _move(motion.world, self.body.carrier)
-        state = rigidly_moved(self.state, shift, turn)
-        held = self.body.network.held
-        state.positions[held] = self.target[held]
+        shift, rotation = _move(motion.world, self.body.carrier)
+        state = rigidly_moved(self.state, shift, rotation)
+        pinned = self.body.network.pinned
+        state.positions[pinned] = self.target[pinned]
         self.state = state
+        self._move_sheet((0.0, 0.0), state.positions)
         self.jumps += 1
 
     def speed(self, paths: PosePaths) -> float:
-        """Return how fast what carries it is over a frame [m/s]."""
-        places = paths.of(1).world.positions[:, self.body.carrier]
-        return float(np.linalg.norm(places[1] - places[0])) / self._span
+        """Return the speed of the carrier joint over a frame [m/s]."""
+        positions = paths.of(1).world.positions[:, self.body.carrier]
+        return float(np.linalg.norm(positions[1] - positions[0])) / self._span
 
 
 def _sides(network: Network) -> Sides:
-    """Return what of a network is measured: of cloth what does not become longer."""
-    held = np.zeros(network.count, np.bool_)
-    held[network.held] = True
+    """Return the sides to measure: structural springs of cloth."""
+    pinned = np.zeros(network.count, np.bool_)
+    pinned[network.pinned] = True
     ends, rests = network.sides, network.rests
-    kept = (rests > 0) & ~held[ends].all(axis=1)
+    kept = (rests > 0) & ~pinned[ends].all(axis=1)
     kept &= len(network.triangles) > 0
     return Sides(network.free, network.triangles, ends[kept], rests[kept])
 
 
-def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:
-    """Return a state moved as a whole: turned about the origin, and shifted."""
+def rigidly_moved(
+    state: AttachState, shift: FloatArray, rotation: FloatArray
+) -> AttachState:
+    """Return a state rotated about the origin and then shifted."""
     return replace(
         state,
-        positions=so3.rotate(turn, state.positions) + shift,
-        velocities=so3.rotate(turn, state.velocities),
+        positions=so3.rotate(rotation, state.positions) + shift,
+        velocities=so3.rotate(rotation, state.velocities),
     )
 
 
 def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return shift and turn of a joint from the first to the last time."""
-    turns = so3.split_scale(world.linear[:, joint])[0]
-    turn = so3.multiply(turns[-1], so3.conjugate(turns[0]))
-    places = world.positions[:, joint]
-    return places[-1] - so3.rotate(turn, places[0]), turn
+    """Return shift and rotation of a joint from the first to the last time."""
+    rotations = so3.split_scale(world.linear[:, joint])[0]
+    rotation = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
+    positions = world.positions[:, joint]
+    return positions[-1] - so3.rotate(rotation, positions[0]), rotation
 
 
 def _size(world: WorldTransforms, joint: int) -> float:
-    """Return how large the animation makes what a joint carries [1]."""
+    """Return the animated scale of a joint [1]."""
     size = float(np.cbrt(abs(np.linalg.det(world.linear[0, joint]))))
-    # Rotations have a determinant of 1 but for rounding.
+    # Rotations have a determinant of 1 up to rounding.
     return size if abs(size - 1) > 1e-9 else 1.0

@@ -1,4 +1,4 @@
-"""What a rig attaches, made ready to be moved."""
+"""Attachments of a rig as particles."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from animtool.systems.attach.poses import PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body(ABC):
-    """An attachment as particles.
+class AttachedBody(ABC):
+    """Particles of an attachment.
 
     Attributes:
-        name: As the rig names it.
-        kind: Of `AttachKind`.
-        network: Its particles, in the size of the rig's bind pose.
-        carrier: Joint that carries the whole.
+        name: Name in the rig.
+        kind: One of `AttachKind`.
+        network: Particles at the scale of the bind pose.
+        carrier: Joint that carries the attachment.
     """
 
     name: str
@@ -39,17 +39,17 @@ class Body(ABC):
 
     @abstractmethod
     def targets(self, path: PosePath) -> FloatArray:
-        """Return where the animation has the particles ``(K, N, 3)`` [m], world."""
+        """Return animated world positions of the particles ``(K, N, 3)`` [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChainBody(Body):
-    """A chain of joints: its first origin is held, the end of each bone swings."""
+class ChainBody(AttachedBody):
+    """A chain of joints: the first origin is pinned, bone ends swing."""
 
     joints: IntArray  # from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
-    # Nothing follows the rotation of the last joint: it has no tip, and no joint, skin,
-    # collider or strands below it.
+    # Whether the rotation of the last joint moves nothing: it has no tip, and no joint,
+    # skin, collider or strands below it.
     bare: bool = False
 
     def targets(self, path: PosePath) -> FloatArray:
@@ -61,14 +61,14 @@ class ChainBody(Body):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceBody(Body):
-    """Cloth or strands: points that follow the skin until they are moved."""
+class SurfaceBody(AttachedBody):
+    """Cloth or strands: skinned points that are simulated."""
 
-    # What moves them; it has the name that the points have in a motion.
+    # Skinned mesh; its name is that of the points in a motion.
     mesh: CharacterMesh
 
     def targets(self, path: PosePath) -> FloatArray:
-        """Return the points as shapes and skin have them."""
+        """Return the points deformed by shapes and skin."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
@@ -76,11 +76,11 @@ class SurfaceBody(Body):
 
 
 def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
-    """Return the attachments of some names.
+    """Return attachments by name.
 
     Raises:
-        OptionError: There is none of a name, or it is of a kind that nothing moves
-            (SIM030), with every such fault.
+        OptionError: A name is unknown or its kind cannot be simulated (SIM030), with
+            every such fault.
     """
     known = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
@@ -100,29 +100,28 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     return [known[name] for name in names]
 
 
-def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[Body]:
-    """Return attachments of a rig as particles; no other is looked at.
+def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
+    """Return named attachments of a rig as particles.
 
     Raises:
-        FormatError: Arrays cannot be read any more, or do not fit (RIG018, SKIN001 to
-            SKIN006).
-        OptionError: A name is none of theirs (SIM030), joints are no chain or cloth
-            has no faces (SIM033), with every such fault.
+        FormatError: Arrays cannot be read or do not fit (RIG018, SKIN001 to SKIN006).
+        OptionError: A name is unknown (SIM030), joints are not a chain or cloth has no
+            faces (SIM033), with every such fault.
     """
     entries = check_names(rig, names)
-    made: list[Body] = []
+    bodies: list[AttachedBody] = []
     faults: list[Fault] = []
     for entry in entries:
         try:
-            made.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
+            bodies.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
         except OptionError as error:
             faults += error.faults
     if faults:
         raise OptionError(faults)
-    return made
+    return bodies
 
 
-def _chain(rig: Rig, entry: Attachment) -> Body:
+def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
     joints = [rig.index(name) for name in entry.joints]
     for above, below in pairwise(joints):
         if rig.joints[below].parent != above:
@@ -146,7 +145,7 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
 
 
 def _is_bare(rig: Rig, joint: int) -> bool:
-    """Return whether nothing shows how a joint is rotated."""
+    """Return whether the rotation of a joint moves nothing."""
     name = rig.joints[joint].name
     skinned = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
     carrying = {collider.joint for collider in rig.colliders}
@@ -161,7 +160,7 @@ def _is_bare(rig: Rig, joint: int) -> bool:
 def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     """Return the end of a chain's last bone in the frame of its joint.
 
-    That is its tip, else its first child; else it goes on as the bone before it.
+    That is its tip, else its first child, else a copy of the bone before it.
     """
     last = rig.joints[joints[-1]]
     if last.tips:
@@ -172,7 +171,7 @@ def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     return np.array(last.translation)
 
 
-def _strands(rig: Rig, entry: Attachment) -> Body:
+def _strands(rig: Rig, entry: Attachment) -> AttachedBody:
     (strands,) = [one for one in strands_of(rig) if one.name == entry.name]
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
@@ -180,7 +179,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
     network = Network(
         strands.points.reshape(-1, 3),
         index[:, 0],
-        # Root to tip over all strands: the order in which springs are looked at.
+        # Root to tip over all strands: the order in which springs are solved.
         np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
         bends=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
         strands=count,
@@ -189,7 +188,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 
 
-def _cloth(rig: Rig, entry: Attachment) -> Body:
+def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
@@ -219,11 +218,11 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
 
 
 def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
-    """Return the joint that has most of the weight of what is held."""
+    """Return the joint with the largest skin weight on pinned points."""
     skin = surface.skin
     if skin is None:
         return rig.roots[0]
-    rows = network.held if len(network.held) else np.arange(network.count)
+    rows = network.pinned if len(network.pinned) else np.arange(network.count)
     sums = np.bincount(
         skin.indices[rows].ravel(), skin.weights[rows].ravel(), len(skin.joints)
     )

@@ -1,4 +1,4 @@
-"""Particles and springs that an attachment becomes."""
+"""Particles and springs of an attachment."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
 from animtool.systems.springs.body import Body, built
 from animtool.systems.springs.records import Family
 
-# Springs that do not give [rad/s].
+# Frequency of springs that count as rigid [rad/s].
 RIGID = 1e6
-# Cloth [kg/m²], and the least mass of a particle among the others' [1].
+# Area density of cloth [kg/m²], and smallest particle mass relative to the largest [1].
 CLOTH_WEIGHT = 0.3
-MIN_SHARE = 1e-3
+MIN_MASS_FRACTION = 1e-3
 
 
 def _none(columns: int) -> IntArray:
@@ -28,19 +28,19 @@ def _none(columns: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """N points that are at rest where they are, and the springs that join them."""
+    """N points in their rest positions, and the springs between them."""
 
-    points: FloatArray  # where they are at bind ``(N, 3)`` [m]
-    held: IntArray  # those that go where the animation has them ``(P,)``, ascending
-    sides: IntArray  # ends of what does not become longer ``(L, 2)``
-    # Of faces, which give way sideways ``(L, 2)``.
+    points: FloatArray  # bind positions ``(N, 3)`` [m]
+    pinned: IntArray  # points that follow the animation ``(P,)``, ascending
+    sides: IntArray  # ends of structural springs ``(L, 2)``
+    # Face diagonals, against shear ``(L, 2)``.
     diagonals: IntArray = field(default_factory=lambda: _none(2))
-    # From one side of a fold to the other ``(L, 2)``.
+    # Across folds, against bending ``(L, 2)``.
     bends: IntArray = field(default_factory=lambda: _none(2))
     # Corners of the surface ``(T, 3)``.
     triangles: IntArray = field(default_factory=lambda: _none(3))
-    # How many lines of equal length the points stand in, each from the end that is held
-    # on, one line behind the other; 0 where it is a surface.
+    # Number of strands of equal length, each from its pinned root, one after the other;
+    # 0 for a surface.
     strands: int = 0
 
     @property
@@ -50,22 +50,22 @@ class Network:
 
     @property
     def free(self) -> IntArray:
-        """Particles that are not held, ascending."""
-        return np.setdiff1d(np.arange(self.count), self.held)
+        """Free particles, ascending."""
+        return np.setdiff1d(np.arange(self.count), self.pinned)
 
     @property
     def rests(self) -> FloatArray:
-        """Lengths of the sides at rest ``(L,)`` [m]."""
+        """Rest lengths of the sides ``(L,)`` [m]."""
         return self.lengths(self.sides)
 
     def lengths(self, ends: IntArray) -> FloatArray:
-        """Return how far ends ``(L, 2)`` are apart at rest ``(L,)`` [m]."""
-        apart = self.points[ends[:, 1]] - self.points[ends[:, 0]]
-        return np.asarray(np.linalg.norm(apart, axis=-1))
+        """Return rest lengths between ends ``(L, 2)`` ``(L,)`` [m]."""
+        gaps = self.points[ends[:, 1]] - self.points[ends[:, 0]]
+        return np.asarray(np.linalg.norm(gaps, axis=-1))
 
     @property
     def masses(self) -> FloatArray:
-        """Of the particles ``(N,)`` [kg]: of cloth those of its area."""
+        """Particle masses ``(N,)`` [kg]: by area for cloth, else 1."""
         corners = self.triangles
         if not len(corners):
             return np.ones(self.count)
@@ -73,13 +73,13 @@ class Network:
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
         thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
         masses = np.bincount(corners.ravel(), thirds, self.count)
-        # Faces without area leave some particles none.
-        least = MIN_SHARE * float(masses.max(initial=0.0))
+        # Particles with degenerate faces alone get a small mass.
+        least = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
         return np.maximum(masses, least if least > 0 else 1.0)
 
     def body(self, diagonals: float, bends: float) -> Body:
-        """Return its particles with springs of some frequencies [Hz]."""
-        loose = np.isin(np.arange(self.count), self.held, invert=True)
+        """Return the spring body, with spring frequencies [Hz]."""
+        loose = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
             (self.sides, RIGID / (2 * math.pi)),
             (self.diagonals, diagonals),
@@ -94,23 +94,23 @@ class Network:
 
 
 def reach(network: Network) -> int:
-    """Return how many springs the farthest particle is away from a held one.
+    """Return the largest number of springs from a pinned particle to any other.
 
-    Without any that is held it is counted from the first.
+    Without pinned particles it is counted from the first.
 
     >>> reach(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
-    props: list[list[int]] = [[] for _ in range(network.count)]
+    neighbours: list[list[int]] = [[] for _ in range(network.count)]
     for i, j in network.sides.tolist():
-        props[i].append(j)
-        props[j].append(i)
-    starts = network.held.tolist() or [0]
+        neighbours[i].append(j)
+        neighbours[j].append(i)
+    starts = network.pinned.tolist() or [0]
     away = dict.fromkeys(starts, 0)
     waiting = deque(starts)
     while waiting:
         at = waiting.popleft()
-        for other in props[at]:
+        for other in neighbours[at]:
             if other not in away:
                 away[other] = away[at] + 1
                 waiting.append(other)
@@ -118,15 +118,15 @@ def reach(network: Network) -> int:
 
 
 def typical_edge(network: Network) -> float:
-    """Return the median length of springs that do not become longer [m]; 0 of none."""
+    """Return the median length of structural springs [m]; 0 without any."""
     rests = network.rests
     return float(np.median(rests[rests > 0])) if rests.any() else 0.0
 
 
 def lost_links(network: Network, points: FloatArray) -> int:
-    """Return how many springs have both ends at one place of points ``(N, 3)``.
+    """Return the number of springs with coincident ends at points ``(N, 3)``.
 
-    Those of no length at rest are to be so, but where all are.
+    Springs of rest length 0 do not count, unless all have it.
 
     >>> line = np.array([[0, 1], [1, 2]])
     >>> network = Network(np.eye(3), np.array([0]), line)
@@ -140,7 +140,7 @@ def lost_links(network: Network, points: FloatArray) -> int:
 
 
 def surface_problems(network: Network) -> list[str]:
-    """Return what of the triangles is no surface, in words.
+    """Return surface defects of the triangles as text.
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     >>> network = Network(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
@@ -154,10 +154,10 @@ def surface_problems(network: Network) -> list[str]:
     flat = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     often = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     shared = int((often > 2).sum())
-    said = [f"{counted(flat, 'triangle')} without area"] if flat else []
+    problems = [f"{counted(flat, 'triangle')} without area"] if flat else []
     if shared:
-        said.append(f"{counted(shared, 'edge')} of more than two triangles")
-    return said
+        problems.append(f"{counted(shared, 'edge')} of more than two triangles")
+    return problems
 
 
 def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
@@ -171,22 +171,23 @@ def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
 
 
 def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return the points on either side of each edge that faces share ``(L, 2)``.
+    """Return bend pairs across each edge shared by faces ``(L, 2)``.
 
-    Of two triangles those are the corners that face the edge, of two quadrangles the
-    next points on either side of each end. An edge of three faces bends between each
-    two.
+    For two triangles these are the opposite corners, for two quadrangles the neighbours
+    of both ends. An edge of three faces bends between each two of them.
 
     >>> folds_of_faces(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
     starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
     around = np.arange(len(indices)) - starts
-    own = sides(counts, indices)
-    # Beside the first end of a side, and beside the second.
-    props = np.stack([indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1)
-    turned = own[:, 0] > own[:, 1]
-    props[turned] = props[turned, ::-1]
-    one, other = of_one_edge(own)
-    pairs = np.stack([props[one], props[other]], axis=-1)
+    side_corners = sides(counts, indices)
+    # Neighbours of the first end of a side, and of the second.
+    neighbours = np.stack(
+        [indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1
+    )
+    turned = side_corners[:, 0] > side_corners[:, 1]
+    neighbours[turned] = neighbours[turned, ::-1]
+    one, other = of_one_edge(side_corners)
+    pairs = np.stack([neighbours[one], neighbours[other]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""A character from one frame to the next, and round a cycle."""
+"""Character poses between frames, and the travel of a cycle."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# A root that comes back to within so many of its steps stands in its place [1].
-IN_PLACE = 2.0
-# Part of the cycle over which what is left is brought in [1].
+# A root that returns to within this many of its steps is stationary [1].
+STATIONARY_STEPS = 2.0
+# Fraction of the cycle over which the seam residual is blended [1].
 SEAM = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class LocalPose:
     """One frame of a motion."""
 
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
     scales: FloatArray | None  # ``(J, 3)`` [1]; None is none
-    # Of the rig's shapes ``(S,)`` [1]; None where the take has none.
+    # Shape weights ``(S,)`` [1]; None if the take has none.
     weights: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePath:
-    """A character at K times, from one frame to another, both among them."""
+    """A character at K times from one frame to another, inclusive."""
 
-    world: WorldTransforms  # where its joints are
-    # Of the rig's shapes ``(K, S)`` [1]; None where there are none.
+    world: WorldTransforms  # joint transforms
+    # Shape weights ``(K, S)`` [1]; None without shapes.
     weights: FloatArray | None
 
 
-def pose_at(motion: Motion, frame: int) -> Pose:
+def pose_at(motion: Motion, frame: int) -> LocalPose:
     """Return one frame of a motion."""
 
     def values(channel: Channel | None) -> FloatArray | None:
         if channel is None:
             return None
-        whole = channel.rest.copy()
-        whole[channel.animated] = channel.values[frame]
-        return whole
+        dense = channel.rest.copy()
+        dense[channel.animated] = channel.values[frame]
+        return dense
 
     translations, rotations = values(motion.translations), values(motion.rotations)
     assert translations is not None
     assert rotations is not None
     weights = values(motion.weights)
-    return Pose(
+    return LocalPose(
         translations,
         rotations,
         values(motion.scales),
@@ -61,94 +61,102 @@ def pose_at(motion: Motion, frame: int) -> Pose:
     )
 
 
-def pose_path(rig: Rig, before: Pose, after: Pose, steps: int) -> PosePath:
-    """Return a character at even times from a pose to the next, ``steps`` apart.
+def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> PosePath:
+    """Return a character at even times between two poses.
 
-    Joints turn in their parents along the shortest arc at constant speed; the rest
-    goes straight, as samples for motion blur do.
+    Local rotations are interpolated by slerp, all else linearly, as motion blur samples
+    are.
     """
-    share = np.arange(steps + 1) / steps
+    fractions = np.arange(steps + 1) / steps
     world = forward(
         rig,
-        _straight(before.translations, after.translations, share),
-        _turned(before.rotations, after.rotations, share),
+        _straight(before.translations, after.translations, fractions),
+        _turned(before.rotations, after.rotations, fractions),
         None
         if before.scales is None or after.scales is None
-        else _straight(before.scales, after.scales, share),
+        else _straight(before.scales, after.scales, fractions),
     )
     weights = None
     if before.weights is not None and after.weights is not None:
-        weights = _straight(before.weights, after.weights, share)
+        weights = _straight(before.weights, after.weights, fractions)
     return PosePath(world, weights)
 
 
-def _straight(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    between = a + (b - a) * share.reshape(-1, *(1,) * a.ndim)
+def _straight(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
+    between = a + (b - a) * fractions.reshape(-1, *(1,) * a.ndim)
     between[-1] = b
     return np.asarray(between)
 
 
-def _turned(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    whole = np.repeat(a[None], len(share), axis=0)
+def _turned(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
+    rotations = np.repeat(a[None], len(fractions), axis=0)
     moving = np.flatnonzero((a != b).any(axis=-1))
-    whole[:, moving] = so3.slerp(a[moving], b[moving], share[:, None])
-    whole[0, moving], whole[-1, moving] = a[moving], b[moving]
-    return whole
+    rotations[:, moving] = so3.slerp(a[moving], b[moving], fractions[:, None])
+    rotations[0, moving], rotations[-1, moving] = a[moving], b[moving]
+    return rotations
 
 
-def extrapolated(rig: Rig, first: Pose, second: Pose, frames: float) -> Pose:
-    """Return the first pose some frames earlier, at the speed of its roots [frame]."""
+def extrapolated(
+    rig: Rig, first: LocalPose, second: LocalPose, frames: float
+) -> LocalPose:
+    """Return the first pose moved back some frames at the speed of its roots."""
     translations = first.translations.copy()
     roots = np.array(rig.roots)
     step = second.translations[roots] - first.translations[roots]
     translations[roots] -= frames * step
-    return Pose(translations, first.rotations, first.scales, first.weights)
+    return LocalPose(translations, first.rotations, first.scales, first.weights)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Travel:
-    """What a cycle carries the character by, over the ground."""
+class CycleShift:
+    """Displacement of a character over one cycle, along the ground."""
 
-    shift: FloatArray  # ``(3,)`` [m], behind the turn
-    turn: FloatArray  # about the up axis, at the world's origin ``(4,)``
+    shift: FloatArray  # ``(3,)`` [m], after the rotation
+    rotation: FloatArray  # about the up axis, at the world's origin ``(4,)``
 
 
-def travel_between(rig: Rig, up: FloatArray, poses: tuple[Pose, ...]) -> Travel:
+def travel_between(
+    rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]
+) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
-    A first root that is near its first place at the end has none. Another goes on, from
-    the last frame to the one behind it, at the mean of its speeds on either side.
+    It is zero if the first root returns to its start. Else the step from the last frame
+    to the next cycle has the mean speed of both ends.
     """
     root = rig.roots[0]
     first, second, before, last = (pose.translations[root] for pose in poses)
-    ahead, behind = second - first, last - before
-    step = max(np.linalg.norm(ahead), np.linalg.norm(behind))
-    if np.linalg.norm(last - first) <= IN_PLACE * step + 1e-9:
-        return Travel(np.zeros(3), so3.IDENTITY)
-    turns = [pose.rotations[root] for pose in poses]
-    onward = so3.multiply(turns[3], so3.multiply(so3.conjugate(turns[0]), turns[1]))
-    whole = so3.multiply(onward, so3.conjugate(turns[0]))
-    along = float((whole[:3] * up).sum()) * up
-    turn = so3.normalize(np.append(along, whole[3]))
-    place = last + (behind + so3.rotate(turn, ahead)) / 2
-    shift = place - so3.rotate(turn, first)
-    return Travel(shift - float((shift * up).sum()) * up, turn)
+    outgoing, incoming = second - first, last - before
+    step = max(np.linalg.norm(outgoing), np.linalg.norm(incoming))
+    if np.linalg.norm(last - first) <= STATIONARY_STEPS * step + 1e-9:
+        return CycleShift(np.zeros(3), so3.IDENTITY)
+    rotations = [pose.rotations[root] for pose in poses]
+    onward = so3.multiply(
+        rotations[3], so3.multiply(so3.conjugate(rotations[0]), rotations[1])
+    )
+    change = so3.multiply(onward, so3.conjugate(rotations[0]))
+    along = float((change[:3] * up).sum()) * up
+    rotation = so3.normalize(np.append(along, change[3]))
+    goal = last + (incoming + so3.rotate(rotation, outgoing)) / 2
+    shift = goal - so3.rotate(rotation, first)
+    return CycleShift(shift - float((shift * up).sum()) * up, rotation)
 
 
-def onward(rig: Rig, pose: Pose, travel: Travel) -> Pose:
-    """Return a pose carried on by a cycle's travel."""
+def onward(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
+    """Return a pose moved by the travel of a cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
-    translations[roots] = so3.rotate(travel.turn, translations[roots]) + travel.shift
-    rotations[roots] = so3.multiply(travel.turn, rotations[roots])
+    translations[roots] = (
+        so3.rotate(travel.rotation, translations[roots]) + travel.shift
+    )
+    rotations[roots] = so3.multiply(travel.rotation, rotations[roots])
     return replace(pose, translations=translations, rotations=rotations)
 
 
 def seam_weights(frames: int) -> FloatArray:
-    """Return how much of a correction each frame has, before all of it ``(F,)``.
+    """Return the blend weight of the seam correction for each frame ``(F,)``.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     """
-    share = np.clip((np.arange(frames) / frames - 1 + SEAM) / SEAM, 0.0, 1.0)
-    return np.asarray(share * share * (3 - 2 * share))
+    fractions = np.clip((np.arange(frames) / frames - 1 + SEAM) / SEAM, 0.0, 1.0)
+    return np.asarray(fractions * fractions * (3 - 2 * fractions))

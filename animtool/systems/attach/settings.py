@@ -1,4 +1,4 @@
-"""The options of the pass ``simulate``, and what they come to for one attachment."""
+"""Options of the pass ``simulate``, and their values for one attachment."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 
-# How fast each kind swings back to its animated pose, unless the scene says it [Hz].
+# Default frequency of the pull to the animated pose by kind [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
-# How much longer springs may become, likewise [1]: many particles in a line cost many
-# steps, and of cloth and hair nobody sees it.
+# Default strain limit by kind [1]: long rows of particles need many steps, and strain
+# of cloth and hair is hardly visible.
 _STRETCHES = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
 STRETCH = 0.01
-# Of folds, likewise [Hz].
+# Default frequency of bending by kind [Hz].
 _BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
 
 class Lead(StrEnum):
-    """What the character does before its first frame.
+    """Motion of the character before its first frame.
 
-    ``hold`` stands in the first pose; ``extrapolate`` travels on into it at the speed
-    that the roots have from the first frame to the second.
+    ``hold`` keeps the first pose; ``extrapolate`` travels into it at the speed that the
+    roots have from the first frame to the second.
     """
 
     HOLD = "hold"
@@ -72,9 +72,9 @@ class SimulateOptions:
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capsules: bool = True  # keep out of the rig's capsules
-    # Keep cloth out of the skins of the rig, which are met in the place of the
-    # capsules of their joints.
-    skin: bool = True
+    # Keep out of the skins of the rig, instead of the capsules of their joints. None is
+    # for cloth alone: strands have many points, and take several times as long.
+    skin: bool | None = None
     # What else is met, as systems have it: shapes in the axes of the rig, characters
     # of other files, systems of the scene, and meshes of USD files.
     colliders: ColliderEntries = ()
@@ -84,7 +84,8 @@ class SimulateOptions:
     radius: str | float = "5mm"  # distance kept from all, a number in [m] or ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
-    self_contact: bool = True  # cloth does not go through itself
+    # Cloth does not go through itself, nor what is named after it through the cloth.
+    self_contact: bool = True
     # Distance that it keeps from itself, as ``radius`` is written. None is that, or a
     # third of its edges where these are short.
     thickness: str | float | None = None
@@ -120,20 +121,20 @@ class SimulateOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """The options as one kind of attachment has them: defaults and SI units."""
+class AttachSettings:
+    """Option values for one kind of attachment, with defaults, in SI units."""
 
-    options: SimulateOptions  # all that is the same for every kind
-    frequency: float  # of the draw to the animated pose [Hz]
+    options: SimulateOptions  # options shared by all kinds
+    frequency: float  # of the pull to the animated pose [Hz]
     bend: float  # of folds [Hz]
-    stretch: float  # aimed at [1]
+    stretch: float  # target strain [1]
     radius: float  # distance kept from colliders [m]
-    # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
+    # Self-contact distance of cloth [m]; 0 is off, None depends on edge lengths.
     thickness: float | None
 
 
-def settings_for(options: SimulateOptions, kind: str) -> Settings:
-    """Return what the options come to for an attachment of a kind."""
+def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
+    """Return the option values for a kind of attachment."""
     known = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
@@ -147,7 +148,7 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         thickness = None
         if options.thickness is not None:
             thickness = length_of(options.thickness)
-    return Settings(
+    return AttachSettings(
         options,
         frequency,
         bend,
@@ -158,10 +159,10 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
 
 
 def length_of(value: str | float) -> float:
-    """Return a length such as ``5mm``, or a number of metres [m].
+    """Parse a length such as ``5mm``, or a number of metres [m].
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is not a length.
     """
     if isinstance(value, str):
         return parse_length(value)
@@ -172,7 +173,7 @@ def length_of(value: str | float) -> float:
 
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
-    """Return what can be checked of the options before there is a take."""
+    """Return checks of the options that need no take."""
     checks: dict[str, Callable[[], object]] = {
         name: partial(_check_range, options, name)
         for name in ranges_of(SimulateOptions)
@@ -245,7 +246,7 @@ def _check_save(options: SimulateOptions) -> None:
 
 
 def _check_loop(options: SimulateOptions) -> None:
-    given = [name for name in ("save", "resume") if getattr(options, name)]
-    if options.loop and given:
-        message = f"a cycle has no {given[0]}: it ends where it began"
+    conflicting = [name for name in ("save", "resume") if getattr(options, name)]
+    if options.loop and conflicting:
+        message = f"a cycle has no {conflicting[0]}: it ends where it began"
         raise OptionError(Fault("SIM032", message))

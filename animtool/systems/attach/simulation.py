@@ -1,4 +1,4 @@
-"""Attachments through a take, frame by frame."""
+"""Simulation of attachments through a take, frame by frame."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from animtool.core.units import parse_length
 from animtool.maths import so3
 from animtool.motion.keyed import weights_at
 from animtool.motion.motion import Channel, Motion
+from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody
+from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
-    Pose,
-    Travel,
+    CycleShift,
+    LocalPose,
     extrapolated,
     onward,
     pose_at,
@@ -31,55 +32,55 @@ from animtool.systems.attach.poses import (
     travel_between,
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
-from animtool.systems.attach.skins import Skin, skins_of
-from animtool.systems.attach.stepping import State
+from animtool.systems.attach.skins import SkinSurface, skins_of
+from animtool.systems.attach.stepping import AttachState
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 from animtool.systems.springs.contacts import LOOK_BACK
 
-# Numbers of points in a block, at most: it has fewer frames the more points move.
+# Most point values in a block: more points mean fewer frames.
 BLOCK_VALUES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedFrame:
-    """States of attachments at one frame, to go on from."""
+    """Saved states of attachments at one frame."""
 
     frame: float  # its time code
-    states: Mapping[str, State]  # by the attachment's name
+    states: Mapping[str, AttachState]  # by the attachment's name
 
 
-def saved_state(body: Body, frame: float) -> tuple[str, Clocked]:
-    """Return what a file calls the state of an attachment at a frame, and its clock."""
+def saved_state(body: AttachedBody, frame: float) -> tuple[str, Clocked]:
+    """Return the name of a saved state in a file, and its clock."""
     return f"{frame!r}/{body.name}", Clocked(body.kind, frame, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """How a cycle came round."""
+    """Result of closing a cycle."""
 
-    repeats: int  # how often it was run
-    residual: float  # how far its end was from its begin at the last [m]
-    tolerance: float  # what was asked for [m]
+    repeats: int  # number of repeats
+    residual: float  # last distance between end and begin [m]
+    tolerance: float  # requested [m]
 
 
 @dataclass(slots=True)
 class _Rows:
-    """Frames of one attachment: where it is, and where the animation has it."""
+    """Simulated and animated frames of one attachment."""
 
     moved: list[FloatArray]
     targets: list[FloatArray]
 
 
-class Simulation:
-    """Carries attachments through a take."""
+class AttachSimulation:
+    """Simulates attachments through a take."""
 
     def __init__(
         self,
         rig: Rig,
-        bodies: Sequence[Body],
+        bodies: Sequence[AttachedBody],
         options: SimulateOptions,
         rate: Fraction,
         start: Fraction,
@@ -89,44 +90,50 @@ class Simulation:
         progress: Callable[[float], None] | None = None,
         world: Colliders | None = None,
     ) -> None:
-        """Make ready; nothing is read yet.
+        """Set up the simulation without reading the take.
 
-        Frames are a step of time codes apart, from the start on. Early ones, before the
-        take's own, hold its first; no cycle has them. In the world the take begins at
-        0 s.
+        Frames are ``step`` time codes apart from ``start`` on. ``early`` frames before
+        the take hold its first frame; a cycle has none. The take starts at 0 s of world
+        time.
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
-        self.actors: list[Actor] = []  # of the bodies, once a frame was seen
-        # States at the frames that are asked for, and the steps of each a frame.
-        self.saved: dict[str, tuple[Clocked, Reached[State]]] = {}
-        self.codes: list[float] = []  # time codes that were gone through
-        self.resumed = resumed  # states that it goes on from
-        self.closing: Closing | None = None  # of a cycle
-        self.skins: list[Skin] = []  # what of the character is met
-        if options.skin and any(isinstance(body, SurfaceBody) for body in bodies):
+        self.actors: list[Actor] = []  # one for each body, from the first frame on
+        # Requested states, with the steps per frame.
+        self.saved: dict[str, tuple[Clocked, Reached[AttachState]]] = {}
+        self.codes: list[float] = []  # visited time codes
+        self.resumed = resumed  # states to resume from
+        self.closing: Closing | None = None  # result of a cycle
+        self.skins: list[SkinSurface] = []  # collision meshes of the character
+        if any(self._meets_skins(body) for body in bodies):
             self.skins = skins_of(rig)
-        self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
+        self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
-        # Number of the frame that is crossed next; 0 is the first of the take's own.
+        # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -early
         self._progress = progress
         self._crossed, self._to_cross = 0, 1
-        self._before: Pose | None = None
+        self._before: LocalPose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
 
-    def blocks(self, given: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield motions with what is attached moved."""
+    def _meets_skins(self, body: AttachedBody) -> bool:
+        """Return whether an attachment collides with the skins of the rig."""
+        if self.options.skin is None:
+            return body.kind == AttachKind.CLOTH
+        return self.options.skin and isinstance(body, SurfaceBody)
+
+    def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield motions with simulated attachments."""
         if self.options.loop:
-            whole, early = Motion.concatenate(list(given)), self._early
-            made = self._cycle(whole.select(slice(early, None)))
-            yield made.select(np.maximum(np.arange(-early, made.frames), 0))
+            motion, early = Motion.concatenate(list(motions)), self._early
+            cycle = self._cycle(motion.select(slice(early, None)))
+            yield cycle.select(np.maximum(np.arange(-early, cycle.frames), 0))
             return
         values = 3 * sum(body.network.count for body in self.bodies)
         most = max(BLOCK_VALUES // max(values, 1), 2)
-        for block in _begun(given):
+        for block in _begun(motions):
             self._crossed, self._to_cross = 0, block.frames
             for begin in range(0, block.frames, most):
                 yield self._block(block.select(slice(begin, begin + most)))
@@ -153,34 +160,38 @@ class Simulation:
     def _codes(self, first: int, count: int) -> FloatArray:
         return time_codes(self._start + first * self._step, self._step, count)
 
-    def _begin(self, pose: Pose, following: Pose) -> None:
-        """Bring everything to the first frame."""
+    def _begin(self, pose: LocalPose, following: LocalPose) -> None:
+        """Create the actors, settle them and advance to the first frame."""
         options, rate = self.options, float(self._rate)
         leading = math.ceil(options.preroll * rate)
         travels = Lead(options.lead) is Lead.EXTRAPOLATE
         begin = pose
         if travels:
             begin = extrapolated(self.rig, pose, following, leading)
-        self.actors = [
-            Actor(
+        self.actors = []
+        for body in self.bodies:
+            # Skinned points collide with cloth that is named before them.
+            skinned = isinstance(body, SurfaceBody)
+            sheets = [one.sheet for one in self.actors if one.sheet is not None]
+            actor = Actor(
                 self.rig,
                 body,
                 settings_for(options, body.kind),
                 1 / rate,
                 begin,
-                self.skins,
+                self.skins if self._meets_skins(body) else (),
                 self._world,
+                sheets if skinned else (),
             )
-            for body in self.bodies
-        ]
+            self.actors.append(actor)
         if self.resumed is not None:
             return
-        still = self._paths(begin, begin)
+        static = self._paths(begin, begin)
         settling = math.ceil(options.settle * rate)
         self._frame -= settling + leading
         self._to_cross += settling + leading
         for _ in range(settling):
-            self._cross(still)
+            self._cross(static)
         root = self.rig.roots[0]
         step = following.translations[root] - pose.translations[root]
         for i in range(leading):
@@ -195,8 +206,8 @@ class Simulation:
                     actor.rush(step * rate)
             self._cross(self._paths(earlier, later))
 
-    def _advance(self, pose: Pose, code: float) -> None:
-        """Go on to the next frame."""
+    def _advance(self, pose: LocalPose, code: float) -> None:
+        """Advance to the next frame."""
         assert self._before is not None
         paths = self._paths(self._before, pose)
         if self.resumed is not None and code <= self.resumed.frame:
@@ -206,7 +217,7 @@ class Simulation:
             return
         self._cross(paths, jumps=code in self.options.teleports)
 
-    def _paths(self, before: Pose, after: Pose) -> PosePaths:
+    def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
         return PosePaths(self.rig, before, after, self.skins)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
@@ -218,11 +229,11 @@ class Simulation:
                 actor.cross(paths, self._frame)
             if self._progress is not None:
                 self._crossed += 1
-                whole = self._to_cross * len(self.actors)
-                self._progress(min(self._crossed / whole, 1.0))
+                total = self._to_cross * len(self.actors)
+                self._progress(min(self._crossed / total, 1.0))
         self._frame += 1
         if not self.options.loop:
-            # The next frame looks back a little from its begin.
+            # The next frame samples surfaces a little before its begin.
             since = self._frame / float(self._rate) - LOOK_BACK
             for bodies in self._world.bodies:
                 bodies.forget(since)
@@ -230,7 +241,7 @@ class Simulation:
                 sheet.motion.forget(since)
 
     def _note(self, code: float) -> None:
-        """Take the states of the frame that is resumed from; keep those asked for."""
+        """Load the resumed states at their frame; save requested ones."""
         if self.resumed is not None and code == self.resumed.frame:
             for actor in self.actors:
                 actor.state = self.resumed.states[actor.body.name]
@@ -240,11 +251,11 @@ class Simulation:
                 self.saved[name] = clocked, Reached(actor.steps, actor.state)
 
     def _cycle(self, motion: Motion) -> Motion:
-        """Return a cycle whose attachments end as they began."""
+        """Return a cycle whose attachments end as they start."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
         if count == 1:
-            travel = Travel(np.zeros(3), so3.IDENTITY)
+            travel = CycleShift(np.zeros(3), so3.IDENTITY)
         else:
             four = (poses[0], poses[1], poses[-2], poses[-1])
             travel = travel_between(self.rig, upwards(self.rig), four)
@@ -266,23 +277,23 @@ class Simulation:
                 break
             for actor, end in zip(self.actors, back, strict=True):
                 actor.state = end
-        share = seam_weights(count)
+        weights = seam_weights(count)
         for row, one in zip(rows, left, strict=True):
-            off = so3.rotate(travel.turn, one)
+            off = so3.rotate(travel.rotation, one)
             row.moved = [
                 moved + weight * off
-                for moved, weight in zip(row.moved, share.tolist(), strict=True)
+                for moved, weight in zip(row.moved, weights.tolist(), strict=True)
             ]
         return self._moved(motion, self._codes(self._early, count), rows)
 
-    def _round(self, poses: list[Pose]) -> list[_Rows]:
-        """Go once through a cycle; return its frames but the last."""
+    def _round(self, poses: list[LocalPose]) -> list[_Rows]:
+        """Simulate a cycle once; return its frames except the last."""
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
         self.codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:
-            actor.place(poses[0])
+            actor.set_target(poses[0])
             actor.meter = ContactMeter()
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
@@ -294,20 +305,20 @@ class Simulation:
         return rows
 
     def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
-        """Return a motion with what was moved in the place of what was animated."""
+        """Return a motion with simulated values blended over animated ones."""
         options = self.options
-        share = weights_at(options.weight, codes, options.interpolation)
+        weights = weights_at(options.weight, codes, options.interpolation)
         if self.resumed is not None:
-            share = np.where(codes < self.resumed.frame, 0.0, share)
+            weights = np.where(codes < self.resumed.frame, 0.0, weights)
         rotations = block.rotations.dense()
         for body, row in zip(self.bodies, rows, strict=True):
             moved, targets = np.stack(row.moved), np.stack(row.targets)
             if isinstance(body, ChainBody):
-                turned = self._turned(rotations, body, moved, targets, share)
+                turned = self._turned(rotations, body, moved, targets, weights)
                 put = block.rotations.put(body.joints, turned)
                 block = replace(block, rotations=put)
             elif isinstance(body, SurfaceBody):
-                block = _pointed(block, body.mesh.name, moved, targets, share)
+                block = _pointed(block, body.mesh.name, moved, targets, weights)
         return block
 
     def _turned(
@@ -316,51 +327,55 @@ class Simulation:
         body: ChainBody,
         moved: FloatArray,
         targets: FloatArray,
-        share: FloatArray,
+        weights: FloatArray,
     ) -> FloatArray:
-        """Return rotations of a chain that point where it was moved ``(F, C, 4)``."""
-        own = rotations[:, body.joints]
+        """Return chain rotations that match simulated points ``(F, C, 4)``."""
+        animated = rotations[:, body.joints]
         turned = chain_rotations(self.rig, body.joints, rotations, targets, moved)
-        mixed = so3.slerp(own, turned, share[:, None])
-        whole = np.where((share == 1)[:, None, None], turned, mixed)
+        mixed = so3.slerp(animated, turned, weights[:, None])
+        blended = np.where((weights == 1)[:, None, None], turned, mixed)
         first = int(body.joints[0])
-        before = self._signs.get(first, own[0])
-        aligned = so3.align_signs(whole, before)
+        before = self._signs.get(first, animated[0])
+        aligned = so3.align_signs(blended, before)
         self._signs[first] = aligned[-1]
-        last = so3.angle_between(own[:, -1], aligned[:, -1]) * (share != 0)
+        last = so3.angle_between(animated[:, -1], aligned[:, -1]) * (weights != 0)
         most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
         self.swung[body.name] = most
-        # As it was, to the bit, where nothing is taken of the simulation.
-        return np.where((share == 0)[:, None, None], own, aligned)
+        # With weight 0 keep the animation bit for bit.
+        return np.where((weights == 0)[:, None, None], animated, aligned)
 
 
-def _begun(given: Iterator[Motion]) -> Iterator[Motion]:
-    """Yield blocks, the first of them of two frames at least, if there are as many."""
+def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
+    """Yield blocks, merging so that the first has two frames if possible."""
     early: list[Motion] = []
-    for block in given:
+    for block in blocks:
         early.append(block)
         if sum(one.frames for one in early) < 2:
             continue
         yield Motion.concatenate(early) if len(early) > 1 else early[0]
-        yield from given
+        yield from blocks
         return
     if early:
         yield Motion.concatenate(early)
 
 
-def _back(state: State, travel: Travel) -> State:
-    """Return a state at the end of a cycle as one at its begin."""
-    turn = so3.conjugate(travel.turn)
-    return rigidly_moved(state, -so3.rotate(turn, travel.shift), turn)
+def _back(state: AttachState, travel: CycleShift) -> AttachState:
+    """Return the end state of a cycle moved back to its begin."""
+    rotation = so3.conjugate(travel.rotation)
+    return rigidly_moved(state, -so3.rotate(rotation, travel.shift), rotation)
 
 
 def _pointed(
-    block: Motion, name: str, moved: FloatArray, targets: FloatArray, share: FloatArray
+    block: Motion,
+    name: str,
+    moved: FloatArray,
+    targets: FloatArray,
+    weights: FloatArray,
 ) -> Motion:
-    """Return a motion that says where points are."""
+    """Return a motion with simulated points blended over animated ones."""
     values = moved
-    if (share != 1).any():
-        weight = share[:, None, None]
+    if (weights != 1).any():
+        weight = weights[:, None, None]
         values = np.where(weight == 1, moved, targets + weight * (moved - targets))
         values = np.where(weight == 0, targets, values)
     channel = Channel(values[0].copy(), np.arange(values.shape[1]), values)

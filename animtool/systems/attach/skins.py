@@ -1,4 +1,4 @@
-"""Skins of the character that attachments hang on, as surfaces in motion."""
+"""Skin meshes of the character as moving collision surfaces."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from animtool.sim.contact import SPEED_LIMIT
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
-from animtool.systems.framework.meter import Solid
+from animtool.systems.framework.meter import ClosedSurface
 
-# What of its edges cloth keeps from skins [1]: halves of these cut limbs of that length
-# by no more.
+# Distance that cloth keeps from skins, relative to its edges [1]: an edge then cuts a
+# limb by at most this.
 CORNERS = 1 / 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Skin:
-    """A mesh that follows joints, closed: each border has a fan to its middle."""
+class SkinSurface:
+    """A skinned mesh, closed by a triangle fan at each border."""
 
-    mesh: CharacterMesh  # what moves its V points
+    mesh: CharacterMesh  # deforms its V points
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``; middles from V on
-    # The borders that have middles ``(B,)`` of points ``(P,)``: which, and of which.
+    # Border points ``(P,)``, and the border index of each ``(P,)``.
     border_points: IntArray
     borders: IntArray
-    joints: BoolArray  # which of the rig carry any of it ``(J,)``
+    joints: BoolArray  # joints with skin weight ``(J,)``
 
     def points(self, path: PosePath) -> FloatArray:
-        """Return its points and the middles of its borders ``(K, V + B, 3)`` [m]."""
+        """Return its points and border middles ``(K, V + B, 3)`` [m]."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
@@ -47,13 +47,13 @@ class Skin:
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):
-            own = self.border_points[self.borders == border]
-            middles[:, border] = points[:, own].mean(axis=1)
+            corners = self.border_points[self.borders == border]
+            middles[:, border] = points[:, corners].mean(axis=1)
         return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
 
 
-def skins_of(rig: Rig) -> list[Skin]:
-    """Return the meshes of a rig that follow joints, but those that are its cloth."""
+def skins_of(rig: Rig) -> list[SkinSurface]:
+    """Return the skinned meshes of a rig, except its cloth."""
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
         one
@@ -69,11 +69,11 @@ def skins_of(rig: Rig) -> list[Skin]:
     ]
 
 
-def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
+def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> SkinSurface:
     triangles, points, borders = capped(surface.counts, surface.indices)
-    places = surface.points
-    middles = [places[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
-    corners = np.concatenate([places, np.array(middles).reshape(-1, 3)])[triangles]
+    vertices = surface.points
+    middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
+    corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
@@ -82,19 +82,19 @@ def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
     assert skin is not None
     used = np.unique(skin.indices[skin.weights > 0])
     used_joints[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
-    return Skin(mesh, triangles, points, borders, used_joints)
+    return SkinSurface(mesh, triangles, points, borders, used_joints)
 
 
 def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return triangles of polygons that close their borders, each about a middle.
+    """Triangulate polygons and close each border with a fan.
 
     Args:
-        counts: Corners of each ``(M,)``.
-        indices: Corners, one polygon after the other.
+        counts: Corners of each polygon ``(M,)``.
+        indices: Corners, polygon by polygon.
 
     Returns:
-        Triangles ``(T, 3)``, middles numbered after the points; points of borders
-        ``(P,)``, and the border of each.
+        Triangles ``(T, 3)``, with border middles numbered after the points; border
+        points ``(P,)``; and the border index of each.
 
     >>> triangles, points, borders = capped(np.array([4]), np.array([0, 1, 2, 3]))
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
@@ -104,10 +104,10 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
     from scipy.sparse.csgraph import connected_components
 
     triangles, count = triangulated(counts, indices), int(indices.max(initial=-1)) + 1
-    ways = sides(counts, indices)
-    numbers = np.sort(ways, axis=1) @ [count, 1]
+    side_corners = sides(counts, indices)
+    numbers = np.sort(side_corners, axis=1) @ [count, 1]
     _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
-    open_ = ways[often[which.reshape(-1)] == 1]
+    open_ = side_corners[often[which.reshape(-1)] == 1]
     points, ends = np.unique(open_, return_inverse=True)
     ends = ends.reshape(-1, 2)
     joined = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
@@ -120,10 +120,9 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
 
 
 def margin_for(edge: float, radius: float) -> float:
-    """Return what cloth of long edges keeps from skins, over its radius [m].
+    """Return the distance beyond its radius that cloth keeps from skins [m].
 
-    Particles and the middles of edges are outside of them; what joins two cuts the
-    corner of a limb.
+    Long edges need it: their particles are outside, but they cut the corner of a limb.
 
     >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
     (0.005, 0.0)
@@ -131,27 +130,27 @@ def margin_for(edge: float, radius: float) -> float:
     return max(0.0, CORNERS * edge - radius)
 
 
-def nearness(solid: Solid, points: FloatArray, kept: float) -> FloatArray:
-    """Return how much nearer to a skin than a distance kept points may be ``(N,)`` [m].
+def nearness(solid: ClosedSurface, points: FloatArray, kept: float) -> FloatArray:
+    """Return the offset of the kept distance for points on a skin ``(N,)`` [m].
 
-    At most 0: what a pose lays on the skin is let there, but not inside.
+    At most 0: points that start closer keep their distance, but stay outside.
     """
     near = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
-    apart = near.sample(points, 0.0, 1.0).distances[0]
-    return np.asarray(np.clip(apart, 0.0, kept) - kept)
+    distances = near.sample(points, 0.0, 1.0).distances[0]
+    return np.asarray(np.clip(distances, 0.0, kept) - kept)
 
 
 class SkinContacts:
-    """Skins as kernels meet them, frame by frame."""
+    """Skins as kernel surfaces, frame by frame."""
 
     def __init__(
         self,
-        skins: Sequence[Skin],
+        skins: Sequence[SkinSurface],
         friction: float,
         margin: float,
         depenetration: float,
     ) -> None:
-        """Make what does not change from frame to frame."""
+        """Set up the constants of all frames."""
         self._skins = skins
         self._kernels: list[Any] = []
         self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
@@ -159,25 +158,25 @@ class SkinContacts:
     def depths(
         self, path: PosePath, targets: FloatArray, radius: float
     ) -> list[FloatArray]:
-        """Return how much nearer particles may be to each skin than others ``(N,)``.
+        """Return the offset of the kept distance for each skin ``(N,)`` [m].
 
-        As the first pose of a path has both; particles keep a radius and the margin.
+        From the first pose of a path; particles keep a radius and the margin.
         """
         kept = radius + self._numbers[2]
         return [
-            nearness(Solid(skin.points(path)[0], skin.triangles), targets, kept)
+            nearness(ClosedSurface(skin.points(path)[0], skin.triangles), targets, kept)
             for skin in self._skins
         ]
 
     def __bool__(self) -> bool:
-        """Return whether there is any."""
+        """Return whether there are any skins."""
         return bool(self._skins)
 
     def over(self, points: list[FloatArray]) -> list[tuple[Any, ...]]:
-        """Return what kernels take for the cells between K poses.
+        """Return kernel arguments for the cells between K poses.
 
         Args:
-            points: Of each skin ``(K, P, 3)`` [m].
+            points: Points of each skin ``(K, P, 3)`` [m].
         """
         if not self._kernels:
             self._kernels = [

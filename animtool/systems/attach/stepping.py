@@ -1,4 +1,4 @@
-"""One attachment over one frame, in small steps of position based dynamics."""
+"""Steps of one attachment by extended position based dynamics."""
 
 from __future__ import annotations
 
@@ -13,67 +13,66 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
-from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import BOUND
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import CellColliders
-from animtool.systems.springs.motion import Grid, SpringState, Through
-from animtool.systems.springs.paths import Pins, Targets
+from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
+from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver
 from animtool.systems.springs.solvers import projected
 from animtool.systems.springs.system import SpringSystem
 
-# Accelerations that steps are chosen for [m/s²]: twice that of gravity.
+# Design acceleration for the step rate [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
-# How fast springs of strands turn that steps are chosen for [rad/s].
-DESIGN_TURN = 30.0
-# Of cloth, springs across bear more of it than those of a line: as measured [1].
+# Design angular velocity of strand springs for the step rate [rad/s].
+DESIGN_SPIN = 30.0
+# Load of cloth springs relative to a single row, as measured [1].
 ACROSS = 10.0
-# Of cloth, and of strands [1/s].
+# Lowest step rates of cloth and of strands [1/s].
 MIN_STEPS = 240.0
 MIN_STRAND_STEPS = 360.0
 MAX_STEPS = 20_000.0
-# Times the steps that a frame of cloth takes, at most, in which springs become too long
-# or in which it goes through itself.
+# Largest refinement of a cloth frame with too much strain or self-piercing.
 FINER = 4
-# Of cloth, what it keeps from itself, over its edges [1].
+# Default self-contact distance of cloth, relative to its edges [1].
 THICK = 1 / 3
-# Even parts of a frame, between which what is animated goes straight.
+# Cells of a frame, over which the animation is linear.
 MIN_CELLS, MAX_CELLS = 5, 8
 
 
 def nowhere() -> IntArray:
-    """Return no passages of cloth through itself ``(0, 3)``."""
+    """Return an empty list of self-piercings ``(0, 3)``."""
     return np.zeros((0, 3), np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """Where N particles are, and how fast."""
+class AttachState:
+    """Positions and velocities of N particles."""
 
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
-    # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
+    # Self-piercings of cloth ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(default_factory=nowhere, metadata=growing())
 
 
 @dataclass(slots=True)
 class Tally:
-    """What happened over the steps."""
+    """Largest strain and contact counts over the steps."""
 
-    stretch: float = 0.0  # most that a spring was longer than at rest, over that [1]
-    contacts: int = 0  # most particles that touched colliders at once
-    unresolved: int = 0  # most that were left inside one
-    through: Through = field(default_factory=Through)  # what had gone through the cloth
+    stretch: float = 0.0  # largest strain of a spring [1]
+    contacts: int = 0  # most particles in contact at once
+    unresolved: int = 0  # most particles left inside colliders
+    through: Piercing = field(default_factory=Piercing)  # self-piercing of cloth
 
     def add(
         self,
         stretch: float,
         contacts: int,
         unresolved: int,
-        through: Through | None = None,
+        through: Piercing | None = None,
     ) -> None:
-        """Note a frame."""
+        """Add the counts of a frame."""
         self.stretch = max(self.stretch, stretch)
         self.contacts = max(self.contacts, contacts)
         self.unresolved = max(self.unresolved, unresolved)
@@ -81,46 +80,47 @@ class Tally:
             self.through = self.through.with_more(through)
 
 
-def steps_per_second(network: Network, settings: Settings) -> float:
-    """Return how many steps a second keep springs within their stretch [1/s].
+def steps_per_second(network: Network, settings: AttachSettings) -> float:
+    """Return the step rate that keeps springs within their strain limit [1/s].
 
-    Springs of strands are solved together: what is left is that a spring which turns
-    by an angle in a step becomes longer by half its square. Others are gone through
-    once a step. In equilibrium the one at the held end of a line of n carries all of
-    them; a step moves it by its share of what a step of acceleration a moves, so that
-    its stretch is n a h² over its length at rest.
+    Springs of strands are solved together: a spring that rotates by an angle in a step
+    is strained by half its square. Other springs are visited once per step. In
+    equilibrium the spring at the pinned end of a row of n carries all of them, and its
+    strain is n a h² over its rest length for an acceleration a.
     """
     if settings.options.rate is not None:
         return settings.options.rate
     if network.strands:
-        wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
-        return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
+        rate = DESIGN_SPIN / math.sqrt(2 * settings.stretch)
+        return min(max(rate, MIN_STRAND_STEPS), MAX_STEPS)
     edge = typical_edge(network)
     if not edge:
         return MIN_STEPS
     load = reach(network) * DESIGN_ACCELERATION * ACROSS
-    wanted = math.sqrt(load / (settings.stretch * edge))
-    return min(max(wanted, MIN_STEPS), MAX_STEPS)
+    rate = math.sqrt(load / (settings.stretch * edge))
+    return min(max(rate, MIN_STEPS), MAX_STEPS)
 
 
-def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
-    """Return the end of a frame ``(2, N, 3)`` as a state.
+def stepped(motion: FloatArray, passages: IntArray | None = None) -> AttachState:
+    """Return the state at the end of a frame ``(2, N, 3)``.
 
     Raises:
-        ToleranceError: It is not finite, or in no scene (SIM102).
+        ToleranceError: It is not finite or out of bounds (SIM102).
     """
-    if not np.abs(made).max(initial=0.0) <= BOUND:
-        far = np.abs(made[0])
+    if not np.abs(motion).max(initial=0.0) <= BOUND:
+        far = np.abs(motion[0])
         number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
         message = f"the simulation blew up: particle {number} is at "
-        message += f"{np.array2string(made[0, number], precision=3)} m"
+        message += f"{np.array2string(motion[0, number], precision=3)} m"
         hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
-    return State(made[0], made[1], nowhere() if passages is None else passages)
+    return AttachState(
+        motion[0], motion[1], nowhere() if passages is None else passages
+    )
 
 
 def cells_of(steps: int) -> tuple[int, int]:
-    """Return even cells of a frame, and steps in each, for as many steps or more.
+    """Return the cells of a frame and the steps in each, for at least as many steps.
 
     >>> cells_of(3), cells_of(10), cells_of(46)
     ((3, 1), (5, 2), (8, 6))
@@ -133,17 +133,19 @@ def cells_of(steps: int) -> tuple[int, int]:
 
 
 class Stepper:
-    """Carries one attachment over frames, in small steps of xpbd.
+    """Steps one attachment over frames with xpbd.
 
-    Springs along strands are solved together, others each once a step, in order.
+    Springs along strands are solved directly, others once per step in order.
 
     Attributes:
-        thickness: What cloth keeps from itself [m]; 0 where it does not.
-        tally: What happened so far.
+        thickness: Self-contact distance of cloth [m]; 0 is off.
+        tally: Counts so far.
     """
 
-    def __init__(self, network: Network, settings: Settings, down: FloatArray) -> None:
-        """Make what kernels take; down is the direction of gravity ``(3,)``."""
+    def __init__(
+        self, network: Network, settings: AttachSettings, down: FloatArray
+    ) -> None:
+        """Build the kernel arguments; down is the direction of gravity ``(3,)``."""
         self.thickness, self.tally = thickness_of(network, settings), Tally()
         self._network, self._settings = network, settings
         if network.strands:
@@ -153,40 +155,39 @@ class Stepper:
 
     def cross(
         self,
-        state: State,
+        state: AttachState,
         path: FloatArray,
         met: CellColliders,
         span: float,
         substeps: int,
-    ) -> State:
+    ) -> AttachState:
         """Return the state a frame later.
 
         Args:
-            state: At its begin.
-            path: Particles as they are animated at the ends of even cells of it
-                ``(K, N, 3)`` [m].
-            met: What they meet in these.
-            span: Its length [s].
-            substeps: In each cell.
+            state: State at its begin.
+            path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
+            met: Colliders in these cells.
+            span: Length of the frame [s].
+            substeps: Steps in each cell.
         """
         both = np.stack([state.positions, state.velocities])
         if self._network.strands:
-            made, touched, inside, stretch = _kernels.follow_strands(
+            motion, touched, inside, stretch = _kernels.follow_strands(
                 self._strands, path, both, span, substeps, met, threads_allowed()
             )
             self.tally.add(stretch, touched, inside)
-            return stepped(made)
+            return stepped(motion)
         cells, system = len(path) - 1, self._system
         system.lead(span, path)
         network = system.network(0)
         most = substeps if self._settings.options.rate else FINER * substeps
-        # Of cloth springs that hardly give are brought back, too.
+        # The strain of stiff cloth springs is clamped too.
         stretch = self._settings.stretch
         limit = stretch if len(self._network.triangles) else 0.0
         begun = SpringState(
-            both, system.whole, substeps, substeps, passages=state.passages
+            both, system.none_torn, substeps, substeps, passages=state.passages
         )
-        grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
+        grid = TimeGrid(Solver.XPBD, 0.0, span / cells, 0, begun)
         grid = projected(network, grid, cells, met, system.layers, stretch, most, limit)
         longest = self._stretch(grid.state.motion[0])
         self.tally.add(longest, grid.touching, grid.unresolved, grid.through)
@@ -199,8 +200,8 @@ class Stepper:
         return float((lengths / rests[moved] - 1).max(initial=0.0))
 
 
-def thickness_of(network: Network, settings: Settings) -> float:
-    """Return the distance that cloth keeps from itself [m]; 0 where it does not."""
+def thickness_of(network: Network, settings: AttachSettings) -> float:
+    """Return the self-contact distance of cloth [m]; 0 is off."""
     if settings.thickness is not None:
         return settings.thickness
     if not len(network.triangles):
@@ -209,20 +210,20 @@ def thickness_of(network: Network, settings: Settings) -> float:
 
 
 def _system(
-    network: Network, settings: Settings, down: FloatArray, thickness: float
+    network: Network, settings: AttachSettings, down: FloatArray, thickness: float
 ) -> SpringSystem:
-    """Return a network as a system of springs, held and drawn where it is at rest."""
+    """Return the spring system of a network, pinned and pulled to rest positions."""
     options = settings.options
     body = network.body(options.diagonals, settings.bend)
     drawn = network.free if settings.frequency else network.free[:0]
     masses, omega = body.masses[drawn], 2 * math.pi * settings.frequency
-    # Cloth feels the air by its triangles, other things by their speed alone.
+    # Air acts on the triangles of cloth; other kinds have linear drag.
     wind, cloth = np.array(options.wind), len(network.triangles) > 0
     slowing = 0.0 if cloth else options.drag
     return SpringSystem(
         body,
-        pins=Pins(network.held),
-        targets=Targets(
+        pins=Pins(network.pinned),
+        targets=PointTargets(
             drawn,
             body.positions[drawn],
             masses * omega**2,
@@ -236,9 +237,9 @@ def _system(
 
 
 def _strands(
-    network: Network, settings: Settings, down: FloatArray
+    network: Network, settings: AttachSettings, down: FloatArray
 ) -> _kernels.SpringStrands:
-    """Return strands as kernels take them; chains have no folds."""
+    """Return kernel strands; chains have no bend springs."""
     options, omega = settings.options, 2 * math.pi * settings.frequency
     bends, strands = network.lengths(network.bends), network.strands
     springs = network.count // strands - 1
@@ -258,11 +259,11 @@ def _strands(
 
 
 def threads_allowed() -> int:
-    """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
+    """Return the thread count: ``OMP_NUM_THREADS``, else the number of processors.
 
-    Processes of a batch have that set to 1, as many run as there are processors.
+    Batch workers set it to 1, one worker per processor.
     """
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    if given.isdecimal() and int(given) > 0:
-        return int(given)
+    setting = os.environ.get("OMP_NUM_THREADS", "")
+    if setting.isdecimal() and int(setting) > 0:
+        return int(setting)
     return os.cpu_count() or 1

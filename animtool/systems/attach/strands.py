@@ -1,4 +1,4 @@
-"""Chains of joints that point where they were moved, and colliders of joints."""
+"""Rotations of simulated joint chains, and colliders of joints."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.framework.meter import Solid, closed_surfaces, depths_of
+from animtool.systems.framework.meter import ClosedSurface, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
     CellColliders,
     Cells,
@@ -22,21 +22,21 @@ from animtool.systems.springs.contacts import (
     cell_colliders,
 )
 
-# Bones shorter than this [m] point nowhere.
+# Bones shorter than this have no direction [m].
 SHORTEST = 1e-9
-# A particle that begins inside a collider is moved out at this speed [m/s].
+# Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION = 1.0
-# What is deeper than this after every push [m] is left inside.
+# Particles deeper than this after every push count as unresolved [m].
 UNRESOLVED = 1e-3
 
 
-def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
+def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` from directions to others ``(F, 3)``.
 
-    Identity where either has no length; half a turn about some axis across where they
-    are opposed.
+    Identity if either has no length; 180° about a perpendicular axis if they are
+    opposite.
 
-    >>> least_turns(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
+    >>> shortest_rotations(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
     lengths = [np.linalg.norm(part, axis=-1, keepdims=True) for part in (before, after)]
@@ -45,14 +45,14 @@ def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
     b = after / np.where(solid, lengths[1], 1.0)
     dots = (a * b).sum(axis=-1, keepdims=True)
     across = np.cross(a, b)
-    turns = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
+    rotations = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
     opposed = solid[:, 0] & (dots[:, 0] < -1 + 1e-12)
     if opposed.any():
         least = np.eye(3)[np.abs(a[opposed]).argmin(axis=-1)]
         axes = np.cross(a[opposed], least)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        turns[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
-    return np.where(solid, turns, so3.IDENTITY)
+        rotations[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
+    return np.where(solid, rotations, so3.IDENTITY)
 
 
 def chain_rotations(
@@ -62,43 +62,47 @@ def chain_rotations(
     animated: FloatArray,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return local rotations ``(F, C, 4)`` that point a chain's bones where they moved.
+    """Return local rotations ``(F, C, 4)`` that align bones with moved points.
 
-    Each joint is carried along by those above it, and then turned by the least turn
-    that points its bone: it does not twist. Joints stay within their limits: a pin
-    keeps to its axis, and the bones below go on from where that leaves it. Under
-    scales that differ by axis, directions hold only roughly. Rotations are those of all
-    joints as animated ``(F, J, 4)``; ends of bones ``(F, C + 1, 3)`` [m].
+    Each joint inherits the rotation of those above it and gets the shortest rotation
+    that aligns its bone, without twist. Joint limits apply: a pin keeps its axis, and
+    the bones below continue from there. With non-uniform scales, directions are
+    approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
+    ``(F, C + 1, 3)`` [m].
     """
     world = _above(rig, int(joints[0]), rotations)
     inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
-    made = np.zeros((len(rotations), len(joints), 4))
+    result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
-        own = rotations[:, joint]
+        source = rotations[:, joint]
         parent = so3.multiply(inherited, world)
         bone = animated[:, k + 1] - animated[:, k]
-        turn = least_turns(so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k])
-        wanted = so3.multiply(turn, so3.multiply(parent, own))
-        local = so3.normalize(so3.multiply(so3.conjugate(parent), wanted))
-        made[:, k] = _allowed(rig.joints[joint], local, own)
-        world = so3.multiply(world, own)
-        # What the joints so far have turned the animation by, in the world.
-        inherited = so3.multiply(so3.multiply(parent, made[:, k]), so3.conjugate(world))
-    return made
+        swing = shortest_rotations(
+            so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k]
+        )
+        goal = so3.multiply(swing, so3.multiply(parent, source))
+        local = so3.normalize(so3.multiply(so3.conjugate(parent), goal))
+        result[:, k] = _allowed(rig.joints[joint], local, source)
+        world = so3.multiply(world, source)
+        # World rotation of the joints so far relative to the animation.
+        inherited = so3.multiply(
+            so3.multiply(parent, result[:, k]), so3.conjugate(world)
+        )
+    return result
 
 
 def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return the rotation of what carries a joint, in the world ``(F, 4)``."""
-    whole = np.tile(so3.IDENTITY, (len(rotations), 1))
+    """Return the world rotation of the parent of a joint ``(F, 4)``."""
+    rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     parent = rig.joints[joint].parent
     while parent >= 0:
-        whole = so3.multiply(rotations[:, parent], whole)
+        rotation = so3.multiply(rotations[:, parent], rotation)
         parent = rig.joints[parent].parent
-    return whole
+    return rotation
 
 
-def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
-    """Return rotations that a joint can have ``(F, 4)``; its own where it has none."""
+def _allowed(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
+    """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
     rest = np.array(joint.rotation)
     motion = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
@@ -109,7 +113,7 @@ def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
             angle = joint.limits.clamped(angle)
         return so3.multiply(rest, so3.from_axis_angle(joint.axis, angle))
     if joint.type in {JointType.FIXED, JointType.PRISMATIC}:
-        return own
+        return fallback
     if isinstance(joint.limits, BallLimit):
         return so3.multiply(rest, joint.limits.clamped(motion))
     return local
@@ -118,40 +122,40 @@ def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
 def depth(
     points: FloatArray, ends: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far points ``(N, 3)`` are outside a capsule ``(N,)`` [m], and where.
+    """Return signed distances of points ``(N, 3)`` from a capsule ``(N,)`` [m].
 
-    That is the way out ``(N, 3)``, none of a point on the axis, and the share of the
-    axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m]; distances are negative inside.
+    With the outward directions ``(N, 3)``, zero on the axis, and the fractions along
+    the axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m].
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
     away = points - ends[0]
-    share = np.zeros(len(points))
+    fractions = np.zeros(len(points))
     if square > 0:
-        share = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
-    apart = away - share[:, None] * axis
-    length = np.sqrt((apart * apart).sum(axis=1))[:, None]
-    out = np.divide(apart, length, out=np.zeros_like(apart), where=length > 0)
-    return length[:, 0] - radius, out, share
+        fractions = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
+    radial = away - fractions[:, None] * axis
+    length = np.sqrt((radial * radial).sum(axis=1))[:, None]
+    out = np.divide(radial, length, out=np.zeros_like(radial), where=length > 0)
+    return length[:, 0] - radius, out, fractions
 
 
 def depth_at_bind(
     capsules: Capsules, rig: Rig, points: FloatArray, margin: float
 ) -> FloatArray:
-    """Return how deep points are in capsules at bind ``(C, N)`` [m], at most 0.
+    """Return signed distances from capsules at bind ``(C, N)`` [m], at most 0.
 
-    Capsules are thicker than the body here and there, and what lies on the body is in
-    them from the start: there they let it be.
+    Capsules may be thicker than the body, so that points on the body start inside; they
+    may stay that deep.
     """
     placed = capsules.placed(bind_world(rig))[0]
-    found = np.zeros((len(capsules), len(points)))
+    depths = np.zeros((len(capsules), len(points)))
     for c, radius in enumerate((capsules.radii + margin).tolist()):
-        found[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
-    return found
+        depths[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
+    return depths
 
 
 class CharacterColliders:
-    """Capsules and skins of a character, and what of the world is met with them."""
+    """Capsules and skins of a character, with the colliders of the world."""
 
     def __init__(
         self,
@@ -161,11 +165,13 @@ class CharacterColliders:
         radius: float,
         friction: float,
         world: Colliders | None = None,
+        layers: Sequence[Sheet] = (),
     ) -> None:
-        """Make what does not change from frame to frame.
+        """Set up the constants of all frames.
 
-        Radii ``(C,)`` [m] are in the size of the character; depths, at most 0, are how
-        deep particles may be in capsules ``(C, N)``, and in each skin ``(N,)`` [m].
+        Radii ``(C,)`` [m] have the scale of the character. Depths, at most 0, are the
+        allowed signed distances from capsules ``(C, N)`` and each skin ``(N,)`` [m].
+        Layers are other cloth.
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
@@ -173,7 +179,7 @@ class CharacterColliders:
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
         )
         every = [*world, *([like] * len(capsules))]
-        self._colliders = Colliders(every, world.sheets, world.bodies)
+        self._colliders = Colliders(every, [*world.sheets, *layers], world.bodies)
         first = len(world)
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
         self._sizes[:, 6] = radii
@@ -185,10 +191,9 @@ class CharacterColliders:
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
     ) -> FloatArray:
-        """Return how much deeper than they may be points are at the last pose ``(N,)``.
+        """Return depths beyond the allowed ones at the last pose ``(N,)`` [m].
 
-        In the collider that they are deepest in, as that is at a time [s] [m]; below 0
-        outside of all.
+        In the deepest collider at a time [s]; below 0 outside of all.
         """
         deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
@@ -197,16 +202,16 @@ class CharacterColliders:
             np.maximum(deepest, inside, out=deepest)
         return deepest
 
-    def solids(self, t: float) -> list[Solid]:
+    def solids(self, t: float) -> list[ClosedSurface]:
         """Return the closed surfaces of the world at a time [s]."""
         return closed_surfaces(self._world, t)
 
     def over(
         self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()
     ) -> CellColliders:
-        """Return what kernels take for the cells between K poses; None without any.
+        """Return kernel arguments for the cells between K poses; None without any.
 
-        With it skins in motion, as kernels take these.
+        Skins are kernel surfaces in motion.
         """
         rows, ends = self._capsules.turned(world)
         sizes = self._sizes.copy()

@@ -1,4 +1,4 @@
-"""The pass that moves what a rig attaches, and what it says of itself."""
+"""The pass ``simulate``, its report and its notices."""
 
 from __future__ import annotations
 
@@ -25,34 +25,39 @@ from animtool.motion.passes import Around, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.bodies import (
+    AttachedBody,
+    ChainBody,
+    SurfaceBody,
+    bodies_of,
+)
 from animtool.systems.attach.network import surface_problems
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
+    AttachSimulation,
     Closing,
     SavedFrame,
-    Simulation,
     saved_state,
 )
-from animtool.systems.attach.stepping import State
-from animtool.systems.framework.meter import Worst
+from animtool.systems.attach.stepping import AttachState
+from animtool.systems.framework.meter import Peak
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
 
-# Springs may be this much longer than aimed at before it is worth a warning [1].
+# Ratio of strain to target strain above which a warning is given [1].
 PARDON = 1.5
-# A joint turned by less than this moves nothing that would be missed [rad].
+# Smallest rotation of a bare last joint that is reported [rad].
 MIN_SWING = math.radians(0.1)
-# Of particles and triangles of any cloth.
+# Largest index of particles and triangles in a file.
 MAX_INDEX = 1 << 31
 
 
-def of_named_frames(simulation: Simulation) -> list[Fault]:
-    """Return what is odd about the frames that options name, when all were seen.
+def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
+    """Return notices about frames in options, after the whole take.
 
-    A frame that the take has not is named in vain (SIM185). Where a simulation goes on
-    from a frame, those before it are as the take has them (SIM186).
+    Frames missing in the take have no effect (SIM185). Frames before a resumed one are
+    those of the take (SIM186).
     """
     options, codes, resumed = simulation.options, simulation.codes, simulation.resumed
     if not codes:
@@ -60,11 +65,11 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
     named = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
         named["resume"] = (resumed.frame,)
-    seen = set(codes)
+    visited = set(codes)
     notices = [
         _in_vain(name, missing, codes)
         for name, frames in named.items()
-        if (missing := [frame for frame in frames if frame not in seen])
+        if (missing := [frame for frame in frames if frame not in visited])
     ]
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
@@ -83,31 +88,31 @@ def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class AttachReport:
-    """What became of one attachment."""
+    """Result of one attachment."""
 
-    name: str  # as the rig names it
-    kind: str  # of `AttachKind`
-    # ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``: something stays
-    # inside a collider, or went through the cloth.
+    name: str  # name in the rig
+    kind: str  # one of `AttachKind`
+    # ``ok``, ``stretched`` beyond the target, or ``unresolved``: particles stay inside
+    # a collider or passed through the cloth.
     status: str
-    particles: int  # how many there are
-    steps: int  # steps a frame
-    stretch: float  # most that a spring was longer than at rest [1]
-    aimed: float  # at which stretch [1]
-    contacts: int  # most particles that touched colliders at once
-    unresolved: int  # most that were left inside
-    passed: int  # most that had gone through the cloth
-    cut: int  # most pairs of its edges that had gone through each other
-    depth: Worst  # the deepest in a skin or a capsule [m]
-    pierced: Worst  # most pairs of an edge and a triangle through each other
-    strain: Worst  # of cloth, the most that a side is longer or shorter [1]
-    strain_99: Worst  # that 99 sides of 100 keep to, at most [1]
-    jumps: int  # how often it was carried over a jump
+    particles: int  # particle count
+    steps: int  # steps per frame
+    stretch: float  # largest strain of a spring [1]
+    aimed: float  # target strain [1]
+    contacts: int  # most particles in contact at once
+    unresolved: int  # most particles left inside colliders
+    passed: int  # most particles through the cloth
+    cut: int  # most pairs of edges through each other
+    depth: Peak  # largest depth in a skin or a capsule [m]
+    pierced: Peak  # most intersecting pairs of an edge and a triangle
+    strain: Peak  # largest strain of a cloth side [1]
+    strain_99: Peak  # largest 99th percentile of strain [1]
+    jumps: int  # number of teleports
     seconds: float  # time spent [s]
 
 
-def reports_of(simulation: Simulation) -> list[AttachReport]:
-    """Return what became of each attachment so far."""
+def reports_of(simulation: AttachSimulation) -> list[AttachReport]:
+    """Return the result of each attachment so far."""
     return [_report(actor) for actor in simulation.actors]
 
 
@@ -139,8 +144,8 @@ def _report(actor: Actor) -> AttachReport:
     )
 
 
-def notices_of(simulation: Simulation) -> list[Fault]:
-    """Return what is worth saying of a simulation that is over."""
+def notices_of(simulation: AttachSimulation) -> list[Fault]:
+    """Return notices of a finished simulation."""
     reports = reports_of(simulation)
     said = [
         _note(report, actor)
@@ -176,11 +181,11 @@ def _note(report: AttachReport, actor: Actor) -> Fault:
 
 
 def _of_start(actor: Actor) -> list[Fault]:
-    """Return what is odd about what an attachment is made of, and where it begins."""
+    """Return notices about the geometry and start of an attachment."""
     said, name, network = [], actor.body.name, actor.body.network
-    odd = surface_problems(network)
-    if odd:
-        message = f"{name}: {listed(odd)}; it is simulated as it is"
+    problems = surface_problems(network)
+    if problems:
+        message = f"{name}: {listed(problems)}; it is simulated as it is"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
         every = actor.lost == len(network.sides)
@@ -193,8 +198,8 @@ def _of_start(actor: Actor) -> list[Fault]:
     return said + actor.tangles
 
 
-def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
-    """Return a warning where the last joint of a chain turns, and moves nothing."""
+def _bare(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:
+    """Return a warning if the rotation of a chain's last joint moves nothing."""
     angle = simulation.swung.get(chain.name, 0.0)
     if angle < MIN_SWING:
         return []
@@ -245,28 +250,28 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     around: Around | None = None,
 ) -> TakeStream:
-    """Return a take whose rig's attachments move by themselves, block by block.
+    """Simulate attachments of a rig through a take, block by block.
 
-    Chains turn their joints. Cloth and strands get points of their own, which point
-    caches are written of. Attachments of one call do not see each other: what hangs on
-    another is for a call behind it.
+    Chains rotate their joints. Cloth and strands get points, which are written as point
+    caches. Cloth and strands collide with cloth that is named before them and has
+    self-contact; that cloth does not feel them.
 
     Args:
         stream: The take.
-        options: What, and how.
-        folder: Where relative paths start.
-        early: Frames before the take's own that hold its first; no cycle has them.
-        keeps: Whether states that the options ask for are saved.
-        progress: Told the share done of each block, 0 to 1.
-        around: Builds characters, systems and meshes that the options name; without it
-            colliders alone are met.
+        options: Attachments and settings.
+        folder: Base of relative paths.
+        early: Frames before the take that hold its first frame; a cycle has none.
+        keeps: Whether requested states are saved.
+        progress: Called with the fraction done of each block, 0 to 1.
+        around: Builds characters, systems and meshes named by the options; without it
+            only colliders are used.
 
     Raises:
-        FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
-            SKIN001 to SKIN006), or a file of states is none (SIM035).
-        OptionError: An option makes no sense, with every such fault (SCN014, SCN015,
-            SCN025, SIM004, SIM030, SIM032), the rig does not fit (SIM030, SIM033), or a
-            file of states does not (SIM035).
+        FormatError: Arrays of the rig cannot be read or do not fit (RIG018, SKIN001 to
+            SKIN006), or a state file is invalid (SIM035).
+        OptionError: An option is invalid, with every such fault (SCN014, SCN015,
+            SCN025, SIM004, SIM030, SIM032), or the rig (SIM030, SIM033) or a state file
+            (SIM035) does not fit.
     """
     _check(options)
     if not moves(options):
@@ -277,7 +282,7 @@ def simulate(
     if around is not None and (options.characters or options.systems or options.meshes):
         stream, world = around(stream, options, early * span)
     start = Fraction(1) if stream.start is None else stream.start
-    simulation = Simulation(
+    simulation = AttachSimulation(
         stream.rig,
         bodies,
         options,
@@ -298,7 +303,7 @@ def simulate(
 
 
 def _blocks(
-    simulation: Simulation, stream: TakeStream, folder: Path | None
+    simulation: AttachSimulation, stream: TakeStream, folder: Path | None
 ) -> Iterator[Motion]:
     yield from simulation.blocks(stream.blocks)
     if simulation.options.save and folder is not None:
@@ -308,16 +313,16 @@ def _blocks(
 
 
 def _resumed(
-    bodies: Sequence[Body], options: SimulateOptions, folder: Path
+    bodies: Sequence[AttachedBody], options: SimulateOptions, folder: Path
 ) -> SavedFrame | None:
-    """Return the latest states of a file."""
+    """Return the latest saved states of a file."""
     if options.resume is None:
         return None
     path = folder / options.resume
-    states: dict[str, State] = {}
+    states: dict[str, AttachState] = {}
     faults: list[Fault] = []
     with open_states(path) as saved:
-        # Of a system that is saved the one state has no name.
+        # The single state of a system has no name.
         frames = [float(name.partition("/")[0]) for name in saved.names if name]
         if not frames:
             message = "it has no state of any frame"
@@ -325,7 +330,7 @@ def _resumed(
         frame = max(frames)
         for body in bodies:
             count = body.network.count
-            start = Reached(0, State(np.zeros((count, 3)), np.zeros((count, 3))))
+            start = Reached(0, AttachState(np.zeros((count, 3)), np.zeros((count, 3))))
             try:
                 state = saved.read(*saved_state(body, frame), start).state
             except OptionError as error:
@@ -342,10 +347,10 @@ def _resumed(
 
 
 def moves(options: SimulateOptions) -> bool:
-    """Return whether there is anything to move, and any of it shown."""
+    """Return whether anything is simulated with a weight above 0."""
     weight = options.weight
     keys = [(0.0, weight)] if isinstance(weight, (int, float)) else weight
-    # Between keys of no weight there is none either.
+    # Between keys of weight 0 the weight is 0 too.
     return bool(options.what) and any(value for _, value in keys)
 
 

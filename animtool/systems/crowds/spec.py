@@ -20,9 +20,9 @@ from animtool.documents.fields import (
 from animtool.systems.framework.fields import (
     Characters,
     Colliders,
+    EmitterShapeEntry,
     GaitsModel,
     PlacedModel,
-    PlaceEntry,
     PrototypeModel,
     Seed,
     ShapeEntry,
@@ -112,7 +112,7 @@ class PopulationModel(PlacedModel):
 
     name: Name = key("Its name.", "commuters")
     count: Annotated[Integer, Ge(0), Le(10**6)] = key("How many.", 200, default=50)
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Start region, seen from above: `point`, `disc`, `sphere`, `box`, `mesh`.",
         {"box": {"size": [6, 0, 2]}},
         default={"disc": {"radius": 5.0}},

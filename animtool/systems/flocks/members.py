@@ -23,7 +23,7 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
 from animtool.systems.framework.groups import Groups, duplicate_names
-from animtool.systems.framework.matter import check_apart
+from animtool.systems.framework.matter import check_distinct
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
@@ -71,7 +71,7 @@ class Members(Groups):
     def check_distinct(self) -> None:
         """Refuse two members at the same position (SIM060)."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
-        check_apart(
+        check_distinct(
             self.points,
             lambda i, j: f"{self.named(i)} and {self.named(j)}",
             "SIM060",

@@ -18,9 +18,9 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     PlacedModel,
-    PlaceEntry,
     Seed,
     Shows,
     StartPoints,
@@ -143,7 +143,7 @@ class SpeciesModel(PlacedModel):
 
     name: Name = key("Its name.", "starling")
     count: Annotated[Integer, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Start region: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"box": {"size": [6, 2, 6]}},
         default={"sphere": {"radius": 2.0}},

@@ -135,7 +135,7 @@ class Fluid:
         sound = self._substeps.first_sound(self._start[0], pull)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
-    def misfit(self, state: FluidState, t: float) -> str:
+    def incompatibility(self, state: FluidState, t: float) -> str:
         """Return why a saved state cannot be resumed; empty if it can."""
         del t
         return "" if state.sound >= 0 else "the speed of sound is below 0"

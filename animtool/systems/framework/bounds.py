@@ -1,4 +1,4 @@
-"""Frames whose numbers are in no scene: what blew up."""
+"""Checks of frames for numbers out of bounds, after a blow-up."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from animtool.core.errors import Fault, ToleranceError
 from animtool.core.quantities import floored, plain
 from animtool.motion.frames import Frame, TransformsFrame
 
-# Numbers of a frame beyond this are in no scene; files hold up to 3e38, in any unit.
+# Largest number of a frame; files hold up to 3e38 in any unit.
 BOUND = 1e30
-# What is looked at beside primvars, and its unit.
+# Checked arrays besides primvars, with their units.
 UNITS = {
     "points": "m",
     "velocities": "m/s",
@@ -23,7 +23,7 @@ UNITS = {
 
 
 def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
-    """Raise where a frame holds a number that no file is to hold (SIM102)."""
+    """Raise if a frame contains a number out of bounds (SIM102)."""
     primvars = {f"primvars:{key}": rows for key, rows in _primvars(frame)}
     arrays = {what: getattr(frame, what, None) for what in UNITS} | primvars
     for what, rows in arrays.items():
@@ -31,17 +31,17 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
             continue
         if rows.min() >= -BOUND and rows.max() <= BOUND:
             continue
-        place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
-        message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
+        index = np.argwhere(~(np.abs(rows) <= BOUND))[0]
+        value = f"{float(rows[tuple(index)]):.3g} {UNITS.get(what, '')}".rstrip()
+        message = f"{name} blew up at {t:g} s: {what}[{int(index[0])}] is {value}"
         hint = f"use step: {half(step)}, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
 def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
-    """Raise where a point of a frame is not finite (SIM102).
+    """Raise if a point of a frame is not finite (SIM102).
 
-    Velocities of a field may have no value where no frame is.
+    Field velocities may be undefined between frames, and are not checked.
     """
     arrays = [frame.points]
     if isinstance(frame, TransformsFrame):
@@ -56,7 +56,7 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
 
 
 def half(step: float) -> str:
-    """Return half a step [s], as it is written."""
+    """Return half a step [s] as text."""
     return plain(floored(step / 2))
 
 

@@ -15,14 +15,14 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Real, key
 
 Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
-# Makes the values of a quantity, if they are asked for ``(N,)``.
+# Lazily computes the values of a quantity ``(N,)``.
 Quantities: TypeAlias = Mapping[str, Callable[[], FloatArray | IntArray]]
-# From dark to light, in steps that look alike; and kinds that are easily told apart.
+# Perceptually even ramp from dark to light, and distinct colours for kinds.
 RAMP = ((0.05, 0.03, 0.25), (0.45, 0.1, 0.5), (0.87, 0.33, 0.3), (1.0, 0.9, 0.6))
 PALETTE = ((0.3, 0.55, 0.95), (0.95, 0.6, 0.25), (0.4, 0.8, 0.45), (0.85, 0.35, 0.6))
-# Quantiles between which colours go where no range is given: few stray far.
+# Default colour range as quantiles, to ignore outliers.
 LOW, HIGH = 0.02, 0.98
-# Neighbours within whose distance a density is measured.
+# Number of neighbours for density estimates.
 NEAREST = 16
 
 
@@ -44,7 +44,7 @@ class ColourModel(FileModel):
     )
 
     def faults(self, names: Sequence[str], code: str) -> list[Fault]:
-        """Return what is wrong with it, where a kind has quantities of some names."""
+        """Return faults, given the names of available quantities."""
         if self.by not in names:
             message = f"unknown quantity {excerpt(self.by)}"
             return [
@@ -62,7 +62,7 @@ class ColourModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class Colouring:
-    """Colours by a quantity, over a range that stays."""
+    """Colours by a quantity over a fixed range."""
 
     by: str
     range: tuple[float, float]
@@ -70,7 +70,7 @@ class Colouring:
 
     @staticmethod
     def of(model: ColourModel, first: Quantities) -> Colouring:
-        """Return how to colour, from the quantities of the first state."""
+        """Return the colouring of a model, with ranges from the first state."""
         kinds = model.by == "species"
         ramp = np.array(model.ramp or (PALETTE if kinds else RAMP), np.float64)
         if model.range is not None:
@@ -85,17 +85,19 @@ class Colouring:
         if self.by == "species":
             return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
         low, high = self.range
-        share = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
+        fractions = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
         marks = np.linspace(0, 1, len(self.ramp))
-        return np.stack([np.interp(share, marks, one) for one in self.ramp.T], axis=1)
+        return np.stack(
+            [np.interp(fractions, marks, one) for one in self.ramp.T], axis=1
+        )
 
 
 def log_density(
     points: FloatArray, masses: FloatArray, box: FloatArray | None = None
 ) -> FloatArray:
-    """Return log10 of densities ``(N,)``: of the mean mass, among the 16 nearest.
+    """Return log10 of densities ``(N,)`` from the 16 nearest neighbours.
 
-    ``box`` ``(3,)`` [m]: of points from 0 on that go on at its other end.
+    ``box`` ``(3,)`` [m] is the size of a periodic box from 0.
     """
     from scipy.spatial import cKDTree
 

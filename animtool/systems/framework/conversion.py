@@ -98,12 +98,12 @@ def powers(unit: str) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class SceneUnits:
-    """What the numbers of a scene's systems and passes count.
+    """Units of the numbers in a scene's systems and passes.
 
     Attributes:
         length: A length of 1 [m].
         angle: An angle of 1 [deg].
-        stated: What the scene says of lengths; None is nothing.
+        stated: Length unit given in the scene; None if not given.
     """
 
     length: float = 1.0
@@ -112,38 +112,37 @@ class SceneUnits:
 
     @staticmethod
     def of(length: str | None, angle: str | None) -> SceneUnits:
-        """Return the units of names; None is that of systems."""
+        """Return units by name; None is the default of systems."""
         unit = None if length is None else LengthUnit(length)
         degrees = math.degrees(1.0) if angle == "rad" else 1.0
         return SceneUnits(unit.meters if unit else 1.0, degrees, unit)
 
     @property
-    def usual(self) -> bool:
-        """Whether nothing is to be converted."""
+    def is_default(self) -> bool:
+        """Whether no conversion is needed."""
         return self.length == self.angle == 1.0
 
     def factor(self, unit: str) -> float:
-        """Return what a number of a unit is times, in metres and degrees.
+        """Return the factor from a unit to metres and degrees.
 
         >>> SceneUnits.of("cm", None).factor("m/s²")
         0.01
         """
         length, angle = powers(unit)
-        # A quotient of whole numbers keeps more digits than a negative power.
+        # A quotient of integers is more precise than a negative power.
         scale = self.length**length if length >= 0 else 1 / self.length**-length
         return scale * float(self.angle**angle)
 
     def converted(self, model: Model, kind: str = "", weight: str = "") -> Model:
-        """Return the keys of an entry that are given, in metres and degrees.
+        """Return an entry with its specified keys in metres and degrees.
 
         Args:
-            model: The entry; what is in it is converted too.
-            weight: What its key ``weight`` counts, where only the key that it belongs
-                to says it.
-            kind: What the joint is that it belongs to, where keys count what that
-                moves by: ``prismatic`` has the second of two units.
+            model: The entry; nested entries are converted too.
+            weight: Unit of its key ``weight``, if only the parent key has it.
+            kind: Joint type that selects one of two units: ``prismatic`` uses the
+                second.
         """
-        if self.usual:
+        if self.is_default:
             return model
         kind = str(getattr(model, "type", kind))
         update: dict[str, Any] = {}
@@ -163,7 +162,8 @@ class SceneUnits:
             return self.converted(value, kind, unit)
         if isinstance(value, dict):
             return {
-                name: self.options(name, given or {}) for name, given in value.items()
+                name: self.options(name, options or {})
+                for name, options in value.items()
             }
         if isinstance(value, list) and any(
             isinstance(one, FileModel | dict) for one in value
@@ -173,34 +173,36 @@ class SceneUnits:
             return [[row[0], *self._scaled(row[1:], unit)] for row in value]
         return self._scaled(value, unit)
 
-    def options(self, name: str, given: dict[str, Any]) -> dict[str, Any]:
-        """Return options of a force, a shape or a place by its name, in metres."""
+    def options(self, name: str, source: dict[str, Any]) -> dict[str, Any]:
+        """Return options of a named force, shape or emitter in metres."""
         units = dict(RECORD_UNITS.get(name, {}))
         options = {
-            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+            key: self._scaled(value, units.get(key, ""))
+            for key, value in source.items()
         }
-        if name == "central" and isinstance(given.get("strength"), (int, float)):
-            options["strength"] = self._central(given)
+        if name == "central" and isinstance(source.get("strength"), (int, float)):
+            options["strength"] = self._central(source)
         return options
 
-    def _central(self, given: Mapping[str, Any]) -> float:
-        """Return the acceleration at one metre of one at a length of 1.
+    def _central(self, options: Mapping[str, Any]) -> float:
+        """Return the acceleration at one metre from that at one length unit.
 
-        It goes with a power of the distance, which is a number of lengths.
+        It scales with a power of the distance.
         """
-        power = given.get("power", -2.0)
+        power = options.get("power", -2.0)
         power = power if isinstance(power, (int, float)) else -2.0
-        return float(given["strength"]) * float(self.length ** (1.0 - power))
+        return float(options["strength"]) * float(self.length ** (1.0 - power))
 
-    def pass_options(self, name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return those of a pass's options that are given and count, in metres."""
+    def pass_options(self, name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the specified options of a pass in metres."""
         units = PASS_UNITS.get(name, {})
         return {
-            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+            key: self._scaled(value, units.get(key, ""))
+            for key, value in options.items()
         }
 
     def _scaled(self, value: Any, unit: str) -> Any:
-        """Return a number, or numbers in lists, of a unit; all else as it is."""
+        """Return a number, or numbers in lists, converted from a unit."""
         factor = self.factor(unit) if unit else 1.0
         if factor == 1.0 or isinstance(value, bool):
             return value
@@ -211,16 +213,16 @@ class SceneUnits:
         return value
 
     def array_factor(self, description: str | None) -> float:
-        """Return what numbers of a file are times, that a key of a text names."""
+        """Return the factor for arrays of a key, by the unit in its description."""
         units = _BRACKETS.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 
 
-def _holds(annotation: Any, wanted: Any) -> bool:
-    return annotation == wanted or any(
-        _holds(one, wanted) for one in get_args(annotation)
+def _holds(annotation: Any, marker: Any) -> bool:
+    return annotation == marker or any(
+        _holds(one, marker) for one in get_args(annotation)
     )
 
 
-# Of scenes that state none.
+# Default units.
 METRES = SceneUnits()

@@ -33,20 +33,20 @@ Named = Annotated[
 ]
 
 
-class Part(StrEnum):
-    """What entries of a field are read as, for a build to take from its context."""
+class EntryPart(StrEnum):
+    """Kinds of parts that field entries are read as, for the build context."""
 
-    ARRAY = "array"  # numbers of a file, as floats of the shape that they have there
-    NAMES = "names"  # a name or number as it is, or numbers of a file as a list
+    ARRAY = "array"  # array of a file, as floats
+    NAMES = "names"  # a name or number, or numbers of a file as a list
     FORCE = "force"  # one of the shared force fields: `Force`
-    PLACE = "place"  # where emitters make particles: `Place`
+    EMITTER_SHAPE = "place"  # an emitter shape: `Place`
     SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
 
 
-ArrayEntry = Annotated[Name, Part.ARRAY]
-NameEntry = Annotated[str | Integer, Part.NAMES]
-ForceEntry = Annotated[Named, Part.FORCE]
-# How shapes are written.
+ArrayEntry = Annotated[Name, EntryPart.ARRAY]
+NameEntry = Annotated[str | Integer, EntryPart.NAMES]
+ForceEntry = Annotated[Named, EntryPart.FORCE]
+# Syntax of shapes.
 SHAPE_FORMS = Forms(
     {
         "box": {"size": [1, 1, 1]},
@@ -57,10 +57,10 @@ SHAPE_FORMS = Forms(
         "sphere": {"radius": 0.1},
     }
 )
-PlaceEntry = Annotated[Named, Part.PLACE]
-ShapeEntry = Annotated[Named, Part.SHAPE, SHAPE_FORMS]
+EmitterShapeEntry = Annotated[Named, EntryPart.EMITTER_SHAPE]
+ShapeEntry = Annotated[Named, EntryPart.SHAPE, SHAPE_FORMS]
 
-# Seconds from the first frame on, and a vector.
+# Seconds from the first frame, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
 Velocities = Annotated[
@@ -74,7 +74,7 @@ CharacterFile = Annotated[
     Name | None,
     key("A clip or a scene; its first frame is at 0 s.", "walk.clip.yaml"),
 ]
-OwnCharacter = Annotated[
+SceneCharacter = Annotated[
     bool,
     key("Instead of a file: the character of this scene, after its passes.", True),
 ]
@@ -126,7 +126,7 @@ class CarryingJointModel(_CarrierModel):
     """A joint of a character in motion."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     joint: Name = key("Name of the joint.", "hand_r")
 
 
@@ -134,7 +134,7 @@ class CarryingVertexModel(_CarrierModel):
     """A vertex of a mesh of a character in motion; its frame does not turn."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     mesh: Name = key("Name of the rig's mesh.", "body")
     vertex: Annotated[Integer, Ge(0)] = key("Its number.", 120)
 
@@ -153,15 +153,15 @@ class CarryingBodyModel(_CarrierModel):
 
 
 class RecordModel(FileModel):
-    """An entry whose part is a record."""
+    """An entry that becomes a record."""
 
-    makes: ClassVar[str]  # the record, as ``module:class``; it says what makes no sense
+    makes: ClassVar[str]  # the record, as ``module:class``; it checks its values
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
-        """Return it, from what the keys are read as."""
+        """Return the record, from the parts read for its keys."""
         kind: Any = load_object(self.makes)
-        made: Checked = record_of(kind, self, **parts)
-        return made
+        record: Checked = record_of(kind, self, **parts)
+        return record
 
 
 class PlacementModel(FileModel):
@@ -178,7 +178,7 @@ class PlacementModel(FileModel):
 class PlacedModel(PlacementModel):
     """What stands somewhere, or moves."""
 
-    code: ClassVar[str] = "SIM020"  # of a place that makes no sense
+    code: ClassVar[str] = "SIM020"  # of an invalid placement
 
     moves: list[TimedVector] = key(
         "Displacement over time, from `at`: rows of seconds from the first frame and "
@@ -218,7 +218,7 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
 
 
 class _Entries:
-    """Lets pydantic read colliders of a scene as its systems have them."""
+    """Lets pydantic validate pass options as system colliders."""
 
     @staticmethod
     def __get_pydantic_core_schema__(_: object, handler: Any) -> Any:
@@ -234,7 +234,7 @@ class CharacterModel(_MaterialModel):
     """A character in motion that particles run into: capsules of its rig, or a mesh."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     if TYPE_CHECKING:
         margin: float
     mesh: Name | None = key(
@@ -315,7 +315,7 @@ class PhysicsStageModel(FollowedPrimModel):
     prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
-# What a system runs into, each under one key of that name; `AROUND` lists them.
+# Keys of what a system collides with; listed in `AROUND`.
 Colliders = Annotated[
     list[SystemColliderModel],
     key(

@@ -1,4 +1,4 @@
-"""Bodies that act on each other: what their simulations by integrators share."""
+"""Base of simulations of interacting bodies by integrators."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.colours import Colouring, Quantities, log_density
-from animtool.systems.framework.matter import Bodies
+from animtool.systems.framework.matter import PointMasses
 from animtool.systems.framework.simulation import Diagnostics, SimContext, StoppedError
 
-# Energy gained or lost, in what there was of either kind, from which on it blew up.
+# Relative energy change that counts as blow-up.
 GROWTH = 0.5
 
 
-class Moving(Protocol):
-    """A state of bodies."""
+class HasMotion(Protocol):
+    """A state with positions and velocities."""
 
     @property
     def motion(self) -> FloatArray:
@@ -39,34 +39,33 @@ class Moving(Protocol):
 
 
 Sums = TypeVar("Sums")
-State = TypeVar("State", bound=Moving)
+State = TypeVar("State", bound=HasMotion)
 
 
 def integrated(
     system: SecondOrder, options: IntegrateOptions, begin: float, lasts: float
 ) -> FloatArray:
-    """Return the state of a system after a time, from its own at a beginning [s].
+    """Integrate a system over a duration [s] and return its final state.
 
     Raises:
-        StoppedError: It blew up (SIM102), or the method could not go on (SIM103 to
-            SIM105).
+        StoppedError: It blew up (SIM102), or the method failed (SIM103 to SIM105).
     """
     start = Checkpoint(begin, system.state)
-    found = integrate(system, (begin, begin + lasts), options, start)
-    if found.stats.status is not Status.OK:
-        faults = [replace(one, severity=Severity.ERROR) for one in found.notices]
-        raise StoppedError(faults, found.stats)
-    return np.asarray(found.states[-1])
+    trajectory = integrate(system, (begin, begin + lasts), options, start)
+    if trajectory.stats.status is not Status.OK:
+        faults = [replace(one, severity=Severity.ERROR) for one in trajectory.notices]
+        raise StoppedError(faults, trajectory.stats)
+    return np.asarray(trajectory.states[-1])
 
 
 class StepSystem(SecondOrder, Generic[Sums]):
-    """Bodies for one step; what was summed last at their places is not summed again.
+    """Bodies for one step, with cached sums at the last positions.
 
     Args:
-        bodies: How they act on each other.
-        motion: Where they are, and how fast ``(2, N, 3)``.
-        known: What is summed there.
-        check: Called with times, places and what is summed there.
+        bodies: The interaction.
+        motion: Positions and velocities ``(2, N, 3)``.
+        known: Sums at these positions.
+        check: Called with time, positions and sums.
     """
 
     velocity_dependent = False
@@ -83,11 +82,11 @@ class StepSystem(SecondOrder, Generic[Sums]):
 
     @property
     def state(self) -> FloatArray:
-        """Where they start."""
+        """Initial state."""
         return self._motion
 
     def at(self, x: FloatArray) -> Sums:
-        """Return what there is at places ``(N, 3)``."""
+        """Return the sums at positions ``(N, 3)``, cached."""
         known, sums = self._known
         if x is not known and not np.array_equal(x, known):
             sums = self._bodies.summed(np.ascontiguousarray(x), sums)
@@ -95,7 +94,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
         return sums
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Return accelerations ``(N, 3)``; NaN where a place is not finite."""
+        """Return accelerations ``(N, 3)``; NaN if a position is not finite."""
         if not np.isfinite(x).all():
             return np.full_like(x, np.nan)
         sums = self.at(x)
@@ -103,34 +102,34 @@ class StepSystem(SecondOrder, Generic[Sums]):
         return self._bodies.accelerated(t, x, sums)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return what makes a state hard to go on from."""
+        """Return what makes a state hard to integrate."""
         if not np.isfinite(state).all():
             return ""
         return self._bodies.suspect(state[0], self.at(state[0]))
 
 
 class Interacting(ABC, Generic[State, Sums]):
-    """Bodies that act on each other, as a simulation.
+    """Base class of simulations of interacting bodies.
 
-    A kind checks its method as `__init__` does, sets what is not set here, calls
-    `begin`, and says what a step is.
+    A subclass calls `__init__`, sets the remaining attributes, calls `begin`, and
+    defines a step.
 
     Attributes:
-        checked: Its steps see to it that numbers stay finite.
-        unit: Of energies, for messages.
-        placed: What else acts on them, from where it is put.
-        bodies: Where they begin, how fast, and their masses.
-        radii: Half the widths that they are drawn with ``(N,)`` [m].
-        species: The number of the entry that each is of ``(N,)``.
-        several: Whether there are more entries than one.
-        shown: Which are written ``(M,)``.
+        checked: Steps check that numbers stay finite.
+        unit: Unit of energies in messages.
+        placed: External forces with their poses.
+        bodies: Initial positions, velocities and masses.
+        radii: Drawn radii ``(N,)`` [m].
+        species: Entry index of each body ``(N,)``.
+        several: Whether there are several entries.
+        shown: Written bodies ``(M,)``.
         inertia: Accelerations are forces over this ``(N, 1)``; None is 1.
-        box: Sides within which places repeat ``(3,)``; None where they do not.
+        box: Size of the periodic box ``(3,)``; None without.
     """
 
     checked = True
     unit = "J"
-    bodies: Bodies
+    bodies: PointMasses
     placed: Sequence[tuple[Any, Poses]]
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
@@ -142,9 +141,9 @@ class Interacting(ABC, Generic[State, Sums]):
     def __init__(
         self, spec: Any, context: SimContext, placed: str, pace: float = 1.0
     ) -> None:
-        """``placed``: its key; ``pace``: time of the integrator in a second."""
+        """``placed``: key of external forces; ``pace``: integrator time per second."""
         self._spec, self._begin, self._pace = spec, context.begin, pace
-        poses = [own["poses"] for own in context.parts.get(placed, ())]
+        poses = [parts["poses"] for parts in context.parts.get(placed, ())]
         self.placed = list(zip(getattr(spec, placed), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * pace, tolerance)
@@ -152,7 +151,7 @@ class Interacting(ABC, Generic[State, Sums]):
         self._colouring: Colouring | None = None
 
     def begin(self) -> None:
-        """Check that the method fits, and choose colours by the first state."""
+        """Check the method, and set colour ranges from the first state."""
         first = self.initial()
         check_fit(Equations(self._system(first)), self._integrator)
         if self._spec.colour is not None:
@@ -161,35 +160,35 @@ class Interacting(ABC, Generic[State, Sums]):
 
     @abstractmethod
     def _start(self, motion: FloatArray) -> State:
-        """Return where all begin, from the motion of `bodies`."""
+        """Return the initial state, from the motion of `bodies`."""
 
     @abstractmethod
     def _sums(self, state: State) -> Sums:
-        """Return what is summed in a state."""
+        """Return the sums of a state."""
 
     @abstractmethod
     def summed(self, x: FloatArray, before: Sums) -> Sums:
-        """Return what bodies at places ``(N, 3)`` do; ``before`` is what they did."""
+        """Return interaction sums at positions ``(N, 3)``; ``before`` are the last."""
 
     @abstractmethod
     def _forces(self, sums: Sums) -> FloatArray:
-        """Return of what is summed the forces ``(N, 3)``, over `inertia`."""
+        """Return forces from sums ``(N, 3)``, to be divided by `inertia`."""
 
     def accelerated(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
         """Return accelerations ``(N, 3)`` at a time of the integrator."""
-        made = self._forces(sums)
+        forces = self._forces(sums)
         if self.placed:
-            made = made + self.outside(t / self._pace, x)[0]
-        return np.asarray(made if self.inertia is None else made / self.inertia)
+            forces = forces + self.outside(t / self._pace, x)[0]
+        return np.asarray(forces if self.inertia is None else forces / self.inertia)
 
     @abstractmethod
     def from_placed(
         self, one: Any, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what one of `placed` at ``(3,)`` does to bodies: see `outside`."""
+        """Return acceleration and energy from one of `placed` at ``(3,)``."""
 
     def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
-        """Return what makes places hard to go on from; may be empty."""
+        """Return what makes positions hard to integrate; may be empty."""
         return ""
 
     @abstractmethod
@@ -198,18 +197,18 @@ class Interacting(ABC, Generic[State, Sums]):
 
     @abstractmethod
     def _values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return what is reported."""
+        """Return reported values."""
 
     def _in_play(self, state: State, now: Energy) -> float:  # noqa: ARG002
-        """Return the energy that may come and go, beside that of the beginning."""
+        """Return energy exchanged in addition to the initial energy."""
         return abs(self._bath_energy(state))
 
     @abstractmethod
     def _advised(self, state: State, t: float) -> float:
-        """Return a step that is short enough [s]."""
+        """Return an advised step [s]."""
 
     def _bath_energy(self, state: State) -> float:  # noqa: ARG002
-        """Return the energy that a bath gave so far."""
+        """Return the energy added by a heat bath so far."""
         return 0.0
 
     @cached_property
@@ -221,40 +220,40 @@ class Interacting(ABC, Generic[State, Sums]):
         state: State,
         check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
     ) -> StepSystem[Sums]:
-        """Return bodies for a step from a state."""
+        """Return the system of one step from a state."""
         return StepSystem(self, state.motion, self._sums(state), check)
 
     @cached_property
     def _moves(self) -> bool:
-        """Whether anything placed moves, and so may bring energy in."""
+        """Whether an external force moves, and so may supply energy."""
         return any(one.moves or one.prim for one, _ in self.placed)
 
     def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is placed does at a time ``(N, 3)``, and energies ``(N,)``."""
-        made, energies = np.zeros_like(x), np.zeros(len(x))
+        """Return external accelerations ``(N, 3)`` and energies ``(N,)`` at a time."""
+        accelerations, energies = np.zeros_like(x), np.zeros(len(x))
         for one, poses in self.placed:
             pull, energy = self.from_placed(one, poses.at(t)[:3], x)
-            made += pull
+            accelerations += pull
             energies += energy
-        return made, energies
+        return accelerations, energies
 
     def initial(self) -> State:
-        """Return where all begin."""
+        """Return the initial state."""
         return self._first
 
     def _integrated(
         self, system: StepSystem[Sums], t: float, dt: float, step: float
     ) -> FloatArray:
-        """Return the motion after a time, in steps [s], as `integrated`."""
+        """Return the motion after a duration, in steps [s], as `integrated`."""
         options = replace(self._options, step=step * self._pace)
         return integrated(system, options, t * self._pace, dt * self._pace)
 
     def _watch(self, state: State, t: float) -> None:
-        """Stop where energy appears from nowhere (SIM102)."""
+        """Stop if energy is not conserved (SIM102)."""
         begin, now = self._begun, self._energy(state, t)
-        usual = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
-        supplied = self._moves or not usual
-        if not supplied and not abs(self._gained(state, now)) <= GROWTH * usual:
+        scale = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
+        supplied = self._moves or not scale
+        if not supplied and not abs(self._gained(state, now)) <= GROWTH * scale:
             message = f"its energy changed to {now.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{begin.total:.4g} {self.unit}")
 
@@ -274,13 +273,13 @@ class Interacting(ABC, Generic[State, Sums]):
         return self._energy(self._first, self._begin)
 
     def _gained(self, state: State, now: Energy) -> float:
-        """Return the energy that came from nowhere."""
+        """Return the unexplained energy gain."""
         return now.total - self._bath_energy(state) - self._begun.total
 
     def _drift(self, state: State, now: Energy) -> float:
-        """Return that over what there was at the beginning [1]."""
-        usual = max(abs(self._begun.total), self._begun.kinetic, 1e-300)
-        return self._gained(state, now) / usual
+        """Return the unexplained gain relative to the initial energy [1]."""
+        scale = max(abs(self._begun.total), self._begun.kinetic, 1e-300)
+        return self._gained(state, now) / scale
 
     def _placed(self, motion: FloatArray) -> FloatArray:
         """Return positions [m] and velocities [m/s] in the scene ``(2, N, 3)``."""
@@ -288,7 +287,7 @@ class Interacting(ABC, Generic[State, Sums]):
 
     @np.errstate(all="ignore")
     def frame(self, state: State, t: float) -> PointsFrame:
-        """Return the bodies that are shown."""
+        """Return the frame of the shown bodies."""
         shown = self.shown
         points, velocities = self._placed(state.motion)[:, shown]
         primvars: dict[str, Any] = {}
@@ -311,13 +310,13 @@ class Interacting(ABC, Generic[State, Sums]):
 
     @np.errstate(all="ignore")
     def values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return what is reported, as far as it is finite."""
+        """Return reported values that are finite."""
         values = self._values(state, t)
         return {key: one for key, one in values.items() if math.isfinite(one)}
 
     @np.errstate(all="ignore")
     def diagnostics(self, state: State, t: float) -> Diagnostics:
-        """Return what is reported, and the energy that ought to stay."""
+        """Return reported values, and the conserved energy."""
         now = self._energy(state, t)
         kept = replace(now, potential=now.potential - self._bath_energy(state))
         return Diagnostics(None if self._moves else kept, self.values(state, t))

@@ -1,4 +1,4 @@
-"""The kinds of systems of scenes; each is imported when a scene has one."""
+"""Table of system kinds; each is imported when a scene uses it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class SystemKind:
 
     spec: str  # the model of its keys
     build: str  # from the spec and a `SimContext` to a `Simulation`
-    description: str  # what it is, for the schema
-    example: dict[str, Any]  # an entry of it
-    surface: bool = False  # whether it has faces, which others may run into
-    rigid: bool = False  # whether it is of rigid bodies, which others may push
-    weldable: bool = False  # whether particles of it can be one with those of others
+    description: str  # description for the schema
+    example: dict[str, Any]  # example entry
+    surface: bool = False  # whether it has faces that others can collide with
+    rigid: bool = False  # whether it has rigid bodies that others can push
+    weldable: bool = False  # whether its particles can be merged with those of others
 
     def __post_init__(self) -> None:
-        """Note that rigid bodies have surfaces."""
+        """Set `surface` for rigid kinds."""
         object.__setattr__(self, "surface", self.surface or self.rigid)
 
 

@@ -1,4 +1,4 @@
-"""What systems of bodies and of atoms are made of: arrays of files, and chance."""
+"""Point masses from files, unit frames and random directions."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from animtool.systems.framework.fields import PlacementModel
 
 
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
-    """Return a quaternion w, x, y, z as x, y, z, w of length 1; of zeros none.
+    """Return a quaternion w, x, y, z as a unit x, y, z, w.
 
     Raises:
-        OptionError: It has no direction (SIM020).
+        OptionError: It is zero (SIM020).
     """
     w, *xyz = wxyz
     size = float(np.linalg.norm(wxyz))
@@ -30,46 +30,46 @@ def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
-    """Where a frame that has units of its own is in a scene."""
+class UnitFrame:
+    """Placement of a frame with local units in a scene."""
 
-    at: FloatArray  # its origin (3,) [m]
+    at: FloatArray  # origin (3,) [m]
     rotation: FloatArray  # a quaternion x, y, z, w
-    scale: float = 1.0  # metres in its unit of length
-    pace: float = 1.0  # its unit of time in a second
+    scale: float = 1.0  # metres per local length unit
+    pace: float = 1.0  # local time units per second
 
     @staticmethod
-    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> Placement:
-        """Return that of a pose.
+    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> UnitFrame:
+        """Return the frame of a placement.
 
         Raises:
-            OptionError: Its rotation is none (SIM020).
+            OptionError: Its rotation is zero (SIM020).
         """
         rotation = unit_quaternion(pose.rotate)
-        return Placement(np.array(pose.at), rotation, scale, pace)
+        return UnitFrame(np.array(pose.at), rotation, scale, pace)
 
     def inwards(self, points: FloatArray) -> FloatArray:
-        """Return where points of the scene ``(…, 3)`` [m] are in it."""
+        """Transform scene points ``(…, 3)`` [m] to local units."""
         turned = so3.rotate(so3.conjugate(self.rotation), points - self.at)
         return np.asarray(turned / self.scale)
 
     def outwards(self, x: FloatArray) -> FloatArray:
-        """Return where its points ``(…, 3)`` are in the scene [m]."""
+        """Transform local points ``(…, 3)`` to the scene [m]."""
         return np.asarray(self.at + so3.rotate(self.rotation, self.scale * x))
 
     def velocities_in(self, v: FloatArray) -> FloatArray:
-        """Return velocities of the scene ``(…, 3)`` [m/s] in its units."""
+        """Transform scene velocities ``(…, 3)`` [m/s] to local units."""
         turned = so3.rotate(so3.conjugate(self.rotation), v)
         return np.asarray(turned / (self.scale * self.pace))
 
     def velocities_out(self, v: FloatArray) -> FloatArray:
-        """Return its velocities ``(…, 3)`` as those of the scene [m/s]."""
+        """Transform local velocities ``(…, 3)`` to the scene [m/s]."""
         return np.asarray(so3.rotate(self.rotation, self.scale * self.pace * v))
 
 
 @dataclass(frozen=True, slots=True)
-class Bodies(Rows):
-    """N bodies at a time."""
+class PointMasses(Rows):
+    """Positions, velocities and masses of N bodies."""
 
     points: FloatArray  # (N, 3)
     velocities: FloatArray  # (N, 3)
@@ -78,8 +78,8 @@ class Bodies(Rows):
     @staticmethod
     def read(
         parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
-    ) -> Bodies:
-        """Return those of arrays of a file: at rest and of a mass if it says no other.
+    ) -> PointMasses:
+        """Return bodies from arrays of a file, by default at rest and of equal mass.
 
         Raises:
             OptionError: Arrays do not fit, are not finite, or a mass is not above 0.
@@ -93,25 +93,25 @@ class Bodies(Rows):
             i = int(np.argmax(masses <= 0))
             message = f"the mass of {kind} {i} is {masses[i]:g} kg; it must be above 0"
             refuse(code, message, where)
-        return Bodies(points, velocities, masses)
+        return PointMasses(points, velocities, masses)
 
 
 def normals(u: FloatArray) -> FloatArray:
-    """Return normal numbers of even ones in [0, 1), of the same shape."""
+    """Return normal random numbers from uniform ones in [0, 1), of the same shape."""
     from scipy.special import ndtri
 
-    # The first number is 0 at least, whose normal is infinite.
+    # The normal quantile of 0 is infinite.
     return np.asarray(ndtri(np.clip(u, 2.0**-53, 1 - 2.0**-53)))
 
 
 def directions(u: FloatArray) -> FloatArray:
-    """Return directions all around ``(N, 3)``, of numbers in [0, 1) ``(N, 2)``."""
+    """Return uniform directions ``(N, 3)`` from numbers in [0, 1) ``(N, 2)``."""
     up = 2 * u[:, 0] - 1
     flat, angle = np.sqrt(np.maximum(1 - up**2, 0.0)), 2 * np.pi * u[:, 1]
     return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
 
 
-def check_apart(
+def check_distinct(
     points: FloatArray,
     pair: Callable[[int, int], str],
     code: str,
@@ -119,18 +119,18 @@ def check_apart(
     hint: str,
     why: str = "",
 ) -> None:
-    """Refuse two of points ``(N, 3)`` at one place.
+    """Raise if two of points ``(N, 3)`` coincide.
 
     Args:
-        points: Where they are.
-        pair: Returns what two are called.
-        code: Of the fault.
-        where: Its key.
+        points: Positions.
+        pair: Returns the names of two points.
+        code: Code of the fault.
+        where: Key of the fault.
         hint: What to do.
-        why: What the place is no good for.
+        why: Why they must not coincide.
 
     Raises:
-        OptionError: Two are at one place.
+        OptionError: Two points coincide.
     """
     order = np.lexsort(points.T)
     same = (np.diff(points[order], axis=0) == 0).all(axis=1)
@@ -144,12 +144,12 @@ def check_apart(
 def check_rows(
     arrays: Mapping[str, FloatArray | None], kind: str, code: str, where: str
 ) -> None:
-    """Refuse arrays of bodies that have other shapes or numbers that are not finite.
+    """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
 
     ``masses`` are ``(N,)``, others ``(N, 3)``; N is the length of ``points``.
 
     Raises:
-        OptionError: An array makes no sense, with a code and where it is.
+        OptionError: An array is invalid, with a code and its key.
     """
     points = arrays["points"]
     assert points is not None

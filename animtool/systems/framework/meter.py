@@ -1,4 +1,4 @@
-"""How far simulated surfaces are in what they touch, through it, and strained."""
+"""Meter of depth, piercing and strain of simulated surfaces."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from animtool.core.errors import Fault, counted, percent, warning
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders, Mesh
 
-# What is deeper in a skin or a collider is seen in a picture [m].
+# Depth in a skin or a collider that is visible in a picture [m].
 DEEP = 2e-3
-# Strain that is seen of cloth, of one side in a hundred and of any [1].
+# Visible strain of cloth: 99th percentile and maximum [1].
 STRAINED_99, STRAINED = 0.08, 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Worst:
-    """The worst of something over the frames, and where it was."""
+class Peak:
+    """Largest value over the frames, with its frame and position."""
 
-    value: float = 0.0  # a length in [m], a share or a count
-    frame: float | None = None  # its time code; None of a system, or of nothing
-    point: int | None = None  # the particle that has it, the first of two
-    at: tuple[float, float, float] | None = None  # where that was [m]
-    time: float | None = None  # of a system, when [s]
+    value: float = 0.0  # a length in [m], a fraction or a count
+    frame: float | None = None  # time code; None for a system, or without a value
+    point: int | None = None  # particle index, the first of two
+    at: tuple[float, float, float] | None = None  # its position [m]
+    time: float | None = None  # time of a system [s]
 
     @property
     def when(self) -> str:
-        """When it was, in words."""
+        """Frame or time as text."""
         return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
     @property
     def text(self) -> str:
-        """When and where it was, in words."""
+        """Frame and position as text."""
         if self.point is None or self.at is None:
             return "nowhere"
-        place = ", ".join(f"{value:.3g}" for value in self.at)
-        return f"{self.when}, point {self.point} at [{place}]"
+        position = ", ".join(f"{value:.3g}" for value in self.at)
+        return f"{self.when}, point {self.point} at [{position}]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """A closed surface that nothing should be inside of, at one time."""
+class ClosedSurface:
+    """A closed collision surface at one time."""
 
     points: FloatArray  # ``(P, 3)`` [m]
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
@@ -53,42 +53,43 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """What of a surface is measured."""
+    """Measured particles, triangles and sides of a surface."""
 
-    free: IntArray  # particles that nothing holds ``(M,)``
+    free: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
-    ends: IntArray  # of its sides ``(S, 2)``
-    rests: FloatArray  # lengths of these at rest, above 0 ``(S,)`` [m]
+    ends: IntArray  # ends of its sides ``(S, 2)``
+    rests: FloatArray  # rest lengths of these, above 0 ``(S,)`` [m]
 
 
 @dataclass(slots=True)
 class ContactMeter:
-    """The worst of depth, piercing and strain over the frames that were looked at."""
+    """Peaks of depth, piercing and strain over the measured frames."""
 
-    seconds: bool = False  # whether frames are times in [s], as those of systems
-    depth: Worst = field(default_factory=Worst)  # in a skin or a collider [m]
-    # Pairs of an edge and a triangle that it goes through, of surface and skins or of
-    # the surface alone.
-    pierced: Worst = field(default_factory=Worst)
-    strain: Worst = field(default_factory=Worst)  # longer or shorter than at rest [1]
-    strain_99: Worst = field(default_factory=Worst)  # that 99 sides of 100 keep to [1]
+    seconds: bool = False  # whether frames are times in [s], as for systems
+    depth: Peak = field(default_factory=Peak)  # in a skin or a collider [m]
+    # Intersecting pairs of an edge and a triangle, with itself and with skins.
+    pierced: Peak = field(default_factory=Peak)
+    strain: Peak = field(default_factory=Peak)  # largest strain of a side [1]
+    strain_99: Peak = field(default_factory=Peak)  # 99th percentile of strain [1]
 
     def look(
         self,
         frame: float,
         points: FloatArray,
         sides: Sides,
-        solids: Sequence[Solid] = (),
+        solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
+        layers: Sequence[ClosedSurface] = (),
     ) -> None:
-        """Note a frame.
+        """Measure a frame.
 
         Args:
-            frame: Its time code, or its time [s].
-            points: Of the particles ``(N, 3)`` [m].
-            sides: What joins them.
-            solids: What they should be outside of.
-            depths: How deep they are in other colliders ``(N,)`` [m], below 0 outside.
+            frame: Time code, or time [s].
+            points: Particle positions ``(N, 3)`` [m].
+            sides: Sides and triangles to measure.
+            solids: Closed surfaces to stay outside of.
+            depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
+            layers: Other open surfaces, for piercing alone.
         """
         deep = np.zeros(len(points)) if depths is None else depths.copy()
         free = sides.free
@@ -99,7 +100,7 @@ class ContactMeter:
             depth = float(deep[worst])
             self.depth = self._worse(self.depth, depth, frame, points, worst)
         if len(sides.triangles):
-            pairs = pierced_pairs(points, sides.triangles, solids)
+            pairs = pierced_pairs(points, sides.triangles, [*solids, *layers])
             first = int(sides.triangles[0, 0])
             count = float(pairs)
             self.pierced = self._worse(self.pierced, count, frame, points, first)
@@ -109,122 +110,122 @@ class ContactMeter:
             strains = np.abs(lengths / sides.rests - 1)
             most = int(strains.argmax())
             where = int(i[most])
-            value, share = float(strains[most]), float(np.quantile(strains, 0.99))
+            value, quantile = float(strains[most]), float(np.quantile(strains, 0.99))
             self.strain = self._worse(self.strain, value, frame, points, where)
-            self.strain_99 = self._worse(self.strain_99, share, frame, points, where)
+            self.strain_99 = self._worse(self.strain_99, quantile, frame, points, where)
 
     def _worse(
-        self, known: Worst, value: float, frame: float, points: FloatArray, point: int
-    ) -> Worst:
-        """Return the worse of what is known and of a frame."""
+        self, known: Peak, value: float, frame: float, points: FloatArray, point: int
+    ) -> Peak:
+        """Return the larger of the peak so far and a frame's value."""
         if not value > known.value:
             return known
         x, y, z = points[point].tolist()
         code, t = (None, frame) if self.seconds else (frame, None)
-        return Worst(value, code, point, (x, y, z), t)
+        return Peak(value, code, point, (x, y, z), t)
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
-        """What was measured, for a report."""
+        """Measured values for a report."""
         names = ("depth", "pierced", "strain", "strain_99")
         return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
-        """What was measured, in words; empty where there was nothing to say."""
+        """Measured values as text; empty without contact and strain."""
         parts = []
         if self.depth.value > 0:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
             parts.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
-            share = percent(self.strain_99.value)
-            parts.append(f"99th percentile of strain {share}")
+            quantile = percent(self.strain_99.value)
+            parts.append(f"99th percentile of strain {quantile}")
             parts.append(
                 f"largest strain {percent(self.strain.value)} ({self.strain.text})"
             )
         return ", ".join(parts)
 
     def notices(self, what: str) -> list[Fault]:
-        """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
-        found, finer = [], "a shorter step" if self.seconds else "a higher rate"
+        """Return warnings about visible faults (SIM180, SIM181, SIM182)."""
+        notices, finer = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > DEEP:
             message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
             hint = f"use a larger radius or {finer}, or a slower motion"
-            found.append(warning("SIM180", message, hint))
+            notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
             message = f"{pairs} of edges and triangles of {what} and what it touches "
             message += f"intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
-            found.append(warning("SIM181", message, hint))
+            notices.append(warning("SIM181", message, hint))
         if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
             message = f"{what} is strained by up to {percent(self.strain.value)} "
             message += f"({self.strain.text}), 99th percentile "
             message += f"{percent(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {finer}"
             hint += " or a higher stiffness" if self.seconds else ""
-            found.append(warning("SIM182", message, hint))
-        return found
+            notices.append(warning("SIM182", message, hint))
+        return notices
 
 
-def closed_surfaces(colliders: Colliders, t: float) -> list[Solid]:
-    """Return the closed surfaces in motion of colliders at a time [s]."""
+def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
+    """Return the closed moving surfaces of colliders at a time [s]."""
     return [
-        Solid(one.motion.points(t), one.motion.triangles(t))
+        ClosedSurface(one.motion.points(t), one.motion.triangles(t))
         for one in colliders.sheets
         if one.closed
     ]
 
 
 def depths_of(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
-    """Return how deep points are in rigid colliders ``(N,)`` [m], below 0 outside."""
+    """Return depths of points in rigid colliders ``(N,)`` [m], below 0 outside."""
     if not colliders.rigid:
         return np.full(len(points), -np.inf)
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
 
-def depths_in(solid: Solid, points: FloatArray) -> FloatArray:
-    """Return how deep points ``(N, 3)`` are in a closed surface ``(N,)`` [m].
+def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
+    """Return depths of points ``(N, 3)`` in a closed surface ``(N,)`` [m].
 
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> points = np.array([[0.1, 0.2, 0.2], [2.0, 0.0, 0.0]])
-    >>> depths_in(Solid(corners, faces), points).round(3).tolist()
+    >>> depths_in(ClosedSurface(corners, faces), points).round(3).tolist()
     [0.1, 0.0]
     """
     low, high = solid.points.min(axis=0), solid.points.max(axis=0)
     within = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
-    found = np.zeros(len(points))
+    depths = np.zeros(len(points))
     if len(within):
         met = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
         distances = met.sample(points[within], 0.0, 1.0).distances[0]
-        found[within] = np.maximum(-distances, 0.0)
-    return found
+        depths[within] = np.maximum(-distances, 0.0)
+    return depths
 
 
 def pierced_pairs(
-    points: FloatArray, triangles: IntArray, solids: Sequence[Solid] = ()
+    points: FloatArray, triangles: IntArray, solids: Sequence[ClosedSurface] = ()
 ) -> int:
-    """Return how many pairs of an edge and a triangle go through each other.
+    """Return the number of intersecting pairs of an edge and a triangle.
 
-    Those of solids alone are not counted.
+    Pairs within solids are not counted.
     """
-    found = _pierced(points, triangles)
+    count = _pierced(points, triangles)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
         near = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
-        own = solid.triangles[near.all(axis=1)]
-        if not len(own):
+        close = solid.triangles[near.all(axis=1)]
+        if not len(close):
             continue
-        used, own = np.unique(own, return_inverse=True)
-        own = own.reshape(-1, 3)
+        used, close = np.unique(close, return_inverse=True)
+        close = close.reshape(-1, 3)
         both = np.concatenate([points, solid.points[used]])
-        every = np.concatenate([triangles, own + len(points)])
-        found += _pierced(both, every) - _pierced(solid.points[used], own)
-        found -= _pierced(points, triangles)
-    return found
+        every = np.concatenate([triangles, close + len(points)])
+        count += _pierced(both, every) - _pierced(solid.points[used], close)
+        count -= _pierced(points, triangles)
+    return count
 
 
 def _pierced(points: FloatArray, triangles: IntArray) -> int:

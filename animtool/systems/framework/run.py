@@ -1,4 +1,4 @@
-"""What takes a simulation through time, and looks at any time."""
+"""Runs a simulation in even steps, and samples it at any time."""
 
 from __future__ import annotations
 
@@ -21,31 +21,35 @@ from animtool.systems.framework.simulation import (
     Stepped,
     SystemView,
 )
-from animtool.systems.framework.surfaces import Bodies, RigidSystem, Surface
+from animtool.systems.framework.surfaces import (
+    BodyColliders,
+    RigidSystem,
+    SystemSurface,
+)
 from animtool.systems.framework.tied import TiedBodies
 
-Watcher = TypeVar("Watcher", Surface, Bodies)
+Watcher = TypeVar("Watcher", SystemSurface, BodyColliders)
 
-# A time that is as near to the end of a step is that end [steps].
+# Tolerance for a time at the end of a step [steps].
 ON_STEP = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Reached(Generic[State]):
-    """A state, and the steps that led to it."""
+    """A state and the number of steps taken."""
 
     steps: int
     state: State
 
 
 class EntryRun:
-    """An entry of a scene under way: what it shows of a run.
+    """View of one scene entry on a simulation run.
 
     Attributes:
-        name: Of the entry.
-        run: What takes it, and what it is joined to, through time.
-        simulation: What it shows of it; of an entry alone, the simulation itself.
-        speaks: Whether warnings of steps are told with it; of joined ones, the first.
+        name: Name of the entry.
+        run: Run of the entry and of all entries joined to it.
+        simulation: View of the entry; for a single entry the simulation itself.
+        speaks: Whether it reports warnings of steps: the first of joined entries.
     """
 
     def __init__(
@@ -61,11 +65,11 @@ class EntryRun:
         self._empty: bool | None = None  # None before the first look
 
     def at(self, t: float) -> Frame:
-        """Return what there is at a time [s], not before the last one asked for.
+        """Return the frame at a time [s] not before the last requested one.
 
         Raises:
-            OptionError: Time runs backwards (SIM002).
-            ToleranceError: It blew up (SIM102), or the method could not go on.
+            OptionError: The time is before the last one (SIM002).
+            ToleranceError: It blew up (SIM102), or the method failed.
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
         check_bounds(self.name, frame, t, self.run.step_length)
@@ -74,42 +78,50 @@ class EntryRun:
 
     @property
     def rigid(self) -> bool:
-        """Whether it is of rigid bodies."""
+        """Whether it has rigid bodies."""
         return isinstance(self.simulation, RigidSystem)
 
-    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
-        """Return its bodies as others run into them, and push them if two-way."""
+    def bodies(
+        self, restitution: float, friction: float, *, two_way: bool
+    ) -> BodyColliders:
+        """Return its bodies as colliders of others, which push them if two-way."""
         assert isinstance(self.simulation, RigidSystem)
         return self.run.watched_by(
-            Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
+            BodyColliders(
+                self.run, self.simulation, restitution, friction, two_way=two_way
+            )
         )
 
     def tied(self) -> TiedBodies:
-        """Return its bodies as they carry particles of others."""
+        """Return its bodies as carriers of particles of others."""
         run, simulation = self.run, self.simulation
-        made = TiedBodies(run, simulation, run.begin, run.step_length)
-        run.watched_by(made)
-        return made
+        bodies = TiedBodies(run, simulation, run.begin, run.step_length)
+        run.watched_by(bodies)
+        return bodies
 
-    def surface(self) -> Surface:
-        """Return its surface, which others run into."""
-        return self.run.watched_by(Surface(self.run, self.simulation))
+    def surface(self) -> SystemSurface:
+        """Return its surface as a collider of others."""
+        return self.run.watched_by(SystemSurface(self.run, self.simulation))
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """What the state that was looked at last is like."""
-        found: Diagnostics = self.simulation.diagnostics(*self.run.seen)
-        return found
+        """Diagnostics of the last sampled state."""
+        diagnostics: Diagnostics = self.simulation.diagnostics(*self.run.observed)
+        return diagnostics
 
     @property
     def notices(self) -> list[Fault]:
-        """Warnings so far."""
-        found = self.diagnostics
-        told = self.run.told if self.speaks else ()
-        return [*found.notices, *told, *(found.if_empty if self._empty else ())]
+        """Warnings collected so far."""
+        diagnostics = self.diagnostics
+        step_notices = self.run.step_notices if self.speaks else ()
+        return [
+            *diagnostics.notices,
+            *step_notices,
+            *(diagnostics.if_empty if self._empty else ()),
+        ]
 
     def report(self) -> dict[str, object]:
-        """Return what became of it, as plain values."""
+        """Return result values for a report."""
         values = dict(self.diagnostics.values)
         if not values:
             return {}
@@ -118,20 +130,20 @@ class EntryRun:
 
 
 class SimulationRun(EntryRun):
-    """Takes a simulation through time in steps of one length, and looks at any time.
+    """Runs a simulation in steps of constant length, and samples it at any time.
 
-    Steps begin at the beginning and do not heed the times that are asked for: a look
-    between two steps takes a part of a step that is not kept. So the frame rate of an
-    output changes nothing of the motion. To resume, begin with a state of an earlier
-    run. One whose numbers do not stay finite is stopped.
+    Steps do not depend on the requested times: a sample between two steps takes a
+    partial step that is discarded. The frame rate of an output thus does not change the
+    motion. To resume, start from a state of an earlier run. A run with numbers that are
+    not finite is stopped.
 
     Attributes:
-        seen: The state that was looked at last, and its time [s].
+        observed: The last sampled state and its time [s].
         begin: Time of the first step [s].
-        step_length: Of every step [s].
-        state: At the end of the last whole step.
-        taken: Steps and parts of steps so far.
-        told: Warnings of these, the first of each code.
+        step_length: Length of every step [s].
+        state: State at the end of the last full step.
+        taken: Steps and partial steps so far.
+        step_notices: Warnings of these, the first of each code.
     """
 
     def __init__(
@@ -146,77 +158,80 @@ class SimulationRun(EntryRun):
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
         self.taken = 0
-        self.told: list[Fault] = []
-        # States that who looks at the surface may still ask for, from the latest.
+        self.step_notices: list[Fault] = []
+        # States that observers may still request.
         self._kept: list[Reached[Any]] | None = None
-        self._watchers: list[Surface | Bodies] = []
+        self._watchers: list[SystemSurface | BodyColliders] = []
         self._pushed_bodies: Sequence[MovingBodies] = ()
         # Who pushes it: when, who, and with what.
         self._pushers: list[Pusher] = []
         self._pushes: list[tuple[float, int, Wrenches]] = []
-        # Who hangs on some of its bodies, and pulls them all through a step.
+        # Systems that hang on its bodies and pull them during a step.
         self._pullers: list[tuple[TiedBodies, Any]] = []
-        # By steps, states that bodies were pushed in, as the next step begins.
+        # States at the start of the next step after pushes, by step.
         self._begun: dict[int, Reached[Any]] = {}
-        self.seen: tuple[Any, float] = self.state.state, self.time(self.state.steps)
-        self._asked: float | None = None  # the last time that was asked for [s]
+        self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
+        self._asked: float | None = None  # last requested time [s]
         many = simulation if isinstance(simulation, ManySteps) else None
         self._steps = None if many is None else many.steps
 
     def reach(self, t: float) -> tuple[Any, float]:
-        """Return the state at a time [s], not before the last one, and when it is."""
+        """Return the state at a time [s] not before the last one, and its time."""
         if t == self._asked:
-            return self.seen
-        whole = self.advance(t)
+            return self.observed
+        count = self.advance(t)
         begun = self.state
-        if whole < begun.steps:
-            # Who runs into it, or hangs on it, looks ahead of the frame.
-            kept = [one for one in self._kept or () if one.steps <= whole]
+        if count < begun.steps:
+            # Systems that collide with it or hang on it may be ahead of the frame.
+            kept = [one for one in self._kept or () if one.steps <= count]
             if not kept:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
             begun = kept[-1]
-        now = self.time(whole)
+        now = self.time(count)
         state = self._part(begun, t)
         if state is begun and self._pullers:
             state = self._pushed(begun)
         elif state is not begun:
             for bodies, puller in self._pullers:
                 state = replace(state, state=bodies.pulled_by(puller, state.state, t))
-        self.seen, self._asked = (state.state, max(t, now)), t
-        return self.seen
+        self.observed, self._asked = (state.state, max(t, now)), t
+        return self.observed
 
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
-        """Return what some bodies are pulled by in the step that a time [s] is in.
+        """Return the pull on bodies in the step at a time [s].
 
-        With its begin and its end [s]; None where it does not pull any.
+        With begin and end of the step [s]; None if it pulls none.
         """
-        whole = self.advance(t)
-        now = self.time(whole)
+        count = self.advance(t)
+        now = self.time(count)
         part = t - now > ON_STEP * self.step_length
-        if not part or whole != self.state.steps or t < self.begin:
+        if not part or count != self.state.steps or t < self.begin:
             return None
-        until = self.time(whole + 1)
+        until = self.time(count + 1)
         wrenches = self.simulation.pulls(self.state.state, now)
-        number = [own is bodies for own in self._pushed_bodies].index(True)
+        number = [pushed is bodies for pushed in self._pushed_bodies].index(True)
         return wrenches[number], now, until
 
     def advance(self, t: float) -> int:
-        """Take all whole steps that end at a time [s] or before; return how many."""
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        """Take all full steps that end at a time [s] or before; return their number."""
+        end_step = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
         alone = self._kept is None and not self._pushed_bodies and not self._pushers
-        if self._steps is not None and alone and self.state.steps < whole:
-            steps, count = self.state.steps, whole - self.state.steps
+        if self._steps is not None and alone and self.state.steps < end_step:
+            steps, count = self.state.steps, end_step - self.state.steps
             step = self.step_length
-            made = self._steps(self.state.state, self.time(steps), step, count)
-            self.state, self.taken = Reached(whole, made.state), self.taken + count
-            self._tell(made.notices)
-        while self.state.steps < whole:
+            stepped = self._steps(self.state.state, self.time(steps), step, count)
+            self.state, self.taken = (
+                Reached(end_step, stepped.state),
+                self.taken + count,
+            )
+            self._tell(stepped.notices)
+        while self.state.steps < end_step:
             self._go_on()
-        return whole
+        return end_step
 
     def _go_on(self) -> None:
-        """Take a whole step."""
+        """Take a full step."""
         begin, until = self.receive(), self.time(self.state.steps + 1)
         self.state, wrenches = self._stepped(begin, until)
         if self._kept is None:
@@ -229,26 +244,26 @@ class SimulationRun(EntryRun):
             bodies.forget(until)
 
     def _part(self, state: Reached[Any], t: float) -> Reached[Any]:
-        """Return a state, or where a part of a step from it leads until a time [s]."""
+        """Return a state advanced by a partial step to a time [s]."""
         if t <= self.time(state.steps) + ON_STEP * self.step_length:
             return state
         return self._stepped(self._pushed(state), t)[0]
 
     def _pushed(self, state: Reached[Any]) -> Reached[Any]:
-        """Return a state as the next step begins with it."""
+        """Return a state with pushes applied, as the next step starts."""
         current = state.steps == self.state.steps
         return self.receive() if current else self._begun.get(state.steps, state)
 
     def push(self, t: float, who: int, wrenches: Wrenches) -> None:
-        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
+        """Queue a push of bodies at a time [s] by the pusher's index."""
         if wrenches.now.any() and t > self.begin + ON_STEP * self.step_length:
             self._pushes.append((t, who, wrenches))
 
     def receive(self) -> Reached[Any]:
-        """Return the last state as bodies were pushed by all that was until then.
+        """Return the last state with all pushes until then applied.
 
-        Who pushes them is taken as far before, so that nothing depends on the times
-        that are asked for.
+        Pushers are advanced to the same time first, so that the result does not depend
+        on the requested times.
         """
         steps = self.state.steps
         if not self._pushers:
@@ -274,61 +289,61 @@ class SimulationRun(EntryRun):
         return self._begun[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
-        """Push bodies of other systems."""
+        """Register bodies of other systems that it pushes."""
         self._pushed_bodies = bodies
-        for own in bodies:
-            own.pushed_by(self)
+        for pushed in bodies:
+            pushed.pushed_by(self)
 
     def pushed_by(self, pusher: Pusher) -> int:
-        """Note who pushes its bodies; return the number of the pusher."""
+        """Register a pusher of its bodies; return its index."""
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
     def pulled_by(self, bodies: TiedBodies, puller: Any) -> None:
-        """Note who hangs on some of its bodies."""
+        """Register a system that hangs on its bodies."""
         self._pullers.append((bodies, puller))
 
     def watched_by(self, watcher: Watcher) -> Watcher:
-        """Keep states from now on, for one who looks back to them."""
+        """Register an observer of past states, and keep states from now on."""
         if self._kept is None:
             self._kept = [self.state]
         self._watchers.append(watcher)
         return watcher
 
     def _tell(self, notices: Sequence[Fault]) -> None:
-        """Keep warnings of a step whose codes no step had before."""
+        """Keep warnings of a step with new codes."""
         for one in notices:
-            if one.code not in {each.code for each in self.told}:
-                self.told.append(one)
+            if one.code not in {each.code for each in self.step_notices}:
+                self.step_notices.append(one)
 
     def time(self, steps: int) -> float:
-        """Return when a number of steps ends [s]."""
+        """Return the end time of a number of steps [s]."""
         return self.begin + steps * self.step_length
 
     def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return the state at a time since the last that was forgotten, and when [s].
+        """Return a kept state at a time [s], and its time.
 
-        That is at the beginning for all times before. Where a step of who looks begins,
-        bodies have been pushed by all that was until then.
+        Times before the begin return the first state. With ``begins``, pushes until
+        then are applied.
         """
         assert self._kept is not None
-        whole = self.advance(t)
-        # What was resumed has nothing from before.
-        earlier = (one for one in reversed(self._kept) if one.steps <= whole)
+        count = self.advance(t)
+        # A resumed run has no earlier states.
+        earlier = (one for one in reversed(self._kept) if one.steps <= count)
         state = next(earlier, self._kept[0])
-        now, found = self.time(state.steps), self._part(state, t)
-        if begins and found is state:
-            found = self._pushed(state)
-        return found.state, max(t, now)
+        now, observed = self.time(state.steps), self._part(state, t)
+        if begins and observed is state:
+            observed = self._pushed(state)
+        return observed.state, max(t, now)
 
     def forget(self) -> None:
-        """Let go of the states that nobody asks for any more."""
+        """Drop the states that no observer needs any more."""
         assert self._kept is not None
         t = min(one.since for one in self._watchers)
         if t == -math.inf:
             return
-        whole = math.floor((t - self.begin) / self.step_length + ON_STEP)
-        first = [k for k, one in enumerate(self._kept) if one.steps <= whole]
+        count = math.floor((t - self.begin) / self.step_length + ON_STEP)
+        first = [k for k, one in enumerate(self._kept) if one.steps <= count]
         del self._kept[: first[-1] if first else 0]
         least = self._kept[0].steps
         self._begun = {k: one for k, one in self._begun.items() if k >= least}
@@ -336,9 +351,9 @@ class SimulationRun(EntryRun):
     def _stepped(
         self, state: Reached[Any], until: float
     ) -> tuple[Reached[Any], Sequence[Wrenches]]:
-        """Return the state at the end of a step, or of a part of one [s].
+        """Return the state after a full or partial step until a time [s].
 
-        With what it pushed the bodies of others by.
+        With its pushes on bodies of other systems.
         """
         now = self.time(state.steps)
         after = self.simulation.step(state.state, now, until - now)

@@ -1,4 +1,4 @@
-"""States of simulations in npz files, to go on from: of any arrays and numbers."""
+"""Saved simulation states in npz files, to resume from."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from animtool.documents.arrays import Archives
 from animtool.systems.framework.run import Reached
 
 FORMAT = "animtool-system/1"
-# Whole numbers up to here are the same as floats.
+# Integers up to here are exact as floats.
 MAX_STEPS = 2**53
-# The square of a number of a state is held by float64.
+# Largest number of a state: its square fits into float64.
 LARGEST = 1e150
 _Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class Clocked:
-    """Which steps lead to a state: a file of other steps is no state of a system."""
+    """Clock of a state: it must match that of the resumed system."""
 
-    kind: str  # of system, or of attachment
-    begin: float  # time of the first step [s]; of an attachment the frame
-    step: float  # its length [s]; of an attachment one frame
+    kind: str  # of the system or attachment
+    begin: float  # time of the first step [s]; for an attachment the frame
+    step: float  # step length [s]; for an attachment one frame
 
 
 def write_states(
     path: Path, states: Mapping[str, tuple[Clocked, Reached[Any]]]
 ) -> None:
-    """Write states by name in place of what a file held; one alone has no name.
+    """Write states by name, replacing the file; a single state has no name.
 
     Raises:
         OutputError: It cannot be written.
@@ -62,10 +62,10 @@ def write_states(
 
 @contextmanager
 def open_states(path: Path) -> Iterator[SavedStates]:
-    """Give the states of a file, to be read in the block.
+    """Open a file of states as a context manager.
 
     Raises:
-        FormatError: It cannot be read, or is none of states (SIM035).
+        FormatError: It cannot be read, or is not a file of states (SIM035).
     """
     try:
         with Archives() as archives:
@@ -80,7 +80,7 @@ def open_states(path: Path) -> Iterator[SavedStates]:
 
 @dataclass(frozen=True, slots=True)
 class SavedStates:
-    """The states of a file that is open."""
+    """The states of an open file."""
 
     archives: Archives
     path: Path
@@ -92,11 +92,11 @@ class SavedStates:
         return [above for above, _, key in names if key == "clock"]
 
     def read(self, name: str, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
-        """Return a state, made like the one that a simulation begins with.
+        """Return a state with the structure of an initial one.
 
         Raises:
-            OptionError: There is none of that name, or it is of another system: of
-                another kind or size, or other steps (SIM035).
+            OptionError: The name is unknown, or the state has another kind, size or
+                steps (SIM035).
         """
         archives, path = self.archives, self.path
         above = f"{name}/" if name else ""
@@ -123,18 +123,18 @@ class SavedStates:
             raise other(message, hint)
         like, marks = _arrays(start.state), _Marks()
         _mark(start.state, marks)
-        held = archives.text(path, f"{above}state")
-        saved = set(held.split(", "))
+        saved_names = archives.text(path, f"{above}state")
+        saved = set(saved_names.split(", "))
         lacking = marks.added - saved
         names = sorted(
             (like.keys() - lacking) | {n for n in saved if marks.is_later(n)}
         )
-        if held != _listed(names):
-            raise other(f"its state has {held}, but the scene's {_listed(like)}")
-        found: _Arrays = {}
+        if saved_names != _listed(names):
+            raise other(f"its state has {saved_names}, but the scene's {_listed(like)}")
+        arrays: _Arrays = {}
         lengths = set()
         for key in names:
-            values = found[key] = archives.stored(path, f"{above}state/{key}")
+            values = arrays[key] = archives.stored(path, f"{above}state/{key}")
             mine, axis = like.get(key, values), marks.axes.get(key)
             shape = list(mine.shape)
             if axis is not None and values.ndim == mine.ndim:
@@ -143,28 +143,28 @@ class SavedStates:
             if values.shape != (*shape,) or values.dtype.kind != mine.dtype.kind:
                 message = f"{key} is {values.dtype} of shape {values.shape}, but in "
                 raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
-            # Who lives for ever has a death that is infinite.
+            # Particles without a lifetime have an infinite time of death.
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
             finite = mine.dtype.kind != "f" or sound.all()
             if not finite or not _is_in_bounds(values, mine):
                 what = "out of bounds" if finite else "not finite"
                 raise other(f"{key} contains a number that is {what}")
-            found[key] = values.astype(mine.dtype)
+            arrays[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
             raise other(
                 f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
             )
         try:
-            found |= {key: like[key] for key in lacking}
-            return Reached(int(steps), _restored(start.state, found, marks))
+            arrays |= {key: like[key] for key in lacking}
+            return Reached(int(steps), _restored(start.state, arrays, marks))
         except TypeError as error:
-            raise other(f"its state has {held}: {error}") from error
+            raise other(f"its state has {saved_names}: {error}") from error
 
 
 def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
-    """Return whether a state may hold such numbers: -1 stands for none of a count."""
+    """Return whether numbers are in bounds for a state; -1 is a missing count."""
     if like.dtype.kind == "f":
-        # A file may have them more or less precisely than a state.
+        # The precision of a file may differ from that of a state.
         with np.errstate(over="ignore"):
             sizes = np.abs(values[np.isfinite(values)].astype(np.float64))
         return bool(sizes.max(initial=0.0) <= LARGEST)
@@ -175,19 +175,19 @@ def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Marks:
-    """What fields of a state declare, by name."""
+    """Metadata of state fields, by name."""
 
     axes: dict[str, int] = field(default_factory=dict)  # `growing`
     later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
     added: set[str] = field(default_factory=set)  # `added`
 
     def is_later(self, name: str) -> bool:
-        """Return whether an array is of a part that the first state lacks."""
+        """Return whether an array belongs to a part missing in the first state."""
         return any(f"{name}.".startswith(f"{above}.") for above in self.later)
 
 
 def _mark(state: Any, marks: _Marks, above: str = "", axis: int | None = None) -> None:
-    """Note what the fields of a state declare; of a growing record all arrays grow."""
+    """Collect field metadata of a state; all arrays of a growing record grow."""
     if axis is not None:
         marks.axes[above] = axis
     declared = fields(state) if is_dataclass(state) else ()
@@ -206,7 +206,7 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _arrays(state: Any, above: str = "") -> _Arrays:
-    """Return the arrays and numbers of a state by name; what is None has none."""
+    """Return the arrays and numbers of a state by name; None is skipped."""
     if state is None:
         return {}
     if not (isinstance(state, Mapping) or is_dataclass(state)):
@@ -214,21 +214,21 @@ def _arrays(state: Any, above: str = "") -> _Arrays:
         if array.dtype.kind not in "iufb":
             raise TypeError(f"{above} of a state is not an array of numbers: {state!r}")
         return {above: array}
-    found: _Arrays = {}
+    arrays: _Arrays = {}
     for name, part in _parts(state).items():
-        found |= _arrays(part, f"{above}.{name}" if above else name)
-    return found
+        arrays |= _arrays(part, f"{above}.{name}" if above else name)
+    return arrays
 
 
 def _parts(state: Any) -> dict[str, Any]:
-    """Return what a record or a mapping holds, by name."""
+    """Return the parts of a record or a mapping, by name."""
     if isinstance(state, Mapping):
         return dict(state)
     return {entry.name: getattr(state, entry.name) for entry in fields(state)}
 
 
 def _restored(like: Any, arrays: _Arrays, marks: _Marks, above: str = "") -> Any:
-    """Return a state like one, of other arrays."""
+    """Return a state with the structure of another, from arrays."""
     if above in marks.later:
         return _part(arrays, marks.later[above], above)
     if like is None:
@@ -244,20 +244,20 @@ def _restored(like: Any, arrays: _Arrays, marks: _Marks, above: str = "") -> Any
 
 
 def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
-    """Return a part that the first state lacks; None where these arrays do, too.
+    """Return a part missing in the first state; None if the arrays lack it too.
 
     Raises:
-        TypeError: It is none of the records, and no number or array where those may be.
+        TypeError: It matches none of the allowed records, numbers or arrays.
     """
-    held = {
+    values_by_name = {
         name.removeprefix(f"{above}."): values if values.ndim else values.item()
         for name, values in arrays.items()
         if name == above or name.startswith(f"{above}.")
     }
-    if not held:
+    if not values_by_name:
         return None
-    (first, *more) = held.values()
-    if above in held and not more and type(first) in (records or (float,)):
+    (first, *more) = values_by_name.values()
+    if above in values_by_name and not more and type(first) in (records or (float,)):
         return first
     for record in records:
         if record is np.ndarray:
@@ -266,6 +266,6 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
         kinds = {
             name: float if hint is float else np.ndarray for name, hint in hints.items()
         }
-        if {name: type(part) for name, part in held.items()} == kinds:
-            return record(**held)
+        if {name: type(part) for name, part in values_by_name.items()} == kinds:
+            return record(**values_by_name)
     raise TypeError(f"{above} belongs to another method")

@@ -1,4 +1,4 @@
-"""A simulation as a scene has it: pure steps from state to state."""
+"""Protocols of simulations in scenes: pure steps from state to state."""
 
 from __future__ import annotations
 
@@ -28,55 +28,56 @@ if TYPE_CHECKING:
     from animtool.systems.framework.tied import TiedBodies
 
 State = TypeVar("State")
-# Told how far work is; None where nobody looks.
+# Progress callback; None without.
 Progress: TypeAlias = Callable[[float], None] | None
 State_contra = TypeVar("State_contra", contravariant=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """What a state is like, for reports and tables."""
+    """Diagnostics of a state, for reports and tables."""
 
-    energy: Energy | None = None  # None where it may come and go
+    energy: Energy | None = None  # None if it is not conserved
     values: Mapping[str, Any] = field(default_factory=dict)  # for the report
     notices: Sequence[Fault] = ()  # warnings so far
-    if_empty: Sequence[Fault] = ()  # more of them, where no frame had a point
-    steps: int | None = None  # of the method so far; None is one a step
-    # Returns the largest that is stable from here on [s]: 0 where none is, infinite
-    # where all are, None where it is not known.
+    if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
+    steps: int | None = None  # method steps so far; None is one per step
+    # Returns the largest stable step from here on [s]: 0 if none is, infinite if all
+    # are, None if unknown.
     stable_step: Callable[[], float | None] = lambda: None
-    # Most that a spring was longer than at rest so far, over that [1].
+    # Largest strain of a spring so far [1].
     stretch: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Stepped(Generic[State]):
-    """A state after a step, and what bodies of other systems were pushed by in it."""
+    """A state after a step, with its pushes on bodies of other systems."""
 
     state: State
-    wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
-    notices: Sequence[Fault] = ()  # warnings of it; a run tells the first of each code
+    wrenches: Sequence[Wrenches] = ()  # one for each of the colliders' `bodies`
+    notices: Sequence[Fault] = ()  # warnings; a run keeps the first of each code
 
 
 @dataclass(frozen=True, slots=True)
 class SimContext:
-    """What a simulation may ask for while it is built.
+    """Context for building a simulation.
 
     Attributes:
         begin: Time of its first step [s].
-        last: The last time that will be asked for [s].
-        colliders: All that its entry says it runs into: shapes, characters, meshes of
-            files, and surfaces of other systems, at any time of a step.
-        parts: What other keys of its entry are read as, by key, a list for a list:
-            forces, places, shapes and arrays where a `Part` marks them, a `Collider`
-            of what has a shape, the record of a `RecordModel`, and of other models such
-            parts again, with the ``poses`` of those that are placed. Plain values are
-            in the spec alone.
-        poses: Returns where a part that carries others is over time.
-        budget: Most evaluations of a step; None is the usual one.
-        members: Entries that are simulated as one: of kinds that cannot be joined, one.
-        clock: Returns what is told the time that was reached in a long call [s].
-        phase: Returns what long work before the first step tells the share done.
+        last: Last requested time [s].
+        colliders: Colliders of its entry: shapes, characters, meshes of files, and
+            surfaces of other systems, at any time of a step.
+        parts: Parts read for the other keys of its entry, by key, a list for a list:
+            forces, emitter shapes, shapes and arrays marked by `EntryPart`, a
+            `Collider` for an entry with a shape, the record of a `RecordModel`, and
+            nested parts of other models, with ``poses`` of placed ones. Plain values
+            are only in the spec.
+        poses: Returns the poses of a carrier over time.
+        budget: Most evaluations of a step; None is the default.
+        members: Entries that are simulated as one; a single one if joins are not
+            supported.
+        clock: Returns a callback for the time reached in a long call [s].
+        phase: Returns a callback for the fraction done before the first step.
         carriers: Rigid systems whose bodies carry particles, by name.
     """
 
@@ -93,23 +94,23 @@ class SimContext:
 
 
 class SystemView(Protocol[State_contra]):
-    """What an entry shows of a simulation."""
+    """View of an entry on a simulation."""
 
     def frame(self, state: State_contra, t: float) -> Frame:
-        """Return what a state shows at its time [s]."""
+        """Return the frame of a state at its time [s]."""
 
     def diagnostics(self, state: State_contra, t: float) -> Diagnostics:
-        """Return what a state is like at its time [s]."""
+        """Return the diagnostics of a state at its time [s]."""
 
 
 class Simulation(Protocol[State]):
-    """A system as a scene simulates it: pure steps from state to state.
+    """A system in a scene: pure steps from state to state.
 
-    One whose frames take long has an attribute ``checked``, True: its steps raise
-    where numbers do not stay finite (SIM102), and frames are not made to see that.
-    Others that one may have: `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`,
-    `Tried` and, where others run into it, `RigidSystem` or `Skinned`. With an attribute
-    ``step_length`` [s], it chose that step itself.
+    With an attribute ``checked``, True, its steps raise if numbers are not finite
+    (SIM102), and frames are not checked for that. Optional protocols:
+    `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`, `Tried` and, as a collider of
+    others, `RigidSystem` or `Skinned`. An attribute ``step_length`` [s] overrides the
+    step.
     """
 
     def initial(self) -> State:
@@ -118,95 +119,95 @@ class Simulation(Protocol[State]):
     def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
         """Return a new state, a step [s] after a time [s].
 
-        With what it pushed bodies of others by, if it runs into any.
+        With its pushes on bodies of other systems, if it collides with any.
         """
 
     def frame(self, state: State, t: float) -> Frame:
-        """Return what a state shows at its time [s]."""
+        """Return the frame of a state at its time [s]."""
 
     def diagnostics(self, state: State, t: float) -> Diagnostics:
-        """Return what a state is like at its time [s]."""
+        """Return the diagnostics of a state at its time [s]."""
 
 
 @runtime_checkable
 class ManySteps(Protocol[State]):
-    """A simulation that takes many steps at once, with the answer of each alone."""
+    """A simulation that takes many steps at once, equal to single steps."""
 
     def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
-        """Return a new state, a number of whole steps [s] after a time [s]."""
+        """Return a new state, a number of full steps [s] after a time [s]."""
 
 
 @runtime_checkable
 class Joined(Protocol[State_contra]):
-    """A simulation of entries that are joined; its own frame shows all of them."""
+    """A simulation of joined entries; its frame shows all of them."""
 
     @property
     def views(self) -> Sequence[SystemView[State_contra]]:
-        """What each entry shows."""
+        """One view for each entry."""
 
 
 @runtime_checkable
 class NeedsFinalState(Protocol[State_contra]):
-    """A simulation whose frames need to know how it ends: it is run twice."""
+    """A simulation whose frames depend on its final state: it is run twice."""
 
     @property
-    def ahead(self) -> bool:
-        """Whether they do."""
+    def needs_final_state(self) -> bool:
+        """Whether they depend on it."""
 
-    def see(self, last: State_contra) -> None:
-        """Take note of the state that it ends in, before the first frame is shown."""
+    def set_final_state(self, last: State_contra) -> None:
+        """Set the final state, before the first frame is requested."""
 
 
 @runtime_checkable
 class Resumed(Protocol[State_contra]):
-    """A simulation whose states must fit in more than the shapes of their arrays."""
+    """A simulation with additional checks of resumed states."""
 
-    def misfit(self, state: State_contra, t: float) -> str:
-        """Return why it cannot go on from a state of a file; empty where it can."""
+    def incompatibility(self, state: State_contra, t: float) -> str:
+        """Return why it cannot resume from a state; empty if it can."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialSettings:
-    """The settings that a table of time against error simulates a system with."""
+    """Settings of a work-precision table of a system."""
 
-    chosen: Setting  # of the file
+    chosen: Setting  # configured setting
     settings: Callable[[], list[Setting]]  # as in `Trial`
-    references: Callable[[], list[list[Setting]]]  # likewise
-    # From a setting to what of the spec is another.
+    references: Callable[[], list[list[Setting]]]  # as in `Trial`
+    # Maps a setting to changed keys of the spec.
     changes: Callable[[Setting], Mapping[str, Any]]
 
 
 @runtime_checkable
 class Tried(Protocol):
-    """A simulation that gives the settings for its own table."""
+    """A simulation that provides settings for its table."""
 
     def trial_settings(self) -> TrialSettings:
-        """Return the settings, around the one that it was built with."""
+        """Return settings around the configured one."""
 
 
 # Metadata of fields of a state, so that it can be saved and resumed.
 
 
 def growing(axis: int = 0) -> dict[str, Any]:
-    """Mark a field whose arrays change their length along an axis, all alike."""
+    """Mark a field whose arrays change their length along an axis, all equally."""
     return {"grows": axis}
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that is None at first: later a number, or one of some records.
+    """Mark a field that starts as None, and later is a number or one of some records.
 
-    ``np.ndarray`` among these is an array.
+    ``np.ndarray`` among these stands for an array.
     """
     return {"later": records}
 
 
 def added() -> dict[str, Any]:
-    """Mark a field that older files of states lack: it begins as it does in a scene."""
+    """Mark a field missing in older state files: it keeps its initial value."""
     return {"added": True}
 
 
 class StoppedError(ToleranceError):
-    """A method that could not go on, and what it took; None from another process."""
+    """A failed method with its statistics; None from another process."""
 
     def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)

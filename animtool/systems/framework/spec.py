@@ -1,4 +1,4 @@
-"""What a scene says of a system of any kind, and what an entry is made into."""
+"""Base model of system entries in scenes, and their records."""
 
 from __future__ import annotations
 
@@ -28,24 +28,23 @@ class SystemSpec(FileModel):
     """What a scene says of a system that steps evenly: subclass it, and add keys.
 
     Attributes:
-        methods: What its key ``method``, if it adds one, may be; ``--table`` compares
-            them, each with several steps or tolerances. None is every integrator.
-        exact: The integrator that others are compared with, in finer steps; empty is
-            that of the file.
-        method_key: The key that names the method, if there is one.
-        tried: Whether its simulation gives its own `TrialSettings`.
-        made_of: Keys whose entries are counted as what it is made of.
-        acted_on: Likewise, as what acts on it.
-        code: Of the faults that `problems` are; SIM032 is options that do not go
-            together.
-        quantities: What its key ``colour``, if it adds one, may be by.
+        methods: Choices of its key ``method``, if it adds one; ``--table`` compares
+            them with several steps or tolerances. None is every integrator.
+        exact: Reference integrator of a table, in finer steps; empty is the configured
+            one.
+        method_key: Key that names the method, if there is one.
+        tried: Whether its simulation provides `TrialSettings`.
+        components: Keys whose entries are counted as components.
+        acted_on: Keys whose entries are counted as external forces.
+        code: Code of the faults from `problems`; SIM032 is conflicting options.
+        quantities: Choices of its key ``colour``, if it adds one.
     """
 
     methods: ClassVar[Sequence[str] | None] = ()
     exact: ClassVar[str] = ""
     method_key: ClassVar[str] = "method"
     tried: ClassVar[bool] = False
-    made_of: ClassVar[Sequence[str]] = ()
+    components: ClassVar[Sequence[str]] = ()
     acted_on: ClassVar[Sequence[str]] = ("forces",)
     code: ClassVar[str] = "SIM032"
     quantities: ClassVar[Sequence[str]] = ()
@@ -77,50 +76,50 @@ class SystemSpec(FileModel):
 
     @property
     def title(self) -> str:
-        """What it is called in words."""
+        """Title for messages."""
         return self.name
 
     @property
     def reads(self) -> list[str]:
-        """What acts on it, in words; what it runs into is left out."""
-        found = {name: len(getattr(self, name, ())) for name in self.acted_on}
-        return [counted(n, name.removesuffix("s")) for name, n in found.items() if n]
+        """What acts on it, as text, without colliders."""
+        counts = {name: len(getattr(self, name, ())) for name in self.acted_on}
+        return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
     @property
     def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
-        found = {name: len(getattr(self, name)) for name in self.made_of}
-        return {name: count for name, count in found.items() if count}
+        """Counts of components, by kind."""
+        counts = {name: len(getattr(self, name)) for name in self.components}
+        return {name: count for name, count in counts.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return which keys make no sense together, each fault's ``where`` a key.
+        """Return faults of conflicting keys, with the key as ``where``.
 
         ``parts`` are those of a `SimContext`.
         """
-        found = [
+        faults = [
             Fault(self.code, message, hint=hint, where=where)
             for message, where, hint in self.problems()
         ]
         colour = getattr(self, "colour", None)
-        return found + (colour.faults(self.quantities, self.code) if colour else [])
+        return faults + (colour.faults(self.quantities, self.code) if colour else [])
 
     def problems(self) -> Iterator[Problem]:
-        """Yield which keys make no sense together, where no part is looked at."""
+        """Yield conflicts of keys that need no parts."""
         yield from ()
 
-    def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
-        """Return what is made of it when the file is read, and all that is wrong.
+    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
+        """Return the record of the entry when the file is read, and its faults.
 
-        A kind whose facts are not in its keys alone, or that can be joined to others,
-        returns an `EntryRecord`, or None where faults leave none; `build` finds it in
+        A kind with facts beyond its keys, or one that can be joined to others, returns
+        an `EntryRecord`, or None if it cannot be built; `build` gets it from
         `SimContext.members`. Parts that cannot be read are None.
         """
         return None, ()
 
     def shared(self, *, meets: bool = True) -> Mapping[str, Any]:  # noqa: ARG002
-        """Return what it states for all that it is joined to, by key.
+        """Return the keys it sets for all joined entries.
 
-        ``meets``: whether any of them runs into anything.
+        ``meets``: whether any of them collides with anything.
         """
         return {}
 
@@ -137,43 +136,43 @@ class CollidingSpec(SystemSpec):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """An entry of a scene, of those that are simulated as one."""
+    """A scene entry among those that are simulated as one."""
 
     name: str
     kind: str
     spec: Any
-    parts: Mapping[str, Any]  # what its keys are read as, by key
-    record: Any = None  # what its spec makes of it when it is read
+    parts: Mapping[str, Any]  # parts read for its keys, by key
+    record: Any = None  # record built by its spec
 
 
 @dataclass(frozen=True, slots=True)
 class PinnedPoints:
-    """Points that are held by something else."""
+    """Points held by a carrier."""
 
-    where: str  # the key that says so
-    carrier: Any  # what carries them, for `SimContext.poses`
-    # From where that is over time to where they are in its frame ``(P, 3)`` [m].
+    where: str  # its key
+    carrier: Any  # carrier, for `SimContext.poses`
+    # Maps carrier poses to positions in its frame ``(P, 3)`` [m].
     inside: Callable[[Any], FloatArray]
 
 
 class EntryRecord(Protocol):
-    """What an entry is made into when it is read; it speaks for its spec."""
+    """Record of an entry after reading, with its title and counts."""
 
     @property
     def title(self) -> str:
-        """What it is called in words."""
+        """Title for messages."""
 
     @property
     def reads(self) -> Sequence[str]:
-        """What acts on it, in words; what it runs into is left out."""
+        """What acts on it, as text, without colliders."""
 
     @property
     def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
+        """Counts of components, by kind."""
 
     @property
     def joined(self) -> Sequence[tuple[str, str]]:
-        """Names of systems that it is one with, and the keys that say so."""
+        """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
-        """Return what keeps it from being one with others, each with its key."""
+        """Return faults of joins with others, each with its key."""

@@ -1,4 +1,4 @@
-"""A simulation as others of a scene run into it: its mesh, or its bodies."""
+"""A simulation as a collider of others: its mesh or its bodies."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 
 
-class Watched(Protocol):
-    """A simulation under way that is looked at as it is, and was."""
+class ObservedRun(Protocol):
+    """A simulation run whose present and past states can be sampled."""
 
     def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return the state at a time [s], and when; as a step begins, or one ends."""
+        """Return the state at a time [s] and its time, at a step's begin or end."""
 
     def forget(self) -> None:
-        """Let go of the states that nobody asks for any more."""
+        """Drop the states that no observer needs any more."""
 
     def push(self, t: float, who: int, wrenches: Wrenches) -> None:
-        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
+        """Queue a push of bodies at a time [s] by the pusher's index."""
 
     def pushed_by(self, pusher: Pusher) -> int:
-        """Note who pushes its bodies; return the number of the pusher."""
+        """Register a pusher of its bodies; return its index."""
 
     def pulled_by(self, bodies: Any, puller: Any) -> None:
-        """Note who hangs on some of its bodies."""
+        """Register a system that hangs on its bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class SystemBodies:
-    """B rigid bodies of a simulation, as others run into them, whatever their state."""
+    """State-independent data of B rigid bodies for other systems."""
 
     names: Sequence[str]  # (B,)
-    dynamic: IntArray  # those that can be pushed (count,)
+    dynamic: IntArray  # dynamic bodies (count,)
     masses: FloatArray  # of these (count,) [kg]
-    reaches: Sequence[float]  # how far each reaches from its centre (B,) [m]
+    reaches: Sequence[float]  # radius about the centre (B,) [m]
     shapes: Sequence[Collider]  # of all (C,)
-    shape_bodies: IntArray  # the body that each shape is of (C,)
+    shape_bodies: IntArray  # body index of each shape (C,)
 
     @property
     def count(self) -> int:
-        """Bodies that can be pushed."""
+        """Number of dynamic bodies."""
         return len(self.dynamic)
 
     @property
     def owners(self) -> IntArray:
-        """The number of each shape's body among them, -1 of what nothing pushes."""
+        """Index of each shape's body among the dynamic ones, else -1."""
         numbers = np.full(len(self.names), -1)
         numbers[self.dynamic] = np.arange(self.count)
         return numbers[self.shape_bodies]
@@ -62,11 +62,11 @@ class SystemBodies:
 
 @runtime_checkable
 class RigidSystem(Protocol):
-    """A simulation of rigid bodies, which others run into, push and hang on."""
+    """A simulation of rigid bodies that others collide with, push and hang on."""
 
     @property
     def shared(self) -> SystemBodies:
-        """Its bodies."""
+        """Its body data."""
 
     def initial(self) -> Any:
         """Return the state at the time of the first step."""
@@ -75,25 +75,25 @@ class RigidSystem(Protocol):
         """Return a new state, a step [s] after a time [s]."""
 
     def frames(self, state: Any, t: float) -> FloatArray:
-        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
+        """Return the poses of all bodies ``(B, 7)`` at a time [s]."""
 
     def poses(self, state: Any, t: float) -> FloatArray:
-        """Return where the frames of the shapes are ``(C, 7)`` at a time [s]."""
+        """Return the poses of the shapes ``(C, 7)`` at a time [s]."""
 
     def speeds(self, state: Any) -> FloatArray:
-        """Return velocities of centres and angular ones ``(count, 6)``."""
+        """Return linear and angular velocities at the centres ``(count, 6)``."""
 
     def free(self, t: float) -> BoolArray:
-        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+        """Return which bodies are free from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
         """Return a state after impulses on its bodies."""
 
     def push_between(self, state: Any, other: Any) -> Wrenches:
-        """Return the push that leads from a state to another of the same time."""
+        """Return the push that leads from a state to another at the same time."""
 
     def inverse_masses(
-        self, state: Any, owners: IntArray, points: FloatArray, ways: FloatArray
+        self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses, as `MovingBodies` does."""
 
@@ -103,30 +103,30 @@ class RigidSystem(Protocol):
 
 @runtime_checkable
 class Skinned(Protocol):
-    """A simulation whose surface, as others run into it, is not just its frame."""
+    """A simulation with a collision surface other than its frame."""
 
     radius: float  # half its thickness [m]
-    closed: bool  # whether it is met from outside alone
+    closed: bool  # whether collisions are from outside only
 
     def surface(self, state: Any, t: float) -> MeshFrame:
-        """Return its surface; its corners are the same array while they are alike."""
+        """Return its surface; unchanged topology returns the same index array."""
 
 
-# Half the thickness of the surface of a body [m].
+# Default half thickness of a surface [m].
 SKIN = 1e-3
-# Times that are kept: both ends of a step, and those within.
+# Cached times: both ends of a step, and some within.
 LOOKS = 4
-Seen = TypeVar("Seen")
+Observed = TypeVar("Observed")
 
 
-class _Looks(Generic[Seen]):
-    """What was seen at the last times that were asked for."""
+class _RecentLooks(Generic[Observed]):
+    """Cache of samples at the last requested times."""
 
-    def __init__(self, look: Callable[[float], Seen]) -> None:
+    def __init__(self, look: Callable[[float], Observed]) -> None:
         self._look = look
-        self._known: dict[float, Seen] = {}
+        self._known: dict[float, Observed] = {}
 
-    def __call__(self, t: float) -> Seen:
+    def __call__(self, t: float) -> Observed:
         if t not in self._known:
             while len(self._known) >= LOOKS:
                 del self._known[min(self._known)]
@@ -135,29 +135,31 @@ class _Looks(Generic[Seen]):
 
 
 class _Watcher:
-    """One who looks at a simulation as it is, and was."""
+    """An observer of present and past states of a simulation."""
 
-    def __init__(self, run: Watched) -> None:
+    def __init__(self, run: ObservedRun) -> None:
         self._run = run
-        self.since = -math.inf  # no time before will be asked for [s]
+        self.since = -math.inf  # earliest time that may still be requested [s]
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Allow states before a time to be dropped [s]."""
         if t > self.since:
             self.since = t
             self._run.forget()
 
 
-class Surface(_Watcher):
-    """The mesh of a simulation, or what an entry shows of one."""
+class SystemSurface(_Watcher):
+    """The mesh of a simulation or of one entry."""
 
-    def __init__(self, run: Watched, view: Any) -> None:
+    def __init__(self, run: ObservedRun, view: Any) -> None:
         super().__init__(run)
         skinned = isinstance(view, Skinned)
         self.radius: float = view.radius if skinned else SKIN
         self.closed: bool = view.closed if skinned else True
         look = view.surface if skinned else view.frame
-        self._frames: _Looks[MeshFrame] = _Looks(lambda t: look(*run.look(t)))
+        self._frames: _RecentLooks[MeshFrame] = _RecentLooks(
+            lambda t: look(*run.look(t))
+        )
         self._indices = self._faces = np.zeros((0, 3), np.int64)
 
     def points(self, t: float) -> FloatArray:
@@ -165,7 +167,7 @@ class Surface(_Watcher):
         return self._frames(t).points
 
     def triangles(self, t: float) -> IntArray:
-        """Return corners of its triangles ``(T, 3)``; the same array while alike."""
+        """Return its triangles ``(T, 3)``; the same array while unchanged."""
         frame = self._frames(t)
         if frame.indices is not self._indices:
             self._indices = frame.indices
@@ -173,12 +175,12 @@ class Surface(_Watcher):
         return self._faces
 
 
-class Bodies(_Watcher):
-    """The rigid bodies of a simulation, as `MovingBodies` says."""
+class BodyColliders(_Watcher):
+    """The rigid bodies of a simulation as `MovingBodies`."""
 
     def __init__(
         self,
-        run: Watched,
+        run: ObservedRun,
         simulation: RigidSystem,
         restitution: float,
         friction: float,
@@ -200,28 +202,30 @@ class Bodies(_Watcher):
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)
         self.fastest = 0.0
-        self._states = _Looks(run.look)
-        self._poses = _Looks(lambda t: simulation.poses(*self._states(t)))
-        self._begins = _Looks(lambda t: simulation.poses(*run.look(t, begins=True)))
+        self._states = _RecentLooks(run.look)
+        self._poses = _RecentLooks(lambda t: simulation.poses(*self._states(t)))
+        self._begins = _RecentLooks(
+            lambda t: simulation.poses(*run.look(t, begins=True))
+        )
         self._number = 0
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
         ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
         if t1 > t0 and len(ends):
-            ways = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
-            self.fastest = max(self.fastest, float(ways.max()) / (t1 - t0))
+            distances = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
+            self.fastest = max(self.fastest, float(distances.max()) / (t1 - t0))
         return ends
 
     def inverse_masses(
-        self, t: float, owners: IntArray, points: FloatArray, ways: FloatArray
+        self, t: float, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
         Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
         """
         state, _ = self._states(t)
-        return self._simulation.inverse_masses(state, owners, points, ways)
+        return self._simulation.inverse_masses(state, owners, points, directions)
 
     def inertias(
         self, t: float, *, begins: bool = False
@@ -234,10 +238,10 @@ class Bodies(_Watcher):
         return self._simulation.inertias(state)
 
     def pushed_by(self, pusher: Pusher) -> None:
-        """Take note of who pushes them."""
+        """Register a pusher."""
         if self.count:
             self._number = self._run.pushed_by(pusher)
 
     def push(self, t: float, wrenches: Wrenches) -> None:
-        """Take impulses on its bodies at a time [s], to begin the next step with."""
+        """Queue impulses on its bodies at a time [s] for the next step."""
         self._run.push(t, self._number, wrenches)

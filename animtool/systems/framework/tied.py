@@ -1,4 +1,4 @@
-"""Rigid bodies that carry particles of another system, and bear what these pull."""
+"""Rigid bodies that carry particles of another system, two-way coupled."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.surfaces import Bodies, RigidSystem, Watched
+from animtool.systems.framework.surfaces import BodyColliders, ObservedRun, RigidSystem
 
-# Of how far a pull over a step takes a body, over the step and the speed that it gives:
-# half of it is even over the step, and a little more lets what is stiff come to rest.
-SHARE = 0.52
+# Displacement by a pull over a step, relative to step times gained speed: 0.5 is a
+# constant force, a little more damps stiff motion.
+PULL_FRACTION = 0.52
 
 
 @dataclass(frozen=True, slots=True)
 class OnBody:
     """A rigid body of the scene that carries particles."""
 
-    system: str  # name of its system
-    body: str  # its name
-    where: str = field(default="", compare=False)  # key that names it
+    system: str  # name of the system
+    body: str  # name of the body
+    where: str = field(default="", compare=False)  # its key
 
 
-class TiedBodies(Bodies):
-    """Rigid bodies of a simulation under way, which carry particles.
+class TiedBodies(BodyColliders):
+    """Rigid bodies of a simulation run that carry particles.
 
     Attributes:
-        step: Of their simulation [s].
-        begin: Of their first step [s].
+        step: Step of their simulation [s].
+        begin: Time of their first step [s].
     """
 
     def __init__(
-        self, run: Watched, simulation: RigidSystem, begin: float, step: float
+        self, run: ObservedRun, simulation: RigidSystem, begin: float, step: float
     ) -> None:
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
@@ -47,7 +47,7 @@ class TiedBodies(Bodies):
         self._start: Any = simulation.initial()
 
     def number(self, carrier: OnBody) -> int:
-        """Return the number of a body; raise SIM162 where there is none of the name."""
+        """Return the index of a body; raise SIM162 if the name is unknown."""
         names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)
@@ -57,100 +57,103 @@ class TiedBodies(Bodies):
         raise OptionError(fault)
 
     def start(self, carrier: OnBody) -> Poses:
-        """Return the frame that a body begins in."""
+        """Return the initial pose of a body."""
         frames = self.system.frames(self._start, self.begin)
         row = frames[self.number(carrier)]
         return Poses.fixed(row[:3], row[3:])
 
     def gap(self, carrier: OnBody, points: FloatArray) -> tuple[float, float]:
-        """Return how far the nearest of points ``(P, 3)`` begins from a body [m].
+        """Return the initial distance of points ``(P, 3)`` from a body's surface [m].
 
-        That is from its surface, 0 inside; with the size of the body.
+        That of the nearest point, 0 inside; and the size of the body.
         """
-        made, number = self.system.shared, self.number(carrier)
-        (own,) = np.nonzero(made.shape_bodies == number)
+        shared, number = self.system.shared, self.number(carrier)
+        (shape_numbers,) = np.nonzero(shared.shape_bodies == number)
         poses = self.system.poses(self._start, self.begin)
         shapes = [
-            replace(made.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
-            for i in own.tolist()
+            replace(shared.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
+            for i in shape_numbers.tolist()
         ]
         if not shapes:
             return 0.0, np.inf
         nearest_by = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(nearest_by.min()), 0.0), float(made.reaches[number])
+        return max(float(nearest_by.min()), 0.0), float(shared.reaches[number])
 
     def pushed_by(self, pusher: Any) -> None:
-        """Take note of who hangs on them."""
+        """Register a system that hangs on them."""
         super().pushed_by(pusher)
         self._run.pulled_by(self, pusher)
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
-        """Return a state at a time [s] within a step of who hangs on them."""
-        found = puller.pull(t, self)
-        if found is None:
+        """Return a state at a time [s] within a step, with the pull applied."""
+        pull = puller.pull(t, self)
+        if pull is None:
             return state
-        wrenches, begin, end = found
+        wrenches, begin, end = pull
         ended, _ = self._run.look(end)
         centres = self.system.inertias(ended)[0]
-        share, own = (t - begin) / (end - begin), self.system.inertias(state)[0]
+        fraction, current = (t - begin) / (end - begin), self.system.inertias(state)[0]
 
-        def earlier(pushes: FloatArray, share: float) -> FloatArray:
-            rows = share * pushes
-            rows[:, 3:] += so3.cross(own - centres, rows[:, :3])
+        def earlier(pushes: FloatArray, fraction: float) -> FloatArray:
+            rows = fraction * pushes
+            rows[:, 3:] += so3.cross(current - centres, rows[:, :3])
             return rows
 
-        now, moved = earlier(wrenches.now, share), earlier(wrenches.moved, share**2)
+        now, moved = (
+            earlier(wrenches.now, fraction),
+            earlier(wrenches.moved, fraction**2),
+        )
         return self.system.pushed(state, Wrenches(now, moved))
 
     def over(self, t0: float, t1: float) -> TiedStep:
-        """Return them over a step [s], as nothing of this system pulls them."""
+        """Return the bodies over a step [s], without the pull."""
         begins, _ = self._run.look(t0, begins=True)
         ends, _ = self._run.look(t1)
         return TiedStep(self.system, begins, ends, t0, t1)
 
 
 class TiedStep:
-    """Bodies over a step in which particles pull them."""
+    """Bodies over a step with a pull by particles."""
 
     def __init__(
         self, simulation: RigidSystem, begins: Any, ends: Any, t0: float, t1: float
     ) -> None:
         self._simulation, self._ends, self._t1 = simulation, ends, t1
-        self.begins = simulation.frames(begins, t0)  # frames of all ``(B, 7)``
-        self.begun, self.span = begins, t1 - t0  # state at the begin; how long [s]
-        self.free = simulation.free(t0)  # which move by themselves ``(count,)``
+        self.begins = simulation.frames(begins, t0)  # poses of all bodies ``(B, 7)``
+        self.begun, self.span = begins, t1 - t0  # state at the begin; duration [s]
+        self.free = simulation.free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(ends)
         self._speeds = simulation.speeds(ends)[:, :3]
-        self._moving = SHARE * self.span
+        self._moving = PULL_FRACTION * self.span
 
     @property
     def angle(self) -> float:
-        """How far the fastest of them turns [rad]."""
+        """Largest rotation of a body [rad]."""
         spins = self._simulation.speeds(self.begun)[self.free, 3:]
         return self.span * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
 
     def part(self, state: Any, t: float, dt: float) -> TiedStep:
-        """Return them over a part of the step [s], from a state of their own."""
+        """Return the bodies over a part of the step [s], from a given state."""
         ends = self._simulation.step(state, t, dt)
         return TiedStep(self._simulation, state, ends, t, t + dt)
 
     def leading_to(self, state: Any) -> Wrenches:
-        """Return the push at the end that leads to a state there."""
+        """Return the push at the end that leads to a given state."""
         return self._simulation.push_between(self._ends, state)
 
     def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:
-        """Return velocities of points ``(P, 3)`` of a body that can be pushed [m/s]."""
+        """Return velocities of points ``(P, 3)`` on a dynamic body [m/s]."""
         speeds = self._simulation.speeds(state)[number]
         centre = self._simulation.inertias(state)[0][number]
-        found: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
-        return found
+        velocities: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
+        return velocities
 
     def begun_at(self, number: int, points: FloatArray) -> FloatArray:
-        """Return these at the begin."""
+        """Return velocities of points at the begin [m/s]."""
         return self.speeds_at(self.begun, number, points)
 
     def turning(self, number: int, pull: FloatArray) -> FloatArray:
-        """Return the moment of a pull ``(6,)`` about where it finds the centre."""
+        """Return the moment of a pull ``(6,)`` about the moved centre."""
         centre = self.inertias[0][number] - self._moving * self._speeds[number]
         moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
         return moment
@@ -162,12 +165,12 @@ class TiedStep:
         return Wrenches(now, self._moving * now)
 
     def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
-        """Return the state at the end after a push, and frames of all ``(B, 7)``."""
+        """Return the end state after a push, and poses of all bodies ``(B, 7)``."""
         state = self._simulation.pushed(self._ends, wrenches)
         return state, self._simulation.frames(state, self._t1)
 
 
 def to_world(frame: FloatArray, inside: FloatArray) -> FloatArray:
-    """Return points ``(P, 3)`` in a frame ``(7,)`` as they are in the world [m]."""
+    """Transform points ``(P, 3)`` from a frame ``(7,)`` to the world [m]."""
     points: FloatArray = frame[:3] + so3.rotate(frame[3:], inside)
     return points

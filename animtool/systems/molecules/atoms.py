@@ -11,7 +11,7 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Refusals, refuse
 from animtool.core.record import dataclass
-from animtool.systems.framework.matter import Bodies, Placement, normals
+from animtool.systems.framework.matter import PointMasses, UnitFrame, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -33,7 +33,7 @@ class PeriodicBox:
 
     def __init__(self, spec: MoleculesModel) -> None:
         self.size = np.array(spec.box)  # (3,) [nm]
-        self._middle = Placement.of(spec, spec.scale, spec.pace)
+        self._middle = UnitFrame.of(spec, spec.scale, spec.pace)
         self.velocities_in = self._middle.velocities_in
         self.velocities_out = self._middle.velocities_out
 
@@ -48,7 +48,7 @@ class PeriodicBox:
 
 
 @dataclass(frozen=True, slots=True)
-class Atoms(Bodies):
+class Atoms(PointMasses):
     """N atoms in the box, in nm, ps and u."""
 
     kinds: npt.NDArray[np.int32]  # (N,)
@@ -104,7 +104,7 @@ def _read(
             refuse(MoleculesModel.code, message, "species")
         return None, None
     kind = f"{model.name!r}, atom"
-    bodies = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
+    bodies = PointMasses.read(parts, model.mass, kind, MoleculesModel.code, "species")
     x = box.inwards(points)
     slack = 1e-9 * box.size
     outside = ~((x >= -slack) & (x <= box.size + slack)).all(axis=1)

@@ -86,7 +86,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
     methods: ClassVar[Sequence[str]] = (
         *("symplectic_euler", "velocity_verlet", "position_verlet", "rk4"),
     )
-    made_of: ClassVar[Sequence[str]] = ("species",)
+    components: ClassVar[Sequence[str]] = ("species",)
     acted_on: ClassVar[Sequence[str]] = ("traps",)
     code: ClassVar[str] = "SIM071"
     quantities: ClassVar[Sequence[str]] = (

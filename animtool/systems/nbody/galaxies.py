@@ -21,7 +21,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.systems.framework import matter
-from animtool.systems.framework.matter import Bodies, unit_quaternion
+from animtool.systems.framework.matter import PointMasses, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,
@@ -114,7 +114,7 @@ def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     return np.asarray(central * np.exp(-r / disc.radius))
 
 
-def built_galaxies(spec: NbodyModel) -> list[Bodies]:
+def built_galaxies(spec: NbodyModel) -> list[PointMasses]:
     """Return the bodies of each galaxy of a spec, at its start."""
     constant, softening = spec.gravity_constant, spec.softening
     built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
@@ -123,34 +123,34 @@ def built_galaxies(spec: NbodyModel) -> list[Bodies]:
         starts = on_orbit(spec.encounter, [g.masses.sum() for g in built], constant)
     placed = []
     for galaxy, bodies, (at, v) in zip(spec.galaxies, built, starts, strict=True):
-        placing = matter.Placement(at, unit_quaternion(galaxy.rotate))
+        placing = matter.UnitFrame(at, unit_quaternion(galaxy.rotate))
         velocities = placing.velocities_out(bodies.velocities) + v
         placed.append(
-            Bodies(placing.outwards(bodies.points), velocities, bodies.masses)
+            PointMasses(placing.outwards(bodies.points), velocities, bodies.masses)
         )
     return placed
 
 
-def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
+def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> PointMasses:
     """Return a galaxy's bodies about its centre, the halo last."""
     profile = MassProfile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
         none = np.zeros((1, 3))
-        parts.append(Bodies(none, none, np.array([galaxy.nucleus])))
+        parts.append(PointMasses(none, none, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
         parts.append(_disc(galaxy.disc, profile, galaxy.seed))
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
-    joined = Bodies.joined(parts)
+    joined = PointMasses.joined(parts)
     # Its centre of mass is at the position and velocity of the file.
     weights = joined.masses / joined.masses.sum()
     x, v = (each + -weights @ each for each in (joined.points, joined.velocities))
-    return Bodies(x, v, joined.masses)
+    return PointMasses(x, v, joined.masses)
 
 
-def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> Bodies:
+def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> PointMasses:
     u = uniforms(seed, np.arange(part.count), 6)
     r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
@@ -159,10 +159,10 @@ def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> Bodies:
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(part.count, part.mass / part.count)
-    return Bodies(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
+    return PointMasses(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
 
 
-def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
+def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     u = uniforms(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
@@ -177,7 +177,7 @@ def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
     points = np.stack([r * sin, up, r * cos], axis=1)
     x, z = out * sin + along * cos, out * cos - along * sin
     velocities = np.stack([x, upward * normal[:, 2], z], axis=1)
-    return Bodies(points, velocities, np.full(disc.count, disc.mass / disc.count))
+    return PointMasses(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
 
 def disc_velocities(

@@ -12,11 +12,11 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, refuse
 from animtool.core.record import dataclass
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
-from animtool.systems.framework.matter import Bodies, check_apart
+from animtool.systems.framework.matter import PointMasses, check_distinct
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
@@ -78,7 +78,7 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
     parts, refusals = [], Refusals()
     for body, part in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
         with refusals.collect():
-            parts.append(Bodies.read(part, body.mass, "body", spec.code, "bodies"))
+            parts.append(PointMasses.read(part, body.mass, "body", spec.code, "bodies"))
     refusals.check()
     nbody = Nbody(spec, context, [*parts, *built_galaxies(spec)])
     _check_start(spec, nbody.bodies)
@@ -86,11 +86,11 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
     return nbody
 
 
-def _check_start(spec: NbodyModel, bodies: Bodies) -> None:
+def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
     where, hint = "bodies", "move one of them"
     whys = "their attraction is infinite", "they cannot be told apart"
     pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-    check_apart(bodies.points, pair, spec.code, where, hint, why)
+    check_distinct(bodies.points, pair, spec.code, where, hint, why)
     if not np.isfinite([bodies.points, bodies.velocities]).all():
         message = "galaxies are so small, large or heavy that numbers overflow"
         refuse(spec.code, message, "bodies")
@@ -104,13 +104,13 @@ class Nbody(Interacting[NbodyState, Pulls]):
     """
 
     def __init__(
-        self, spec: NbodyModel, context: SimContext, parts: Sequence[Bodies]
+        self, spec: NbodyModel, context: SimContext, parts: Sequence[PointMasses]
     ) -> None:
         """``parts``: bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
-        self._fixed = self._integrator.control is Control.FIXED
+        self._fixed = self._integrator.control is StepControl.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
-        self.bodies = Bodies.joined(parts)
+        self.bodies = PointMasses.joined(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)

@@ -150,7 +150,7 @@ class NbodyModel(SystemSpec):
         *("symplectic_euler", "midpoint", "velocity_verlet", "position_verlet"),
         *("rk4", "rk45"),
     )
-    made_of: ClassVar[Sequence[str]] = ("galaxies", "attractors")
+    components: ClassVar[Sequence[str]] = ("galaxies", "attractors")
     code: ClassVar[str] = "SIM070"
     quantities: ClassVar[Sequence[str]] = (
         *("speed", "density", "energy", "acceleration", "species"),

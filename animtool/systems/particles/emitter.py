@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.options import Checked, described
+from animtool.core.options import Checked, inherits_docs
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.collider import Poses
@@ -69,7 +69,7 @@ class Births:
     missed: int  # number without room
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True)
 class Emitter(Emission, Checked):
     """Emits particles; their number depends on time alone.

@@ -12,10 +12,10 @@ from pydantic import Field
 from animtool.core.errors import Fault, OptionError
 from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     MaxParticles,
     PlacedModel,
-    PlaceEntry,
     PrimName,
     RecordModel,
     SystemColliderModel,
@@ -36,7 +36,7 @@ class EmitterModel(PlacedModel, RecordModel):
     code: ClassVar[str] = "SIM021"
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.options import Checked, described
+from animtool.core.options import Checked, inherits_docs
 from animtool.core.record import dataclass
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
@@ -32,7 +32,7 @@ class Expressions:
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True)
 class VelocityField(Velocity, Expressions, Checked):
     """Velocities as expressions of x, y, z [m], t and age [s]."""

@@ -139,7 +139,7 @@ class RigidSimulation(SharedBodies):
             awake=len(self.bodies.dynamic),
         )
 
-    def misfit(self, state: RigidState, t: float) -> str:
+    def incompatibility(self, state: RigidState, t: float) -> str:
         """Return why a saved state cannot be resumed; empty if it can."""
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)

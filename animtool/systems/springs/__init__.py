@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from animtool.systems.springs.drawing import tear_surface as tear_surface
     from animtool.systems.springs.motion import SpringMotion as SpringMotion
     from animtool.systems.springs.paths import Pins as Pins
-    from animtool.systems.springs.paths import Targets as Targets
+    from animtool.systems.springs.paths import PointTargets as PointTargets
     from animtool.systems.springs.records import Air as Air
     from animtool.systems.springs.records import Family as Family
     from animtool.systems.springs.records import SelfContact as SelfContact
@@ -38,7 +38,7 @@ _MODULES = {
     "body": ("Body", "Springs", "Welded", "join", "springs_between", "weld"),
     "drawing": ("Tearing", "tear_surface"),
     "motion": ("SpringMotion",),
-    "paths": ("Pins", "Targets"),
+    "paths": ("Pins", "PointTargets"),
     "records": ("Air", "Family", "SelfContact", "Solver", "SpringOptions"),
     "resting": ("Rest", "find_rest"),
     "shapes": ("block", "rope", "sheet", "strand", "surface", "tetrahedra"),

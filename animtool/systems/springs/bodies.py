@@ -1,4 +1,4 @@
-"""Bodies of entries: particles and springs, with the names of places on them."""
+"""Build the particles and springs of scene entries, with named regions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from animtool.systems.springs import (
     tetrahedra,
 )
 from animtool.systems.springs.checks import some_of
-from animtool.systems.springs.drawing import Curves, Faces, Shape
+from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 from animtool.systems.springs.spec import (
     ClothModel,
     RopeModel,
@@ -36,52 +36,52 @@ from animtool.systems.springs.spec import (
     VolumeModel,
 )
 
-# Particles of a system, at most: their springs fit into memory.
+# Most particles of a system: more springs than these do not fit into memory.
 MAX_PARTICLES = 10_000_000
-# The least mass of a system, or of a particle that has one of its own [kg].
+# Smallest mass of a system, or of a particle with a configured mass [kg].
 LIGHTEST = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
 class SpringBody:
-    """Particles and springs as an entry has them."""
+    """Particles and springs of an entry."""
 
-    body: Body  # particles and springs, at rest where they are
-    places: Mapping[str, IntArray]  # numbers of particles by the name of their place
-    shape: Shape  # what is drawn of them
-    notices: tuple[Fault, ...] = ()  # what is odd about them
+    body: Body  # particles and springs, at rest in their positions
+    regions: Mapping[str, IntArray]  # particle indices by region name
+    shape: Shape  # curves or faces to draw
+    notices: tuple[Fault, ...] = ()  # warnings about the geometry
 
 
 @dataclass(slots=True)
 class BodyEntry:
-    """An entry that becomes a body, and what is wrong with it.
+    """Builds the body of an entry and collects its faults.
 
-    What is in doubt has something that stands in for it, so that the rest is checked;
-    what is noted otherwise leaves no body.
+    Doubtful values are replaced by a default, so that the rest is still checked. Any
+    other fault prevents the body from being built.
     """
 
     spec: Any
     parts: Mapping[str, Any]
-    # By name; None are those left out.
+    # By name; None for families that are left out.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
     faults: list[Fault] = field(default_factory=list)
-    sound: bool = True  # whether nothing was noted that leaves no body
+    sound: bool = True  # whether the body can be built
 
     def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
-        """Add a fault at a key of the entry, and at its own below that."""
-        own = (fault.where,) if fault.where else ()
-        self.faults.append(replace(fault, where=spelled((*keys, *own))))
+        """Add a fault at a key of the entry, extended by the location in the fault."""
+        subkeys = (fault.where,) if fault.where else ()
+        self.faults.append(replace(fault, where=spelled((*keys, *subkeys))))
         self.sound &= doubt
 
     def note(
         self, code: str, message: str, *keys: str | int, hint: str | None = None
     ) -> None:
-        """Note a fault at a key of the entry."""
+        """Record a fault at a key of the entry."""
         self.add(Fault(code, message, hint=hint), *keys)
 
     def mass_of(self, key: str, mass: float) -> float:
-        """Return a mass; what is none is noted, and 1 kg stands in for it."""
+        """Return a mass; record a fault and return 1 kg if it is not positive."""
         if mass >= LIGHTEST:
             return mass
         allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
@@ -91,7 +91,7 @@ class BodyEntry:
 
 
 def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
-    """Return a rope; None where what is noted leaves none."""
+    """Return a rope; None if it has faults."""
     if not 2 <= model.count <= MAX_PARTICLES:
         message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
         entry.note("SIM050", message, "count")
@@ -113,13 +113,13 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
         tip_mass=tip,
         bend=entry.families["bend"],
     )
-    places = {"start": np.array([0]), "end": np.array([count - 1])}
-    shape = Curves(np.array([count]), 2 * model.radius, body.springs)
-    return SpringBody(body, places, shape)
+    regions = {"start": np.array([0]), "end": np.array([count - 1])}
+    shape = CurveShape(np.array([count]), 2 * model.radius, body.springs)
+    return SpringBody(body, regions, shape)
 
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
-    """Return strands; None where what is noted leaves none."""
+    """Return strands; None if they have faults."""
     points = entry.parts["points"]
     if points is not None and not (
         points.ndim == 3
@@ -136,13 +136,13 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     along, bend = entry.families["structural"], entry.families["bend"]
     body = join([strand(row, along, mass=each, bend=bend) for row in points])
     numbers = np.arange(many * length).reshape(many, length)
-    places = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
-    shape = Curves(np.full(many, length), 2 * model.radius, body.springs)
-    return SpringBody(body, places, shape)
+    regions = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
+    shape = CurveShape(np.full(many, length), 2 * model.radius, body.springs)
+    return SpringBody(body, regions, shape)
 
 
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
-    """Return cloth; None where what is noted leaves none."""
+    """Return cloth; None if it has faults."""
     if model.mesh is not None:
         why = "applies to a sheet, but this is a mesh"
         _refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
@@ -173,14 +173,14 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1
     )
     counts = np.full((rows - 1) * (columns - 1), 4)
-    places = {
+    regions = {
         "bottom_left": grid[0, :1],
         "bottom_right": grid[0, -1:],
         "top_left": grid[-1, :1],
         "top_right": grid[-1, -1:],
         **_grid_sides(grid, ("bottom", "top"), ("left", "right")),
     }
-    return SpringBody(body, places, Faces(counts, quads.reshape(-1), body.springs))
+    return SpringBody(body, regions, FaceShape(counts, quads.reshape(-1), body.springs))
 
 
 def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
@@ -188,40 +188,44 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     if mesh is None:
         return None
     faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
-    share, flat = _shares(mesh.points, *faces)
-    light = np.flatnonzero(share == 0)
+    fractions, flat = _area_fractions(mesh.points, *faces)
+    light = np.flatnonzero(fractions == 0)
     if len(light):
         message = f"points of {prim} are in no face with an area: {some_of(light)}"
         entry.note("SIM051", message, "mesh", "prim")
     if not entry.sound:
         return None
     families: Mapping[str, Any] = entry.families
-    body = surface(mesh.points, *faces, mass=entry.mass * share, **families)
+    body = surface(mesh.points, *faces, mass=entry.mass * fractions, **families)
     often = edge_counts(*faces)
     border = np.unique(often[0][often[1] == 1])
     notices = _mesh_warnings(prim, mesh.points, flat, often)
-    return SpringBody(body, {"border": border}, Faces(*faces, body.springs), notices)
+    return SpringBody(
+        body, {"border": border}, FaceShape(*faces, body.springs), notices
+    )
 
 
-def _shares(
+def _area_fractions(
     points: FloatArray, counts: IntArray, indices: IntArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return each point's share of the area ``(N,)``, and faces that have none."""
+    """Return each point's fraction of the area ``(N,)``, and faces without area."""
     starts = np.cumsum(counts) - counts
     middle = np.add.reduceat(points[indices], starts) / counts[:, None]
-    ahead = sides(counts, indices)[:, 1]
+    next_corners = sides(counts, indices)[:, 1]
     face = np.repeat(np.arange(len(counts)), counts)
-    spans = np.cross(points[indices] - middle[face], points[ahead] - middle[face])
+    spans = np.cross(
+        points[indices] - middle[face], points[next_corners] - middle[face]
+    )
     areas = np.linalg.norm(np.add.reduceat(spans, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
-    return _share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
+    return _distribute(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
 def _mesh_warnings(
     prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
 ) -> tuple[Fault, ...]:
-    """Return warnings of what cloth bears, and nobody means."""
+    """Return warnings about degenerate faces, duplicate points and shared edges."""
     _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     double = np.flatnonzero(often[same.reshape(-1)] > 1)
     remarks = {}
@@ -242,7 +246,7 @@ def _mesh_warnings(
 
 
 def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
-    """Return a volume; None where what is noted leaves none."""
+    """Return a volume; None if it has faults."""
     if model.tetrahedra is not None:
         why = "applies to a block, but this has tetrahedra"
         _refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
@@ -286,8 +290,8 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
     if not entry.sound:
         return None
     corners = cells.astype(np.int64)
-    share = _volumes(points, corners)
-    body = tetrahedra(points, corners, edges, mass=entry.mass * share)
+    fractions = _volume_fractions(points, corners)
+    body = tetrahedra(points, corners, edges, mass=entry.mass * fractions)
     return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin(body))
 
 
@@ -298,53 +302,53 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
     if cells.min() < 0 or cells.max() >= len(points):
         return f"a corner is outside the {len(points)} points"
-    light = np.flatnonzero(_volumes(points, cells.astype(np.int64)) == 0)
+    light = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
     if len(light):
         return f"points are in no tetrahedron with a volume: {some_of(light)}"
     return ""
 
 
-def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Return each point's share of the volume ``(N,)``."""
+def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Return each point's fraction of the volume ``(N,)``."""
     sides = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(sides))
     size = np.ptp(points, axis=0).max()
     volumes[volumes <= 1e-12 * size**3] = 0.0
     corners = np.full(len(cells), 4)
-    return _share_out(volumes, corners, cells.ravel(), len(points))
+    return _distribute(volumes, corners, cells.ravel(), len(points))
 
 
-def _skin(body: Body) -> Faces:
+def _skin(body: Body) -> FaceShape:
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
-    return Faces(counts, triangles.ravel(), body.springs, closed=True)
+    return FaceShape(counts, triangles.ravel(), body.springs, closed=True)
 
 
-def _share_out(
+def _distribute(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
-    """Return each point's share ``(N,)`` [1] of cells that divide among corners.
+    """Distribute cell sizes to their corners; return fractions ``(N,)`` [1].
 
-    Cells have sizes ``(M,)`` and so many corners ``(M,)``, cell by cell. Shares come to
-    1, or are all 0 where no cell has a size.
+    Cells have sizes ``(M,)`` and corner counts ``(M,)``, cell by cell. Fractions add up
+    to 1, or are all 0 if every cell has size 0.
     """
-    own = np.bincount(corners, np.repeat(sizes / counts, counts), points)
-    total = float(own.sum())
-    return np.asarray(own / (total if total > 0 else 1.0), np.float64)
+    sums = np.bincount(corners, np.repeat(sizes / counts, counts), points)
+    total = float(sums.sum())
+    return np.asarray(sums / (total if total > 0 else 1.0), np.float64)
 
 
 def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
-    """Note a grid of too few particles some way, or of too many."""
+    """Record a fault if a grid has too few particles along an axis, or too many."""
     if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
-        given = f"{listed(first)} and {last}"
+        resolution_text = f"{listed(first)} and {last}"
         message = f"{what} needs 2 to {MAX_PARTICLES} particles in each direction"
-        message += f", not {given}"
+        message += f", not {resolution_text}"
         entry.note("SIM050", message, "resolution")
 
 
 def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
-    """Return the particles at both ends of each axis of a grid, by their names."""
+    """Return the particles at both ends of each grid axis by region name."""
     return {
         name: np.take(grid, end, axis).ravel()
         for axis, both in enumerate(names)
@@ -353,7 +357,7 @@ def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
 
 
 def _refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
-    """Note keys that an entry gives, and that are for what it is not, and why."""
+    """Record a fault for each specified key that does not apply."""
     for key in sorted(keys & model.model_fields_set):
         entry.note("SIM050", f"{key} {why}", key)
 

@@ -1,4 +1,4 @@
-"""Bodies made of particles and springs, as arrays, and as kernels take them."""
+"""Bodies of particles and springs as arrays, and their kernel networks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.maths.rows import Rows
 from animtool.systems.springs.records import Family, SelfContact
 
-# Which springs are torn, in the order of kernels ``(S,)``.
+# Torn flags of springs in kernel order ``(S,)``.
 Flags: TypeAlias = npt.NDArray[np.uint8]
 
 
@@ -25,12 +25,11 @@ class Springs(Rows):
     """S springs.
 
     Attributes:
-        ends: Particles that they join ``(S, 2)``.
+        ends: Indices of both end particles ``(S, 2)``.
         rest: Length at rest ``(S,)`` [m], 0 or more.
         stiffness: ``(S,)`` [N/m].
         damping: Along the spring ``(S,)`` [N s/m].
-        limit: Length beyond which a spring tears ``(S,)`` [m], infinite where it
-            does not.
+        limit: Length beyond which a spring tears ``(S,)`` [m]; infinite if never.
     """
 
     ends: IntArray
@@ -45,15 +44,15 @@ class Springs(Rows):
         return Springs(np.zeros((0, 2), np.int64), *np.zeros((4, 0)))
 
     def lengths(self, points: FloatArray) -> FloatArray:
-        """Return how long they are ``(S,)`` [m] with particles at points ``(N, 3)``."""
-        ways = points[self.ends[:, 1]] - points[self.ends[:, 0]]
-        lengths: FloatArray = np.linalg.norm(ways, axis=1)
+        """Return spring lengths ``(S,)`` [m] for particles at points ``(N, 3)``."""
+        gaps = points[self.ends[:, 1]] - points[self.ends[:, 0]]
+        lengths: FloatArray = np.linalg.norm(gaps, axis=1)
         return lengths
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """N particles, the springs between them, and the surface that air acts on.
+    """N particles, springs between them, and the surface triangles.
 
     Attributes:
         positions: ``(N, 3)`` [m].
@@ -75,15 +74,15 @@ def springs_between(
     masses: FloatArray,
     rest: ArrayLike | None = None,
 ) -> Springs:
-    """Return springs of a family, at rest where the particles are.
+    """Return springs of a family between particles, at rest in their positions.
 
     Args:
         ends: Particles to join ``(S, 2)``.
-        family: What they have in common.
+        family: Stiffness, damping and tear limit.
         positions: Of particles ``(N, 3)`` [m].
         masses: ``(N,)`` [kg].
-        rest: Length at rest ``(S,)`` or one for all [m]; None is the distance, times
-            what the family has.
+        rest: Rest length ``(S,)`` or one for all [m]; None is the distance times the
+            rest factor of the family.
 
     >>> line = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     >>> springs_between([[0, 1]], Family(10.0), line, np.ones(2)).rest.tolist()
@@ -100,7 +99,7 @@ def springs_between(
     if family.axial_stiffness is not None:
         np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
     means = masses[pairs].mean(axis=1)
-    # Whoever simulates them refuses what float64 does not hold.
+    # Overflow is reported when the simulation checks the body.
     with np.errstate(over="ignore", invalid="ignore"):
         if family.frequency is not None:
             stiffness = (2 * math.pi * family.frequency) ** 2 * means
@@ -120,21 +119,21 @@ def built(
     families: Sequence[tuple[ArrayLike, Family | None]],
     triangles: ArrayLike = (),
 ) -> Body:
-    """Return a body of families of springs, those that are None left out."""
-    places = as_floats(positions, ("N", 3), "positions")
-    weights = np.broadcast_to(np.asarray(masses, np.float64), len(places)).copy()
+    """Return a body with springs of several families; None families are skipped."""
+    points = as_floats(positions, ("N", 3), "positions")
+    weights = np.broadcast_to(np.asarray(masses, np.float64), len(points)).copy()
     springs = [
-        springs_between(ends, family, places, weights)
+        springs_between(ends, family, points, weights)
         for ends, family in families
         if family is not None
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
     every = Springs.joined([Springs.none(), *springs])
-    return Body(places, weights, every, faces)
+    return Body(points, weights, every, faces)
 
 
 def join(bodies: Sequence[Body]) -> Body:
-    """Return bodies as one; particles are those of the first, the second, and so on.
+    """Concatenate bodies; particles are numbered in the order of the bodies.
 
     >>> from animtool.systems.springs.shapes import rope
     >>> one = rope([0, 0, 0], [1, 0, 0], 4, Family(10.0), mass=1.0)
@@ -155,12 +154,12 @@ def join(bodies: Sequence[Body]) -> Body:
 
 @dataclass(frozen=True, slots=True)
 class Welded:
-    """A body some of whose particles became one.
+    """A body with merged particles.
 
     Attributes:
-        body: The rest of them; its springs and triangles are those of before.
-        rows: The particle that each of before is now ``(N,)``.
-        gap: Largest distance between two that became one [m].
+        body: The merged body; its springs and triangles keep their order.
+        rows: New index of each original particle ``(N,)``.
+        gap: Largest distance between two merged particles [m].
     """
 
     body: Body
@@ -169,11 +168,11 @@ class Welded:
 
 
 def weld(body: Body, pairs: ArrayLike) -> Welded:
-    """Return a body in which particles are one: masses add up.
+    """Merge pairs of particles of a body; their masses add up.
 
     Args:
         body: Particles and springs.
-        pairs: Particles that go, and those whose place they take ``(J, 2)``.
+        pairs: Particles to remove and the particles that replace them ``(J, 2)``.
 
     >>> from animtool.systems.springs import Family, join, rope
     >>> one = rope([0, 0, 0], [1, 0, 0], 2, Family(10.0), mass=1.0)
@@ -183,13 +182,13 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
     """
     joined = np.asarray(pairs, np.int64).reshape(-1, 2)
-    place = np.arange(len(body.positions))
+    kept_as = np.arange(len(body.positions))
     for gone, kept in joined.tolist():
-        # All that are one with either stand where the one that stays does.
-        place[place == place[gone]] = place[kept]
-    stay, rows = np.unique(place, return_inverse=True)
+        # Chains of merged particles all map to the one that is kept.
+        kept_as[kept_as == kept_as[gone]] = kept_as[kept]
+    stay, rows = np.unique(kept_as, return_inverse=True)
     rows = rows.reshape(-1)
-    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[place], axis=1)
+    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[kept_as], axis=1)
     masses = np.zeros(len(stay))
     np.add.at(masses, rows, body.masses)
     springs = replace(body.springs, ends=rows[body.springs.ends])
@@ -197,43 +196,43 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     return Welded(welded, rows, float(gaps.max(initial=0.0)))
 
 
-class Draws(NamedTuple):
-    """What draws particles to points, by springs of no length."""
+class TargetSprings(NamedTuple):
+    """Zero-length springs that pull particles to target points."""
 
     particles: IntArray  # ``(A,)``
     stiffness: FloatArray  # ``(A,)`` [N/m]
     damping: FloatArray  # ``(A,)`` [N s/m]
 
 
-NOBODY: IntArray = np.zeros(0, np.int64)
-NO_DRAWS = Draws(NOBODY, np.zeros(0), np.zeros(0))
+NO_PARTICLES: IntArray = np.zeros(0, np.int64)
+NO_TARGETS = TargetSprings(NO_PARTICLES, np.zeros(0), np.zeros(0))
 
 
 class Paths(NamedTuple):
-    """Where holders are, and how the air moves, over times that all share."""
+    """Positions of pins and targets, and wind, over shared times."""
 
     knots: FloatArray  # ``(K,)`` [s]
-    held: FloatArray  # of held particles ``(K or 1, P, 3)`` [m]
-    drawn: FloatArray  # of the points that others are drawn to ``(K or 1, A, 3)`` [m]
+    pinned: FloatArray  # of pinned particles ``(K or 1, P, 3)`` [m]
+    drawn: FloatArray  # of target points ``(K or 1, A, 3)`` [m]
     wind: FloatArray  # ``(K or 1, 1, 3)`` [m/s]
 
 
 @dataclass(frozen=True, slots=True)
-class Loads:
-    """N particles, springs between them, and what acts on them."""
+class SpringForces:
+    """N particles, the springs between them, and external forces."""
 
-    inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 of particles that are held
-    drags: FloatArray  # what slows each, over its mass and speed ``(N,)`` [1/s]
+    inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 for pinned particles
+    drags: FloatArray  # drag per mass and speed ``(N,)`` [1/s]
     springs: Springs
-    triangles: IntArray  # what the air acts on ``(T, 3)``
+    triangles: IntArray  # surface that air acts on ``(T, 3)``
     gravity: FloatArray  # ``(3,)`` [m/s²]
     pressures: tuple[float, float]  # of air: drag and lift over area and speed²
-    held: IntArray = field(default_factory=NOBODY.copy)  # particles ``(P,)``
-    draws: Draws = NO_DRAWS
+    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)  # particles ``(P,)``
+    target_springs: TargetSprings = NO_TARGETS
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:
-        """Return what kernels step, going through springs in their order."""
-        springs, draws = self.springs, self.draws
+        """Return the kernel network, which visits springs in their order."""
+        springs, draws = self.springs, self.target_springs
         return _kernels.SpringNetwork(
             inverse_masses=self.inverse_masses,
             drags=self.drags,
@@ -247,8 +246,8 @@ class Loads:
             air_drag=self.pressures[0],
             air_lift=self.pressures[1],
             knots=paths.knots,
-            held=self.held,
-            held_path=paths.held,
+            held=self.pinned,
+            held_path=paths.pinned,
             anchors=draws.particles,
             anchor_stiffness=draws.stiffness,
             anchor_damping=draws.damping,
@@ -260,6 +259,6 @@ class Loads:
 def spring_layers(
     network: _kernels.SpringNetwork, contact: SelfContact, rest: FloatArray
 ) -> _kernels.SpringLayers:
-    """Return what of a surface kernels keep apart; at rest it is at ``(N, 3)`` [m]."""
+    """Return the kernel self-contact of a surface; rest positions ``(N, 3)`` [m]."""
     numbers = contact.thickness, contact.friction, contact.speed
     return _kernels.SpringLayers(network, rest, *numbers)

@@ -1,4 +1,4 @@
-"""Ropes, strands, cloth and volumes of a scene as one system of particles."""
+"""Build one particle system from the ropes, strands, cloth and volumes of a scene."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from animtool.systems.framework.tied import OnBody, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
+    PointTargets,
     SpringSystem,
-    Targets,
     Welded,
     find_rest,
     join,
@@ -28,54 +28,55 @@ from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
 from animtool.systems.springs.simulation import SpringSimulation, plan_springs
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
-from animtool.systems.springs.ties import Tie, Ties
+from animtool.systems.springs.ties import BodyTies, Tie
 from animtool.systems.springs.view import SpringView
 
-# Particles that are put together, or held, this far from where they are built are
-# said to be apart [m].
-APART = 1e-4
+# Distance between merged or pinned particles above which a warning is given [m].
+MAX_GAP = 1e-4
 
 
 def build(spec: SpringsModel, context: SimContext) -> SpringSimulation:
-    """Return springs that are joined, or those of one entry, at their beginning."""
-    return _Building(spec, context).simulation()
+    """Return the simulation of one entry, or of joined entries."""
+    return _SystemBuilder(spec, context).simulation()
 
 
-class _Building:
-    """Bodies that become one system of particles."""
+class _SystemBuilder:
+    """Builds one particle system from several bodies."""
 
     def __init__(self, spec: SpringsModel, context: SimContext) -> None:
         self._spec, self._context = spec, context
         self._entries: list[SpringEntry] = [one.record for one in context.members]
-        self._notices: list[Fault] = []  # what is odd about them together
-        bodies, ties = self._placed()
+        self._notices: list[Fault] = []  # warnings about the joined system
+        bodies, ties = self._position_bodies()
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         welded = weld(join(bodies), join_pairs(context.members, starts))
-        self._say_apart("particles that are joined are", welded.gap)
-        self._rows: list[IntArray] = [  # of each body, its particles in the system
+        self._warn_gap("particles that are joined are", welded.gap)
+        self._rows: list[IntArray] = [  # particle indices in the system, by body
             welded.rows[start : start + len(body.positions)]
             for start, body in zip(starts, bodies, strict=False)
         ]
-        self._system = self._made(welded, ties)
+        self._system = self._build_system(welded, ties)
 
     def simulation(self) -> SpringSimulation:
-        """Return them with what each entry shows."""
+        """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
         plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
-        made = SpringSimulation(plan, context)
+        simulation = SpringSimulation(plan, context)
         springs = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):
             entry: SpringEntry = member.record
-            own = slice(springs, springs + len(entry.body.body.springs.rest))
-            springs = own.stop
+            part = slice(springs, springs + len(entry.body.body.springs.rest))
+            springs = part.stop
             notices = (*entry.body.notices, *(() if views else self._notices))
-            views.append(SpringView(made, member, rows, own, notices, first=not views))
-        made.views = views
-        return made
+            views.append(
+                SpringView(simulation, member, rows, part, notices, first=not views)
+            )
+        simulation.views = views
+        return simulation
 
-    def _placed(self) -> tuple[list[Body], list[list[Pins | Targets]]]:
-        """Return bodies where pins have them, and what ties each."""
+    def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:
+        """Return bodies moved to their pins, and pins and targets of each."""
         bodies, ties, begin = [], [], self._context.begin
         acting = any(_has_acting_faces(entry) for entry in self._entries)
         for entry in self._entries:
@@ -83,27 +84,29 @@ class _Building:
             pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
             points = moved_to_pins(pins, body.positions, begin)
             ties.append(ties_of(pins, points))
-            held = points.copy()
+            pinned = points.copy()
             for pin, frame in pins:
                 if pin.model.stiffness is None:
-                    held[pin.particles] = pin.start(frame, points, begin)
-            gap = float(np.linalg.norm(held - points, axis=1).max())
-            self._say_apart("pins hold particles", gap)
-            # Of several, wind blows on the faces of those that say so.
+                    pinned[pin.particles] = pin.start(frame, points, begin)
+            gap = float(np.linalg.norm(pinned - points, axis=1).max())
+            self._warn_gap("pins hold particles", gap)
+            # With several entries, wind acts on the faces of those that request it.
             faces = not acting or _has_acting_faces(entry)
             triangles = body.triangles if faces else body.triangles[:0]
-            bodies.append(replace(body, positions=held, triangles=triangles))
+            bodies.append(replace(body, positions=pinned, triangles=triangles))
         return bodies, ties
 
-    def _made(
-        self, welded: Welded, ties: Sequence[Sequence[Pins | Targets]]
+    def _build_system(
+        self, welded: Welded, ties: Sequence[Sequence[Pins | PointTargets]]
     ) -> SpringSystem:
         spec, context = self._spec, self._context
-        every: list[Pins | Targets] = []
+        every: list[Pins | PointTargets] = []
         resistance = np.zeros(len(welded.body.positions))
         air, contact = None, None
-        for entry, rows, own in zip(self._entries, self._rows, ties, strict=True):
-            tied = list(own)
+        for entry, rows, entry_ties in zip(
+            self._entries, self._rows, ties, strict=True
+        ):
+            tied = list(entry_ties)
             slowing = entry.spec.drag * entry.body.body.masses
             wind = entry.spec.air
             if isinstance(wind, FaceWindModel) or wind is None:
@@ -119,7 +122,7 @@ class _Building:
         system = SpringSystem(
             welded.body,
             pins=combined([tie for tie in every if isinstance(tie, Pins)]),
-            targets=combined([tie for tie in every if isinstance(tie, Targets)]),
+            targets=combined([tie for tie in every if isinstance(tie, PointTargets)]),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,
@@ -128,11 +131,11 @@ class _Building:
             speed_limit=spec.speed_limit,
             self_contact=contact,
         )
-        system.ties = self._tied(system)
-        return self._settled(system) if spec.settle else system
+        system.ties = self._tie_pins(system)
+        return self._settle(system) if spec.settle else system
 
-    def _tied(self, system: SpringSystem) -> Ties | None:
-        """Return what carries pins of the system; None without."""
+    def _tie_pins(self, system: SpringSystem) -> BodyTies | None:
+        """Return the rigid bodies that carry pins; None if there are none."""
         carriers = self._context.carriers
         names, ties = list(carriers), []
         columns = {n: k for k, n in enumerate(system.pinned.tolist())}
@@ -140,27 +143,27 @@ class _Building:
             for pin in entry.pins:
                 if not isinstance(pin.carrier, OnBody):
                     continue
-                bodies, own = carriers[pin.carrier.system], rows[pin.particles]
-                points = system.body.positions[own]
-                self._say_far(entry.spec.name, pin.carrier, bodies, points)
+                bodies, pinned = carriers[pin.carrier.system], rows[pin.particles]
+                points = system.body.positions[pinned]
+                self._warn_distant(entry.spec.name, pin.carrier, bodies, points)
                 frame = bodies.start(pin.carrier).rows[0]
                 ties.append(
                     Tie(
-                        np.array([columns[n] for n in own.tolist()], np.int64),
+                        np.array([columns[n] for n in pinned.tolist()], np.int64),
                         names.index(pin.carrier.system),
                         bodies.number(pin.carrier),
                         so3.rotate(so3.conjugate(frame[3:]), points - frame[:3]),
-                        system.body.masses[own],
+                        system.body.masses[pinned],
                     )
                 )
         if not ties:
             return None
-        return Ties(list(carriers.values()), ties, system.gravity, system.spacing)
+        return BodyTies(list(carriers.values()), ties, system.gravity, system.spacing)
 
-    def _say_far(
+    def _warn_distant(
         self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray
     ) -> None:
-        """Warn of pins that begin farther from their body than that is large."""
+        """Warn about pins that start farther from their body than its size."""
         gap, size = bodies.gap(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
@@ -171,8 +174,8 @@ class _Building:
             hint = "place the particles at the body, or give the pin an offset"
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
-    def _settled(self, system: SpringSystem) -> SpringSystem:
-        """Return a system that begins where it comes to rest."""
+    def _settle(self, system: SpringSystem) -> SpringSystem:
+        """Return the system with its static equilibrium as the start."""
         rest = find_rest(system, self._context.begin, progress=self._context.phase())
         if not rest.solved:
             message = f"no rest state was found: forces of {rest.residual:.2g} N remain"
@@ -180,13 +183,13 @@ class _Building:
             self._notices.append(warning("SIM152", message, hint, "settle"))
         return system.starting_at(rest.positions)
 
-    def _say_apart(self, what: str, gap: float) -> None:
-        if gap > APART:
+    def _warn_gap(self, what: str, gap: float) -> None:
+        if gap > MAX_GAP:
             message = f"{what} {length_text(gap)} from where they are built: springs "
             hint = "place them to match, or give pins an offset"
             self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))
 
 
 def _has_acting_faces(entry: SpringEntry) -> bool:
-    """Return whether wind blows on the faces of a body, or they meet each other."""
+    """Return whether the faces of a body feel wind or collide with themselves."""
     return isinstance(entry.spec.air, FaceWindModel) or entry.spec.contact is not None

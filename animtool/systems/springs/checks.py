@@ -1,4 +1,4 @@
-"""What cannot be simulated, found before the first step."""
+"""Checks of bodies, pins and options before the first step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
-# Of many that are wrong in the same way, those that are named.
+# Most particles or springs named for one kind of fault.
 MAX_NAMED = 5
 
 
@@ -22,21 +22,21 @@ def some_of(numbers: IntArray) -> str:
     return f"{text} and {more} more" if more > 0 else text
 
 
-def check_body(body: Body, held: IntArray, drawn: IntArray) -> None:
-    """Raise where particles, springs or what holds them make no sense."""
+def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
+    """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
-    odd = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _named("SIM041", "its position is not finite", odd)
-    faults += _particle_faults(held, "pins", count)
-    values, often = np.unique(held, return_counts=True)
+    not_finite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _named("SIM041", "its position is not finite", not_finite)
+    faults += _particle_faults(pinned, "pins", count)
+    values, often = np.unique(pinned, return_counts=True)
     faults += _named("SIM043", "it is pinned twice", values[often > 1])
     faults += _particle_faults(drawn, "targets", count)
     free = np.ones(count, bool)
-    free[held[(held >= 0) & (held < count)]] = False
+    free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # What moves them is over their mass, which has to be a number, too.
-        whole = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
-        light = ~((body.masses > 0) & whole) & free
+        # Forces are divided by the mass: its inverse must be finite too.
+        finite = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
+        light = ~((body.masses > 0) & finite) & free
     hint = "pin it, or give it a mass above 0"
     faults += _named("SIM040", "its mass must be above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)
@@ -51,27 +51,27 @@ def check_path(
 ) -> tuple[FloatArray, FloatArray]:
     """Return times ``(K,)`` [s] and positions ``(K, count, 3)`` [m] of a path."""
     path = np.array(positions, np.float64)
-    moments = np.zeros(1) if times is None else np.asarray(times, np.float64)
+    knots = np.zeros(1) if times is None else np.asarray(times, np.float64)
     if times is None and path.shape == (count, 3):
         path = path[None]
-    wanted = (*moments.shape, count, 3)
+    shape = (*knots.shape, count, 3)
     message = ""
-    if moments.ndim != 1 or not len(moments):
-        message = f"times must be a list of at least one, not of shape {moments.shape}"
-    elif path.shape != wanted:
-        message = f"positions must have shape {wanted}, not {path.shape}"
-    elif not np.isfinite(moments).all() or (np.diff(moments) <= 0).any():
+    if knots.ndim != 1 or not len(knots):
+        message = f"times must be a list of at least one, not of shape {knots.shape}"
+    elif path.shape != shape:
+        message = f"positions must have shape {shape}, not {path.shape}"
+    elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
         message = "times must be finite and ascend"
     elif not np.isfinite(path).all():
         row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
-        message = f"positions at {moments[row]:g} s are not finite"
+        message = f"positions at {knots[row]:g} s are not finite"
     if message:
         raise OptionError(Fault("SIM044", message, where=name))
-    return moments, path
+    return knots, path
 
 
 def start_notices(body: Body) -> list[Fault]:
-    """Return warnings of a start that springs make nothing of."""
+    """Return a warning about springs whose ends coincide at the start."""
     springs = body.springs
     gaps = body.positions[springs.ends[:, 1]] - body.positions[springs.ends[:, 0]]
     lost = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
@@ -100,7 +100,7 @@ def _named(
 
 
 def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
-    """Return a fault of a body (SIM042) for each of the first that are bad."""
+    """Return a fault (SIM042) for each of the first bad rows."""
     return [
         Fault("SIM042", message.format(i), where="body")
         for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
@@ -134,15 +134,15 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:
-    """Raise where a body cannot keep apart from itself in this way (SIM045)."""
+    """Raise if self-contact is not possible for a body (SIM045)."""
     messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
         messages.append("self-contact needs triangles")
     if contact.rest is not None:
         rest = np.asarray(contact.rest, np.float64)
         if rest.shape != body.positions.shape:
-            wanted = body.positions.shape
-            messages.append(f"rest must have shape {wanted}, not {rest.shape}")
+            shape = body.positions.shape
+            messages.append(f"rest must have shape {shape}, not {rest.shape}")
         elif not np.isfinite(rest).all():
             messages.append("rest must be finite")
     if messages:
@@ -174,7 +174,7 @@ def tangle_notices(
 
 
 def check_options(options: SpringOptions) -> Solver:
-    """Return the solver that options name; raise SIM001 or SIM004 where none is."""
+    """Return the configured solver; raise SIM001 or SIM004 for invalid options."""
     faults = []
     names = [str(solver) for solver in Solver]
     if options.solver not in names:
@@ -187,8 +187,8 @@ def check_options(options: SpringOptions) -> Solver:
     return Solver(options.solver)
 
 
-def check_keeping_apart(solver: Solver) -> None:
-    """Raise where a solver does not keep a surface apart from itself (SIM046)."""
+def check_supports_self_contact(solver: Solver) -> None:
+    """Raise if a solver does not support self-contact (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
         message = f"{solver} has no self-contact"
         hint = "use xpbd or auto"

@@ -1,4 +1,4 @@
-"""What particles meet over cells of time, as kernels take it."""
+"""Colliders over cells of time, as kernel arguments."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 
-# Surfaces of others are asked for from one look before a step on [s].
+# Surfaces of other systems are sampled from this long before a step [s].
 LOOK_BACK = 1 / 240
-# Particles that are deeper than this are left inside [m].
+# Particles deeper than this stay inside [m].
 INSIDE = 1e-6
-# What kernels take of colliders for some cells; None without any.
+# Kernel arguments of colliders for several cells; None without colliders.
 CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
@@ -25,22 +25,22 @@ CellColliders: TypeAlias = tuple[Any, ...] | None
 class Cells:
     """Even cells of time."""
 
-    origin: float  # where the first of all begins [s]
+    origin: float  # start time of cell 0 [s]
     length: float  # of each [s]
     index: int  # of the first of these
     count: int
 
 
 class PosedColliders(NamedTuple):
-    """The last C colliders, where joints carry them, and skins, over cells of time."""
+    """The last C colliders, carried by joints, and skin meshes over cells of time."""
 
     sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
-    # How deep particles may be in each of the rigid colliders, and in skins, at most 0
-    # ``(R, N)`` [m].
+    # Signed distance that particles may have from rigid colliders and skin meshes, at
+    # most 0 ``(R, N)`` [m].
     depths: FloatArray
-    skins: Sequence[Any]  # surfaces as kernels take them, before others
-    inside: float  # particles that are deeper are left inside [m]
+    skins: Sequence[Any]  # kernel surfaces, before those of the world
+    inside: float  # deeper particles stay inside [m]
 
 
 def cell_colliders(
@@ -49,7 +49,7 @@ def cell_colliders(
     cells: Cells,
     posed: PosedColliders | None = None,
 ) -> CellColliders:
-    """Return what kernels take of colliders for some cells; None without any."""
+    """Return kernel arguments of colliders for some cells; None without colliders."""
     if not colliders.active and (posed is None or not posed.skins):
         return None
     origin, index, count = cells.origin, cells.index, cells.count
@@ -78,18 +78,18 @@ def cell_colliders(
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    moments, rows = collider.poses.sample_times, collider.poses.rows
-    before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
-    after = np.minimum(before + 1, len(moments) - 1)
-    gaps = np.where(after > before, moments[after] - moments[before], 1.0)
-    share = np.clip((edges - moments[before]) / gaps, 0.0, 1.0)
+    times, rows = collider.poses.sample_times, collider.poses.rows
+    before = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
+    after = np.minimum(before + 1, len(times) - 1)
+    gaps = np.where(after > before, times[after] - times[before], 1.0)
+    fraction = np.clip((edges - times[before]) / gaps, 0.0, 1.0)
     jumps = np.append(collider.jumps, False)
-    share = np.where(jumps[before], 0.0, share)[:, None]
-    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * share
-    turns = so3.slerp(rows[before, 3:], rows[after, 3:], share[:, 0])
-    poses = np.concatenate([origins, turns], axis=1)
+    fraction = np.where(jumps[before], 0.0, fraction)[:, None]
+    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * fraction
+    rotations = so3.slerp(rows[before, 3:], rows[after, 3:], fraction[:, 0])
+    poses = np.concatenate([origins, rotations], axis=1)
     ends = np.stack([poses[:-1], poses[1:]], axis=1)
-    # One that is put elsewhere within a cell is there from its beginning.
+    # A collider that teleports within a cell is at its goal from the start of it.
     crossed = np.cumsum(np.append(0, jumps))[before]
     jumped = crossed[1:] > crossed[:-1]
     ends[jumped, 0] = ends[jumped, 1]

@@ -1,4 +1,4 @@
-"""What goes through a surface or a rope where nothing stops it."""
+"""Warnings about surfaces and ropes that pass through themselves or thin colliders."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from animtool.core.record import dataclass
 from animtool.maths.faces import sides
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
-from animtool.systems.springs.drawing import Curves, Faces, Shape
+from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 
-# Looks at a surface over a whole motion: one takes as long as some steps do.
+# Number of intersection checks over a motion: one costs as much as several steps.
 LOOKS = 12
-# Of many colliders, those that are named.
+# Most colliders named in a warning.
 MAX_NAMED = 3
 
 
 @dataclass(slots=True)
 class SelfCrossings:
-    """Edges of a surface that go through its faces, where nothing keeps them apart.
+    """Counts edges that pass through faces of a surface without self-contact.
 
     Attributes:
         triangles: Corners ``(T, 3)``.
         begin: The first time [s].
         last: The last time [s].
-        most: Edges through faces beyond those at the first look, at most at a time.
-        when: The time of that [s].
+        most: Largest number of edges through faces, minus the first one.
+        when: Time of the largest number [s].
     """
 
     triangles: IntArray
@@ -43,7 +43,7 @@ class SelfCrossings:
     _next: float = -np.inf
 
     def look(self, t: float, points: FloatArray) -> None:
-        """Count at a time [s] where points are ``(N, 3)`` [m], now and then."""
+        """Count intersections of points ``(N, 3)`` [m] at a time [s], if due."""
         if t < self._next or not len(self.triangles):
             return
         wait = (self.last - self.begin) / LOOKS
@@ -56,7 +56,7 @@ class SelfCrossings:
             self.most, self.when = count - self._first, t
 
     def notices(self, name: str) -> list[Fault]:
-        """Return a note where a surface went through itself (SIM194)."""
+        """Return a note if a surface passed through itself (SIM194)."""
         if not self.most:
             return []
         message = f"{name} passed through itself: {counted(self.most, 'pair')} of an "
@@ -67,12 +67,12 @@ class SelfCrossings:
 
 
 def widest_gap(shape: Shape, points: FloatArray) -> float:
-    """Return the farthest that particles of a face, or of a curve, are apart [m].
+    """Return the largest distance between neighbouring particles [m].
 
-    Particles are at rest at ``(N, 3)`` [m]. Of a face it is the longest of its sides
-    and diagonals: what is thinner passes between its corners.
+    Rest positions are ``(N, 3)`` [m]. For faces it is the longest side or diagonal:
+    thinner colliders pass between the corners.
     """
-    if isinstance(shape, Curves):
+    if isinstance(shape, CurveShape):
         first = np.arange(len(points) - 1)
         inner = np.ones(len(first), bool)
         inner[np.cumsum(shape.counts)[:-1] - 1] = False
@@ -85,24 +85,24 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
     return float(np.linalg.norm(gaps, axis=1).max())
 
 
-def _across(shape: Faces) -> IntArray:
-    """Return pairs of corners of faces, sides and diagonals ``(P, 2)``."""
+def _across(shape: FaceShape) -> IntArray:
+    """Return the corner pairs of face sides and diagonals ``(P, 2)``."""
     pairs = [sides(shape.counts, shape.indices)]
     starts = np.cumsum(shape.counts) - shape.counts
     for skip in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
         many = shape.counts >= 2 * skip
         face = np.repeat(np.arange(len(starts)), shape.counts)
         corner = np.arange(len(shape.indices))
-        ahead = starts[face] + (corner - starts[face] + skip) % shape.counts[face]
-        two = np.stack([shape.indices[corner], shape.indices[ahead]], axis=1)
+        opposite = starts[face] + (corner - starts[face] + skip) % shape.counts[face]
+        two = np.stack([shape.indices[corner], shape.indices[opposite]], axis=1)
         pairs.append(two[many[face]])
     return np.concatenate(pairs)
 
 
 def thickness(collider: Collider) -> float:
-    """Return how thick a collider is across its length [m]; infinite where unknown.
+    """Return the thickness of a collider across its length [m]; infinite if unknown.
 
-    Of a box it is the second of its sides by length: a plate is met by its face.
+    For a box it is its second-longest side: plates are hit on their face.
     """
     shape = collider.shape
     if isinstance(shape, Sphere | Capsule):
@@ -121,11 +121,11 @@ def thin_notices(
     *,
     faces: bool = False,
 ) -> list[Fault]:
-    """Return a warning of colliders that pass between particles (SIM195).
+    """Return a warning about colliders thinner than the particle gap (SIM195).
 
-    Particles keep a radius from colliders [m], and are a gap apart at rest [m], which
-    becomes longer by the stretch [1]. Faces that meet colliders are stopped; where they
-    went through each other they may have done so around the collider.
+    Particles keep a radius from colliders [m]. The rest gap [m] grows by the stretch
+    [1]. Faces are stopped by colliders, but faces that passed through each other may
+    have done so around the collider.
     """
     wide = gap * (1 + max(stretch, 0.0))
     thin = [

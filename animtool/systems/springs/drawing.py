@@ -1,4 +1,4 @@
-"""What is drawn of particles and springs: curves, faces, and faces that part."""
+"""Curves and faces drawn for particles and springs, and faces that tear."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from animtool.maths.faces import sides
 from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
-# What keeps a turn as small as it may be where neighbours leave it open.
-MIN_TURN = 1e-9
-# Over which points that no particle carries alone are looked at for their speed [s].
+# Keeps rotations minimal where neighbours do not determine them.
+ROTATION_REGULARIZATION = 1e-9
+# Difference step for velocities of points that depend on several particles [s].
 EPSILON_TIME = 1e-4
 
 
 @dataclass(frozen=True)
-class Curves:
-    """Particles in rows.
+class CurveShape:
+    """Particles in rows, drawn as curves.
 
-    Where a spring between two neighbours tears, a curve becomes two; a particle alone
-    is not drawn.
+    A curve is split where a spring between two neighbours tears; single particles are
+    not drawn.
     """
 
     counts: IntArray  # particles of each ``(C,)``
@@ -35,13 +35,13 @@ class Curves:
 
     @property
     def tears(self) -> bool:
-        """Whether it may be drawn otherwise than at the start."""
+        """Whether its springs can tear, so that the topology changes."""
         return bool(np.isfinite(self.springs.limit).any())
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
-        """Return curves of ``(N, 3)`` [m, m/s] where springs are torn ``(S,)``."""
+        """Return the curves of ``(N, 3)`` [m, m/s] for torn springs ``(S,)``."""
         if not torn.any():
             return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
         last = np.zeros(len(points), bool)
@@ -62,17 +62,17 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class Faces:
+class FaceShape:
     """A surface of particles."""
 
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
     springs: Springs  # between the particles
-    closed: bool = False  # whether only its outside is to be seen
+    closed: bool = False  # whether only its outside is visible
 
     @property
     def tears(self) -> bool:
-        """Whether it may part."""
+        """Whether it can tear."""
         sides = self._sides[self._sides >= 0]
         return bool(np.isfinite(self.springs.limit[sides]).any())
 
@@ -82,19 +82,19 @@ class Faces:
         velocities: FloatArray,
         torn: BoolArray,  # noqa: ARG002
     ) -> MeshFrame:
-        """Return what is drawn; what is to part has a shape of its own."""
+        """Return the mesh frame; a surface that tears is drawn by `Tearing`."""
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
-    def parted(self, torn: BoolArray, places: FloatArray) -> Tearing | Faces:
-        """Return it as it parts at springs ``(S,)``, at rest at ``(N, 3)`` [m]."""
+    def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
+        """Return the surface split at torn springs ``(S,)``; rest ``(N, 3)`` [m]."""
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
         return tear_surface(
-            self.counts, self.indices, self._sides, self.springs, torn, places
+            self.counts, self.indices, self._sides, self.springs, torn, positions
         )
 
-    def whole(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
-        """Return corners a face, and corners, of faces without a torn side ``(S,)``."""
+    def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
+        """Return counts and indices of faces without a torn side; torn ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
         kept = ~np.logical_or.reduceat(open_sides, starts)
@@ -111,7 +111,7 @@ class Faces:
         return _between(self.springs, sides(self.counts, self.indices))
 
 
-Shape: TypeAlias = Curves | Faces
+Shape: TypeAlias = CurveShape | FaceShape
 
 
 def _between(springs: Springs, pairs: IntArray) -> IntArray:
@@ -121,33 +121,33 @@ def _between(springs: Springs, pairs: IntArray) -> IntArray:
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
     ends = np.sort(springs.ends, axis=1) @ [size, 1]
     known, first = np.unique(ends, return_index=True)
-    wanted = np.sort(pairs, axis=1) @ [size, 1]
-    at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
-    return np.where(known[at] == wanted, first[at], -1)
+    keys = np.sort(pairs, axis=1) @ [size, 1]
+    at = np.searchsorted(known, keys).clip(max=len(known) - 1)
+    return np.where(known[at] == keys, first[at], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tearing:
-    """A surface with more points, so that it can part and stays the same polygons.
+    """A surface with additional points, so that it can tear with constant topology.
 
-    A tear goes through the middle of each side whose spring tears, from there on
-    through the face to the next such side, or to the middle of the face where it
-    ends. Each half goes with the particles of its end: until the spring tears, both
-    halves meet where they did; then each is as at rest, turned as what is around its
-    particle. No face goes.
+    A tear passes through the middle of each side whose spring tears, and through the
+    face to the next such side, or ends in the middle of the face. Each half follows the
+    particle at its end. Until the spring tears, both halves coincide; after that each
+    keeps its rest shape, rotated with the neighbours of its particle. No face is
+    removed.
 
-    Points are the particles, two halves for each side that ever tears, and middles of
-    faces.
+    Points are the particles, two halves for each side that ever tears, and face
+    middles.
 
     Attributes:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face.
         size: Number of points.
-        springs: Those that ever tear along sides ``(E,)``.
+        springs: Side springs that ever tear ``(E,)``.
         ends: Their particles ``(E, 2)``.
-        ways: Half the way from the first end to the second, at rest ``(E, 3)`` [m].
-        turning: How particles at tears turn.
-        middles: Of faces.
+        half_edges: Half the rest vector from first to second end ``(E, 3)`` [m].
+        rotations: Rotations of particles at tears.
+        middles: Face middles.
     """
 
     counts: IntArray
@@ -155,107 +155,111 @@ class Tearing:
     size: int
     springs: IntArray
     ends: IntArray
-    ways: FloatArray
-    turning: _Turning
+    half_edges: FloatArray
+    rotations: _NeighbourRotations
     middles: tuple[_Middle, ...]
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
-        """Return what is drawn of particles at a frame, as `Faces.row` does."""
-        made = self.points(points, torn), self.velocities(points, velocities, torn)
-        return MeshFrame(*made, self.counts, self.indices)
+        """Return the mesh frame, as `FaceShape.row` does."""
+        drawn = self.points(points, torn), self.velocities(points, velocities, torn)
+        return MeshFrame(*drawn, self.counts, self.indices)
 
     def points(self, particles: FloatArray, torn: BoolArray) -> FloatArray:
         """Return all points ``(size, 3)`` [m].
 
         Args:
             particles: ``(N, 3)`` [m].
-            torn: Which springs are ``(S,)``.
+            torn: Torn flags ``(S,)``.
         """
         now = torn[self.springs]
         first, second = (particles[self.ends[:, k]] for k in (0, 1))
         halves = np.stack([(first + second) / 2] * 2, axis=1)
-        turns = self.turning.at(particles)
+        neighbour_rotations = self.rotations.sample(particles)
         for k, sign in ((0, 1.0), (1, -1.0)):
-            own = turns[self.turning.rows(self.ends[now, k])]
-            ways = sign * np.einsum("eij,ej->ei", own, self.ways[now])
-            halves[now, k] = particles[self.ends[now, k]] + ways
-        middles = [middle.at(particles, torn, self.turning, turns)
+            end_rotations = neighbour_rotations[self.rotations.rows(self.ends[now, k])]
+            half_edges = sign * np.einsum(
+                "eij,ej->ei", end_rotations, self.half_edges[now]
+            )
+            halves[now, k] = particles[self.ends[now, k]] + half_edges
+        middles = [middle.at(particles, torn, self.rotations, neighbour_rotations)
                    for middle in self.middles]  # fmt: skip
         return np.concatenate([particles, halves.reshape(-1, 3), *middles])
 
     def velocities(
         self, particles: FloatArray, speeds: FloatArray, torn: BoolArray
     ) -> FloatArray:
-        """Return how fast all points go ``(size, 3)`` [m/s].
+        """Return the velocities of all points ``(size, 3)`` [m/s].
 
         Args:
             particles: ``(N, 3)`` [m].
-            speeds: Theirs ``(N, 3)`` [m/s].
-            torn: Which springs are ``(S,)``.
+            speeds: Velocities of the particles ``(N, 3)`` [m/s].
+            torn: Torn flags ``(S,)``.
         """
-        ahead = self.points(particles + EPSILON_TIME * speeds, torn)
-        behind = self.points(particles - EPSILON_TIME * speeds, torn)
-        found = (ahead - behind) / (2 * EPSILON_TIME)
-        found[: len(speeds)] = speeds
-        return found
+        after = self.points(particles + EPSILON_TIME * speeds, torn)
+        before = self.points(particles - EPSILON_TIME * speeds, torn)
+        velocities = (after - before) / (2 * EPSILON_TIME)
+        velocities[: len(speeds)] = speeds
+        return velocities
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Turning:
-    """How particles turn with their neighbours."""
+class _NeighbourRotations:
+    """Rotations of particles, fitted to their neighbours."""
 
     which: IntArray  # the particles, ascending ``(P,)``
-    owners: IntArray  # numbers of particles in it, one a neighbour ``(K,)``
-    neighbours: IntArray  # particles that stay next to them ``(K,)``
-    ways: FloatArray  # to them at rest ``(K, 3)`` [m]
+    owners: IntArray  # row in `which` for each neighbour ``(K,)``
+    neighbours: IntArray  # particles that stay connected to them ``(K,)``
+    rest_offsets: FloatArray  # rest vectors to the neighbours ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
-        """Return where particles stand among those that turn."""
+        """Return the rows of particles in `which`."""
         return np.searchsorted(self.which, particles)
 
-    def at(self, particles: FloatArray) -> FloatArray:
-        """Return their turns ``(P, 3, 3)``, as small as neighbours leave them open."""
+    def sample(self, particles: FloatArray) -> FloatArray:
+        """Return minimal rotations ``(P, 3, 3)`` that fit the neighbours."""
         now = particles[self.neighbours] - particles[self.which[self.owners]]
         spread = np.zeros((len(self.which), 3, 3))
-        np.add.at(spread, self.owners, now[:, :, None] * self.ways[:, None, :])
+        np.add.at(spread, self.owners, now[:, :, None] * self.rest_offsets[:, None, :])
         size = np.abs(spread).max(axis=(1, 2), initial=0.0)
         size[size == 0] = 1.0
-        return least_turns(spread, size)
+        return polar_rotations(spread, size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle of a face, once for each of the parts that meet there."""
+    """The middle of a face, once for each part that joins there."""
 
     corners: IntArray  # of the face ``(C,)``
     parts: IntArray  # of each corner ``(C,)``
     springs: IntArray  # between a part and the next, around the face ``(P,)``
-    ways: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
+    rest_offsets: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
     def at(
         self,
         particles: FloatArray,
         torn: BoolArray,
-        turning: _Turning,
-        turns: FloatArray,
+        turning: _NeighbourRotations,
+        rotations: FloatArray,
     ) -> FloatArray:
-        """Return where it is for each part ``(P, 3)`` [m]."""
+        """Return its position for each part ``(P, 3)`` [m]."""
         gone = torn[self.springs]
         groups = int(gone.sum())
         if groups < 2:
             middle = particles[self.corners].mean(axis=0)
             return np.tile(middle, (len(gone), 1))
-        # What comes behind the last that is gone meets what comes before the first.
+        # The parts after the last torn side join those before the first.
         group = np.mod(np.cumsum(gone) - gone, groups)
-        own = turns[turning.rows(self.corners)]
-        places = particles[self.corners] + np.einsum("cij,cj->ci", own, self.ways)
+        corner_rotations = rotations[turning.rows(self.corners)]
+        predicted = particles[self.corners] + np.einsum(
+            "cij,cj->ci", corner_rotations, self.rest_offsets
+        )
         of = group[self.parts]
         sums = np.zeros((groups, 3))
-        np.add.at(sums, of, places)
-        found: FloatArray = sums[group] / np.bincount(of)[group][:, None]
-        return found
+        np.add.at(sums, of, predicted)
+        centres: FloatArray = sums[group] / np.bincount(of)[group][:, None]
+        return centres
 
 
 def tear_surface(
@@ -264,17 +268,17 @@ def tear_surface(
     sides: IntArray,
     springs: Springs,
     torn: BoolArray,
-    places: FloatArray,
+    positions: FloatArray,
 ) -> Tearing:
-    """Return how a surface parts.
+    """Return the split topology of a tearing surface.
 
     Args:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face ``(C,)``.
         sides: The spring along each side ``(C,)``, from its corner on; -1 for none.
         springs: Between the particles.
-        torn: Which of them ever tear ``(S,)``.
-        places: Where particles are at rest ``(N, 3)`` [m].
+        torn: Springs that ever tear ``(S,)``.
+        positions: Rest positions of particles ``(N, 3)`` [m].
 
     >>> from animtool.systems.springs import Family, sheet
     >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
@@ -291,19 +295,19 @@ def tear_surface(
     named = zip(crossed.tolist(), ends.tolist(), strict=True)
     # Points of both halves of a side, by its spring and its end.
     halves = {
-        (spring, end): len(places) + 2 * i + k
+        (spring, end): len(positions) + 2 * i + k
         for i, (spring, pair) in enumerate(named)
         for k, end in enumerate(pair)
     }
-    size = len(places) + 2 * len(crossed)
+    size = len(positions) + 2 * len(crossed)
     starts = np.cumsum(counts) - counts
-    whole = ~np.logical_or.reduceat(cut, starts)
+    intact = ~np.logical_or.reduceat(cut, starts)
     middles: list[_Middle] = []
     parts: list[Sequence[int]] = []  # corners of each
-    for face in np.flatnonzero(~whole).tolist():
-        own = slice(starts[face], starts[face] + counts[face])
-        corners = indices[own]
-        torn_sides = np.where(cut[own], sides[own], -1)
+    for face in np.flatnonzero(~intact).tolist():
+        span = slice(starts[face], starts[face] + counts[face])
+        corners = indices[span]
+        torn_sides = np.where(cut[span], sides[span], -1)
         runs = list(_runs(corners.tolist(), torn_sides.tolist()))
         rings = [
             [halves[before, run[0]], *run, halves[after, run[-1]]]
@@ -316,33 +320,35 @@ def tear_surface(
             parts += [[size + i, *ring] for i, ring in enumerate(rings)]
         else:
             parts += [[size, *two] for two in pairwise(rings[0])]
-        middles.append(_middle(runs, places, places[corners].mean(axis=0)))
+        middles.append(_middle(runs, positions, positions[corners].mean(axis=0)))
         size += len(runs)
-    between = places[ends[:, 1]] - places[ends[:, 0]]
+    between = positions[ends[:, 1]] - positions[ends[:, 0]]
     lengths = np.linalg.norm(between, axis=1)
     shares = springs.rest[crossed] / np.where(lengths > 0, lengths, 1.0) / 2
     at = [ends.ravel(), *(middle.corners for middle in middles)]
     left = sides[~cut & (sides >= 0)]
     return Tearing(
-        np.append(counts[whole], np.array([len(part) for part in parts], np.int64)),
+        np.append(counts[intact], np.array([len(part) for part in parts], np.int64)),
         np.append(
-            indices[np.repeat(whole, counts)], np.array([*chain(*parts)], np.int64)
+            indices[np.repeat(intact, counts)], np.array([*chain(*parts)], np.int64)
         ),
         size,
         crossed,
         ends,
         between * shares[:, None],
-        _turning(np.unique(np.concatenate(at)), springs.ends[np.unique(left)], places),
+        _neighbour_rotations(
+            np.unique(np.concatenate(at)), springs.ends[np.unique(left)], positions
+        ),
         tuple(middles),
     )
 
 
-# A run of corners that stay together, between the springs that tear at both ends.
+# A run of corners that stay together, between the torn springs at both ends.
 _Run: TypeAlias = tuple[int, list[int], int]
 
 
 def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
-    """Yield runs of corners of a face whose sides are cut at springs; -1 is none."""
+    """Yield runs of corners between the cut sides of a face; -1 is not cut."""
     count = len(corners)
     crossed = [i for i in range(count) if cut[i] >= 0]
     for one, other in zip(crossed, [*crossed[1:], crossed[0] + count], strict=True):
@@ -350,26 +356,30 @@ def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
         yield cut[one], run, cut[other % count]
 
 
-def _middle(runs: Sequence[_Run], places: FloatArray, at: FloatArray) -> _Middle:
-    """Return the middle of a face of runs, which at rest is at a place ``(3,)`` [m]."""
+def _middle(runs: Sequence[_Run], positions: FloatArray, at: FloatArray) -> _Middle:
+    """Return the middle of a face of runs with rest position ``(3,)`` [m]."""
     order = np.array([corner for _, run, _ in runs for corner in run])
     parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     after = np.array([after for _, _, after in runs])
-    return _Middle(order, parts, after, at - places[order])
+    return _Middle(order, parts, after, at - positions[order])
 
 
-def least_turns(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return turns ``(..., 3, 3)`` by covariances of that shape, of some sizes."""
-    small = MIN_TURN * sizes[..., None, None] * np.eye(3)
+def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return the polar rotations of covariances ``(..., 3, 3)`` of given sizes."""
+    small = ROTATION_REGULARIZATION * sizes[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(spreads + small)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
-    turns: FloatArray = u @ v
-    return turns
+    rotations: FloatArray = u @ v
+    return rotations
 
 
-def _turning(which: IntArray, pairs: IntArray, places: FloatArray) -> _Turning:
-    """Return how ascending particles ``(P,)`` turn with those of pairs ``(K, 2)``."""
+def _neighbour_rotations(
+    which: IntArray, pairs: IntArray, positions: FloatArray
+) -> _NeighbourRotations:
+    """Return rotations of ascending particles ``(P,)`` by pairs ``(K, 2)``."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.isin(both[:, 0], which)]
-    ways = places[both[:, 1]] - places[both[:, 0]]
-    return _Turning(which, np.searchsorted(which, both[:, 0]), both[:, 1], ways)
+    offsets = positions[both[:, 1]] - positions[both[:, 0]]
+    return _NeighbourRotations(
+        which, np.searchsorted(which, both[:, 0]), both[:, 1], offsets
+    )

@@ -1,4 +1,4 @@
-"""Springs of a scene as their entries say them: read, joined and checked."""
+"""Read, join and check spring entries of a scene."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from animtool.systems.framework.spec import Member, PinnedPoints
 from animtool.systems.framework.tied import OnBody
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
-from animtool.systems.springs.checks import check_keeping_apart, check_options
-from animtool.systems.springs.drawing import Faces
+from animtool.systems.springs.checks import check_options, check_supports_self_contact
+from animtool.systems.springs.drawing import FaceShape
 from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
-# Solvers that say what pins pull at rigid bodies.
+# Solvers that compute the force of pins on rigid bodies.
 TIED_SOLVERS = (Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringEntry:
-    """What particles and springs of an entry are made of."""
+    """Particles, springs, pins and joins of an entry."""
 
     spec: SpringsModel  # the keys of the entry
     body: SpringBody
-    pins: tuple[Pin, ...]  # what holds and draws particles
-    joins: tuple[Join, ...]  # what makes them one with those of other systems
+    pins: tuple[Pin, ...]  # pins and targets
+    joins: tuple[Join, ...]  # merges with particles of other systems
 
     @property
     def joined(self) -> list[tuple[str, str]]:
-        """Systems that it is one with, and the keys that say so."""
+        """Systems it is joined to, and the keys that name them."""
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
 
     @property
     def positions(self) -> FloatArray:
-        """Where particles are as built ``(N, 3)`` [m]."""
+        """Built positions of particles ``(N, 3)`` [m]."""
         return self.body.body.positions
 
     @property
     def pinned(self) -> list[PinnedPoints]:
-        """Particles that others carry, such as joints of a character."""
+        """Particles carried by joints, vertices, prims or rigid bodies."""
         points = self.positions
         return [
             PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
@@ -59,7 +59,7 @@ class SpringEntry:
 
     @property
     def tied(self) -> list[tuple[str, str, str]]:
-        """Rigid systems and their bodies that carry particles, and keys that say so."""
+        """Rigid systems and bodies that carry particles, and their keys."""
         carriers = [pin.carrier for pin in self.pins]
         return [
             (one.system, one.body, one.where)
@@ -69,7 +69,7 @@ class SpringEntry:
 
     @property
     def reads(self) -> list[str]:
-        """What acts on them, in words."""
+        """What acts on the particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []
@@ -78,15 +78,15 @@ class SpringEntry:
 
     @property
     def title(self) -> str:
-        """What they are called in words."""
+        """Particle and spring counts as text."""
         particles, springs, *_ = self.counts.values()
         return f"{counted(particles, 'particle')} with {counted(springs, 'spring')}"
 
     @property
     def counts(self) -> dict[str, int]:
-        """What they are made of, by kind."""
+        """Counts by kind."""
         body, shape = self.body.body, self.body.shape
-        drawn = "faces" if isinstance(shape, Faces) else "curves"
+        drawn = "faces" if isinstance(shape, FaceShape) else "curves"
         return {
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
@@ -94,16 +94,20 @@ class SpringEntry:
         }
 
     def joined_faults(self, members: Sequence[Member]) -> list[Fault]:
-        """Return what keeps them from being one with others (SIM046, SIM052)."""
+        """Return faults of joins with other systems (SIM046, SIM052)."""
         bodies = {member.name: member.record.body for member in members}
         faults = []
         for join in self.joins:
             faults += _join_faults(join, bodies[join.to.system])
-        apart = any(member.spec.contact is not None for member in members)
-        # One that wants it itself has been told.
-        if apart and self.spec.contact is None and "solver" in self.spec.shared():
+        has_self_contact = any(member.spec.contact is not None for member in members)
+        # An entry with self-contact was checked when it was read.
+        if (
+            has_self_contact
+            and self.spec.contact is None
+            and "solver" in self.spec.shared()
+        ):
             solver = Solver(self.spec.options.solver)
-            faults += _faults_of(lambda: check_keeping_apart(solver))
+            faults += _faults_of(lambda: check_supports_self_contact(solver))
         return faults
 
 
@@ -119,9 +123,9 @@ def _join_faults(join: Join, other: SpringBody) -> list[Fault]:
 
 
 def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
-    """Return particles that become one with others, and these ``(J, 2)``.
+    """Return pairs of particles to merge ``(J, 2)``: removed, kept.
 
-    They are numbered over all; starts are the first of each system.
+    Particles are numbered over all systems; starts are the first of each.
     """
     names = [member.name for member in members]
     pairs = [np.zeros((0, 2), np.int64)]
@@ -137,7 +141,7 @@ def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
 def read_entry(
     spec: Any, parts: Mapping[str, Any]
 ) -> tuple[SpringEntry | None, list[Fault]]:
-    """Return what an entry is made of, None where faults leave nothing, and these."""
+    """Return the record of an entry, None if it cannot be built, and all faults."""
     entry = BodyEntry(spec, parts)
     entry.families = _families(entry)
     entry.mass = entry.mass_of("mass", spec.mass)
@@ -159,7 +163,7 @@ def read_entry(
 
 
 def _check_tied(entry: BodyEntry) -> None:
-    """Note what cannot be with pins that rigid bodies carry (SIM063, SIM163)."""
+    """Record options incompatible with pins on rigid bodies (SIM063, SIM163)."""
     spec = entry.spec
     if spec.error is not None:
         message = "adaptive steps repeat the simulation, and "
@@ -175,7 +179,7 @@ def _check_tied(entry: BodyEntry) -> None:
 
 
 def _families(entry: BodyEntry) -> dict[str, Family | None]:
-    """Return families of springs by name; None are those left out."""
+    """Return spring families by name; None for those left out."""
     models = dict(entry.spec.springs)
     families = {
         name: None if model is None else _family(entry, name, model)
@@ -189,23 +193,23 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
 
 
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
-    """Return a family; one without force stands in for one of impossible numbers."""
+    """Return a family; one without force replaces one with invalid numbers."""
     keys = ("stiffness", "frequency", "axial_stiffness")
-    given = [key for key in keys if getattr(model, key, None) is not None]
+    specified = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
     hint = "stiffness [N/m] of each spring, frequency [Hz] of its oscillation"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"
     message = ""
-    if not given:
+    if not specified:
         message = "it has no stiffness"
-    elif len(given) > 1:
-        message = f"it has {' and '.join(given)}; write one of them"
-    elif given == ["axial_stiffness"] and family.rest == 0:
+    elif len(specified) > 1:
+        message = f"it has {' and '.join(specified)}; write one of them"
+    elif specified == ["axial_stiffness"] and family.rest == 0:
         message = "springs of rest length 0 have no axial_stiffness"
         hint = "use stiffness, or a rest above 0"
     if message:
-        where = given[-1] if given else None
+        where = specified[-1] if specified else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
         faults = range_faults(family, OF_ENTRY)
@@ -218,7 +222,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
 
 
 def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
-    """Return what a check raises."""
+    """Return the faults that a check raises."""
     try:
         check()
     except OptionError as error:
@@ -229,7 +233,7 @@ def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
 def _check_solver(spec: SpringsModel) -> None:
     solver = check_options(spec.options)
     if spec.contact is not None:
-        check_keeping_apart(solver)
+        check_supports_self_contact(solver)
 
 
 def _check_wind(entry: BodyEntry) -> None:

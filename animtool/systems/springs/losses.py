@@ -1,4 +1,4 @@
-"""How much energy of a motion its solver takes by itself."""
+"""Energy that a solver dissipates numerically."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.systems.springs.records import Solver
 
-# Solvers of the first order, which take energy from all that moves.
+# First-order solvers, which dissipate energy of all motion.
 DAMPING = frozenset({Solver.XPBD, Solver.IMPLICIT_EULER})
-# Of the energy of a motion, the loss from which on it is reported [1].
+# Fraction of the energy of motion above which a loss is reported [1].
 REPORTED = 0.02
-# Speed below which all of it is at rest [m/s].
+# Speed below which the system counts as at rest [m/s].
 RESTING = 1e-3
 
 
 @dataclass(slots=True)
 class Losses:
-    """Energy where nothing that is asked for takes or brings any.
+    """Energy loss of a system without drag, damping or supply.
 
     Attributes:
-        mass: Of what moves [kg].
+        mass: Moving mass [kg].
     """
 
     mass: float
@@ -31,7 +31,7 @@ class Losses:
     _span: float = 0.0  # since the begin [s]
 
     def look(self, t: float, energy: Energy) -> None:
-        """Count the energy at a time [s]."""
+        """Record the energy at a time [s]."""
         if self._begin is None:
             self._begin = t, energy.total
         begin, total = self._begin
@@ -39,18 +39,18 @@ class Losses:
         self._lost, self._span = total - energy.total, t - begin
 
     @property
-    def share(self) -> float:
-        """Of the energy that moves, what is lost by now [1]."""
+    def fraction(self) -> float:
+        """Lost fraction of the energy of motion [1]."""
         if not self._most > 0.5 * self.mass * RESTING**2:
             return 0.0
         return max(self._lost, 0.0) / max(self._lost, self._most)
 
     def notices(self, solver: Solver) -> list[Fault]:
-        """Return a warning where a solver takes much (SIM196)."""
-        if not self.share >= REPORTED:
+        """Return a warning if a solver dissipates much energy (SIM196)."""
+        if not self.fraction >= REPORTED:
             return []
         message = (
-            f"{solver} damps the motion: it dissipated {percent(self.share)} of its "
+            f"{solver} damps the motion: it dissipated {percent(self.fraction)} of its "
         )
         message += f"energy within {plain(self._span)} s, but no drag or damping is "
         message += "given"

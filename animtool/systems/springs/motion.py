@@ -1,4 +1,4 @@
-"""What springs come to over time, where they stand, and what went through them."""
+"""States of springs, their position on the time grid, and piercing counts."""
 
 from __future__ import annotations
 
@@ -16,23 +16,22 @@ from animtool.systems.framework.simulation import growing, later
 from animtool.systems.springs.body import Flags
 from animtool.systems.springs.records import Solver
 
-# Steps that a cell of time is divided into, at most.
+# Most steps in a cell of time.
 MAX_SUBSTEPS = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Through:
-    """What of a surface went through itself, at most at a time."""
+class Piercing:
+    """Largest counts of self-piercing of a surface at one time."""
 
-    passed: int = 0  # particles through triangles that were not yet brought back
-    cut: int = 0  # pairs of edges through each other
-    # Steps a second in which what went too far in one would have been seen [1/s]; 0
-    # where nothing did.
+    passed: int = 0  # particles through triangles, not yet brought back
+    cut: int = 0  # pairs of edges that passed through each other
+    # Step rate that would detect all fast contacts [1/s]; 0 if none was missed.
     rate: float = 0.0
 
-    def with_more(self, more: Through) -> Through:
-        """Return the most of both."""
-        return Through(
+    def with_more(self, more: Piercing) -> Piercing:
+        """Return the maximum of both."""
+        return Piercing(
             max(self.passed, more.passed),
             max(self.cut, more.cut),
             max(self.rate, more.rate),
@@ -41,52 +40,52 @@ class Through:
 
 @dataclass(frozen=True, slots=True)
 class SpringState:
-    """Springs at the begin of a cell of time, so that they can be gone on with."""
+    """State of springs at the start of a cell of time, enough to resume."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
     torn: Flags
     substeps: int  # steps in a cell
-    least: int  # steps in a cell of xpbd, at least
-    calm: int = 0  # cells of xpbd without need of as many steps
-    # State a step before, of bdf2.
+    least: int  # fewest steps in a cell of xpbd
+    calm: int = 0  # consecutive cells of xpbd that needed fewer steps
+    # State one step before, for bdf2.
     before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # Where the surface is through itself ``(C, 3)``, as kernels have it.
+    # Self-piercing of the surface ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(
         default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
     )
-    # What pins that bodies carry were pulled by in the last step ``(H, 6)``.
+    # Impulse and moment on pins of bodies in the last step ``(H, 6)``.
     pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    # What the last cell found of how these change with velocities of the bodies.
+    # Warm start of the coupling: derivatives of these by body velocities.
     known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
-    """Where a motion is on its grid of time, and what happened in the cells so far."""
+class TimeGrid:
+    """Position of a motion on its time grid, and counts over the cells so far."""
 
-    solver: Solver  # what takes it on
-    origin: float  # time of the grid's first cell [s]
+    solver: Solver  # active solver
+    origin: float  # start time of cell 0 [s]
     cell: float  # length of each [s]
-    index: int  # of the cell to cross next
-    state: SpringState  # at its start
-    # The largest of springs of xpbd that is not mostly their own give [1].
+    index: int  # index of the next cell
+    state: SpringState  # at the start of that cell
+    # Largest strain of xpbd springs beyond their compliance [1].
     stretch: float = 0.0
     steps: int = 0
-    evaluations: int = 0  # of all springs
-    lost: bool = False  # whether a cell could not be crossed
-    touching: int = 0  # particles of xpbd that touched colliders at once, at most
-    unresolved: int = 0  # particles left inside colliders, at most
-    # What rigid colliders were pushed by in the last cells ``(C, 7)``: impulse, moment
-    # about the origin, and the mass that touched each at once, at most.
+    evaluations: int = 0  # of all spring forces
+    lost: bool = False  # whether a cell could not be solved
+    touching: int = 0  # most particles of xpbd in contact at once
+    unresolved: int = 0  # most particles left inside colliders
+    # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
+    # origin, and the largest mass in contact at once.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
-    # What rigid bodies that carry pins were pulled by in the last cell, by system.
+    # Impulses on rigid bodies that carry pins in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()
-    # What went through the surface, at most.
-    through: Through = field(default_factory=Through)
+    # Largest counts of self-piercing.
+    through: Piercing = field(default_factory=Piercing)
 
     @property
     def time(self) -> float:
-        """Where it is [s]."""
+        """Current time [s]."""
         return self.origin + self.index * self.cell
 
     def crossed(
@@ -97,8 +96,8 @@ class Grid:
         evaluations: int,
         inside: int,
         pushes: FloatArray,
-    ) -> Grid:
-        """Return where it is after cells that took steps to a state."""
+    ) -> TimeGrid:
+        """Return the grid advanced by some cells to a new state."""
         return replace(
             self,
             index=self.index + cells,
@@ -115,17 +114,17 @@ class SpringMotion(Trajectory):
     """States of springs over time.
 
     Attributes:
-        solver: What made it.
+        solver: Solver that was used.
         reason: Why this solver, in words.
         step: The shortest step [s].
-        stretch: Of xpbd, the most that springs were longer than at rest, where this
-            was not mostly their own give, over their length at rest [1]; else 0.
-        torn: Which springs are, at the end ``(S,)``, in the order of the body's.
-        unresolved: Particles that colliders held from several sides, or that were on
-            their way out of one, at most at a time.
-        passed: Particles that had gone through the surface and were not yet brought
-            back, at most at a time.
-        cut: Pairs of edges that had gone through each other, at most at a time.
+        stretch: Largest strain of xpbd springs beyond their compliance [1]; 0 for other
+            solvers.
+        torn: Torn springs at the end ``(S,)``, in body order.
+        unresolved: Most particles at a time that were held by colliders from several
+            sides, or were still inside one.
+        passed: Most particles at a time that had passed through the surface and were
+            not yet brought back.
+        cut: Most pairs of edges at a time that had passed through each other.
     """
 
     solver: Solver
@@ -138,8 +137,8 @@ class SpringMotion(Trajectory):
     cut: int = 0
 
 
-def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
-    """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
+def through_notices(through: Piercing, what: str = "the surface") -> list[Fault]:
+    """Return warnings about self-piercing of a surface (SIM144, SIM165, SIM167)."""
     notices = []
     thicker = "use a shorter step, or a larger thickness"
     if through.passed:

@@ -1,4 +1,4 @@
-"""What acts on particles from outside: pins, targets, their teleports, the air."""
+"""Paths of pins and targets, and their teleports."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import Grid
+from animtool.systems.springs.motion import TimeGrid
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
 
-# A step ends on a jump that is this much behind its end [s]: rounding of times.
+# Tolerance for a jump at the end of a step [s]: rounding of times.
 SLACK = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """Particles that are held, and where.
+    """Pinned particles and their positions over time.
 
-    Between two times they go straight; before the first and after the last they stay.
+    Positions are linear between times and constant outside of them.
 
     Attributes:
         particles: Which ``(P,)``.
-        positions: At the times ``(K, P, 3)``, or ``(P, 3)`` where they stand still
-            [m]; None where they are at the start.
-        times: Ascending ``(K,)`` [s]; None where they stand still.
+        positions: At the times ``(K, P, 3)``, or ``(P, 3)`` if static [m]; None keeps
+            the positions of the body.
+        times: Ascending ``(K,)`` [s]; None if static.
     """
 
     particles: ArrayLike
@@ -43,17 +43,17 @@ class Pins:
 
 
 @dataclass(frozen=True, slots=True)
-class Targets:
-    """Points that particles are drawn to by springs of no length.
+class PointTargets:
+    """Target points that pull particles by zero-length springs.
 
     Attributes:
-        particles: Which are drawn ``(A,)``; one may stand twice.
-        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` where they
-            stand still [m].
+        particles: Pulled particles ``(A,)``; repeats are allowed.
+        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
+            [m].
         stiffness: Force over distance, of each or of all [N/m].
         damping: Force over the speed between particle and point, of each or all
             [N s/m].
-        times: Ascending ``(K,)`` [s]; None where the points stand still.
+        times: Ascending ``(K,)`` [s]; None if static.
     """
 
     particles: ArrayLike
@@ -63,11 +63,11 @@ class Targets:
     times: ArrayLike | None = None
 
 
-Tied = TypeVar("Tied", Pins, Targets)
+Tied = TypeVar("Tied", Pins, PointTargets)
 
 
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
-    """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
+    """Resample paths to shared times: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
     >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
     >>> times.tolist(), path.shape
@@ -77,14 +77,16 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     knots = np.unique(np.concatenate(moving)) if moving else np.zeros(1)
     shared = []
     for times, path in paths:
-        still = len(times) == 1
-        same = still or np.array_equal(times, knots)
-        shared.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
+        constant = len(times) == 1
+        same = constant or np.array_equal(times, knots)
+        shared.append(
+            np.ascontiguousarray(path if same else _resampled(times, path, knots))
+        )
     return knots, shared
 
 
 def combined(ties: Sequence[Tied]) -> Tied | None:
-    """Return pins, or targets, that have times, as one; None of none."""
+    """Merge pins, or targets, with times into one; None if there are none."""
     if not ties:
         return None
     names = {each.name for each in fields(ties[0])} - {"positions", "times"}
@@ -92,12 +94,12 @@ def combined(ties: Sequence[Tied]) -> Tied | None:
         name: np.concatenate([getattr(tie, name) for tie in ties]) for name in names
     }
     paths: list[Any] = [(tie.times, tie.positions) for tie in ties]
-    times, positions = _abreast(paths)
+    times, positions = _merged(paths)
     return type(ties[0])(positions=positions, times=times, **columns)
 
 
-def _abreast(paths: Sequence[Path]) -> Path:
-    """Return paths of some particles each as one of all."""
+def _merged(paths: Sequence[Path]) -> Path:
+    """Concatenate paths along their particles, over shared times."""
     knots, tracks = over_knots(paths)
     rows = [np.broadcast_to(one, (len(knots), *one.shape[1:])) for one in tracks]
     return knots, np.concatenate(rows, axis=1)
@@ -105,114 +107,118 @@ def _abreast(paths: Sequence[Path]) -> Path:
 
 def position_at(path: Path, t: float) -> FloatArray:
     """Return positions on a path at a time [s] ``(P, 3)`` [m]."""
-    times, places = path
+    times, positions = path
     row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
-    place: FloatArray = places[row]
+    position: FloatArray = positions[row]
     if times[0] < t < times[-1]:
-        share = (t - times[row]) / (times[row + 1] - times[row])
-        place = place + (places[row + 1] - place) * share
-    return place
+        fraction = (t - times[row]) / (times[row + 1] - times[row])
+        position = position + (positions[row + 1] - position) * fraction
+    return position
 
 
 def reach_of(path: Path) -> tuple[float, float]:
-    """Return the largest speed on a path [m/s], and how far it leads at most [m]."""
-    times, places = path
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    """Return the largest speed [m/s] and the largest distance [m] on a path."""
+    times, positions = path
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
-    return speed, float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
+    return speed, float(
+        np.linalg.norm(positions - positions[:1], axis=2).max(initial=0.0)
+    )
 
 
-def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
+def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
     after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
     begin, end = times[after - 1], times[after]
-    share = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
-    moved: FloatArray = path[after - 1] + share * (path[after] - path[after - 1])
-    return np.where(share == 1, path[after], moved)
+    fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
+    moved: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
+    return np.where(fraction == 1, path[after], moved)
 
 
 class Teleports:
-    """Where holders of particles are put elsewhere, and take along what they hold.
+    """Teleports of pins and targets, which move attached particles along.
 
-    Holders ``(H,)`` are pins, then targets. Where one of a group of particles that
-    springs join is faster than the limit [m/s], all holders of the group are where they
-    were until the end of that way, and there at once: what they hold is moved with them
-    as a whole, and gets no velocity of it. Between two jumps is a stage.
+    Holders ``(H,)`` are pins, then targets. If a holder of a connected group is faster
+    than the limit [m/s], all holders of the group stay until the end of that interval
+    and then jump: attached particles move rigidly with them and gain no velocity. The
+    time between two jumps is a stage.
     """
 
     def __init__(
-        self, body: Body, held: IntArray, paths: tuple[Path, Path], limit: float
+        self, body: Body, holders: IntArray, paths: tuple[Path, Path], limit: float
     ) -> None:
-        self._held, self._limit = held, limit
+        self._holders, self._limit = holders, limit
         self._pins = paths[0][1].shape[1]
-        self._knots, self._places = _abreast(paths)
-        ways = np.linalg.norm(np.diff(self._places, axis=0), axis=2)
-        fast = ways > limit * np.diff(self._knots)[:, None]
+        self._knots, self._positions = _merged(paths)
+        distances = np.linalg.norm(np.diff(self._positions, axis=0), axis=2)
+        fast = distances > limit * np.diff(self._knots)[:, None]
         self._groups = np.zeros(len(body.positions), np.int64)
         if fast.any():
             self._groups = _groups(body)
-        self._jumping = _together(fast, self._groups[held])
+        self._jumping = _together(fast, self._groups[holders])
         self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
-        # Of the jumps ``(J,)`` [s].
+        # Times of the jumps ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._begins + 1]
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of jumps."""
         return len(self.times)
 
     def stage(self, t: float) -> int:
-        """Return how many jumps are over at a time [s]."""
+        """Return the number of jumps before a time [s]."""
         return int(np.searchsorted(self.times, t + SLACK, "right"))
 
-    def _ahead(self, grid: Grid) -> list[int]:
-        """Return how many cells before that of each jump, from its start, a grid is."""
-        places = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
-        return [math.ceil(place) - 1 - grid.index for place in places]
+    def _cells_until_jumps(self, grid: TimeGrid) -> list[int]:
+        """Return the number of cells from a grid to each jump."""
+        cells = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
+        return [math.ceil(cell) - 1 - grid.index for cell in cells]
 
-    def stage_of(self, grid: Grid) -> int:
-        """Return the stage of the cell that a motion is to cross next."""
-        return sum(cells <= 0 for cells in self._ahead(grid))
+    def stage_of(self, grid: TimeGrid) -> int:
+        """Return the stage of the next cell of a grid."""
+        return sum(cells <= 0 for cells in self._cells_until_jumps(grid))
 
-    def cells(self, grid: Grid) -> float:
-        """Return how many cells there are before the next jump."""
-        return min((c for c in self._ahead(grid) if c > 0), default=math.inf)
+    def cells(self, grid: TimeGrid) -> float:
+        """Return the number of cells before the next jump."""
+        return min(
+            (c for c in self._cells_until_jumps(grid) if c > 0), default=math.inf
+        )
 
     def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins and of targets in a stage."""
-        first = np.zeros(len(self._held), np.int64)
-        last = np.full(len(self._held), len(self._knots) - 1)
+        first = np.zeros(len(self._holders), np.int64)
+        last = np.full(len(self._holders), len(self._knots) - 1)
         for begin in self._begins[:stage].tolist():
             first[self._jumping[begin]] = begin + 1
         for begin in self._begins[stage:][::-1].tolist():
             last[self._jumping[begin]] = begin
         rows = np.clip(np.arange(len(self._knots))[:, None], first, last)
-        places = self._places[rows, np.arange(len(self._held))]
+        positions = self._positions[rows, np.arange(len(self._holders))]
         return [
             (self._knots, np.ascontiguousarray(part))
-            for part in np.split(places, [self._pins], axis=1)
+            for part in np.split(positions, [self._pins], axis=1)
         ]
 
     def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return a state of one stage in a later one ``(2, N, 3)``."""
+        """Return a state carried over the jumps between two stages ``(2, N, 3)``."""
         moved = state.copy() if end > begin else state
         for row in self._begins[begin:end].tolist():
-            for group in np.unique(self._groups[self._held[self._jumping[row]]]):
+            for group in np.unique(self._groups[self._holders[self._jumping[row]]]):
                 self._carry(moved, row, int(group))
         return moved
 
     def _carry(self, state: FloatArray, row: int, group: int) -> None:
-        """Move a group of particles over a jump, in place."""
-        of = np.flatnonzero(self._groups[self._held] == group)
-        before, after = self._places[row : row + 2, of]
-        turn, shift = rigid_motion(before, after)
+        """Move a group of particles over a jump, in the array."""
+        of = np.flatnonzero(self._groups[self._holders] == group)
+        before, after = self._positions[row : row + 2, of]
+        rotation, shift = rigid_motion(before, after)
         members = self._groups == group
-        state[0, members] = so3.rotate(turn, state[0, members]) + shift
-        state[1, members] = so3.rotate(turn, state[1, members])
+        state[0, members] = so3.rotate(rotation, state[0, members]) + shift
+        state[1, members] = so3.rotate(rotation, state[1, members])
         pins = of < self._pins
-        state[0, self._held[of[pins]]] = after[pins]
-        state[1, self._held[of[pins]]] = 0.0
+        state[0, self._holders[of[pins]]] = after[pins]
+        state[1, self._holders[of[pins]]] = 0.0
 
     def notices(self) -> list[Fault]:
-        """Return a warning of each time that pins or targets are put elsewhere."""
+        """Return a warning for each teleport of pins or targets."""
         notices = []
         for jumping, t in zip(self._jumping[self._begins], self.times, strict=True):
             names = ["pins"] if jumping[: self._pins].any() else []
@@ -227,7 +233,7 @@ class Teleports:
 
 
 def _groups(body: Body) -> IntArray:
-    """Return which particles springs join, by a number of each group ``(N,)``."""
+    """Return the connected component of each particle ``(N,)``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -239,7 +245,7 @@ def _groups(body: Body) -> IntArray:
 
 
 def _together(fast: BoolArray, groups: IntArray) -> BoolArray:
-    """Return which holders jump ``(K - 1, H)``: all of a group with one that does."""
+    """Return jumping holders ``(K - 1, H)``: all of a group if one jumps."""
     _, numbers = np.unique(groups, return_inverse=True)
     jumps = np.zeros((len(fast), numbers.max(initial=-1) + 1), bool)
     row, holder = np.nonzero(fast)

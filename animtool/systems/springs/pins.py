@@ -1,4 +1,4 @@
-"""What holds, draws and joins the particles of an entry, and where over time."""
+"""Pins, targets and joins of an entry, and their positions over time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.tied import OnBody
-from animtool.systems.springs import Air, Pins, Targets
+from animtool.systems.springs import Air, Pins, PointTargets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
-from animtool.systems.springs.drawing import least_turns
+from animtool.systems.springs.drawing import polar_rotations
 from animtool.systems.springs.spec import (
     FaceWindModel,
     JoinedModel,
@@ -27,74 +27,74 @@ from animtool.systems.springs.spec import (
     WindModel,
 )
 
-# The first frame of what carries, in which it is when particles are bound to it.
+# Time at which particles are bound to their carrier [s].
 BOUND_AT = 0.0
-# Times between two gusts at which the air that went by is looked at.
+# Samples of wind displacement between two gusts.
 GUST_STEPS = 8
-# Keys of what carries.
+# Keys that name a carrier.
 CARRIERS = ("joint", "vertex", "prim", "body")
 
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """Particles that are held or drawn."""
+    """Pinned or pulled particles."""
 
     model: PinModel
     particles: IntArray  # which ``(P,)``
-    carrier: Any = None  # what carries them, for `SimContext.poses`
-    where: str = "pins"  # key that says so
+    carrier: Any = None  # carrier, for `SimContext.poses`
+    where: str = "pins"  # its key
 
     @property
     def offset(self) -> list[float] | None:
-        """Where in the frame of what carries them they are [m]; None: as at 0 s."""
+        """Position in the frame of the carrier [m]; None: as at 0 s."""
         carrying = (getattr(self.model, key) for key in CARRIERS)
         return next((each.offset for each in carrying if each is not None), None)
 
     def poses(self, poses_of: Callable[[Any], Poses]) -> Poses:
-        """Return the frame that they are in over time, as what carries them is."""
+        """Return the frame of the carrier over time."""
         if self.carrier is not None:
             return poses_of(self.carrier)
         if not self.model.moves:
             return Poses()
         moves = np.array(self.model.moves)
-        turns = np.tile(so3.IDENTITY, (len(moves), 1))
-        return Poses(moves[:, 0], moves[:, 1:], turns)
+        rotations = np.tile(so3.IDENTITY, (len(moves), 1))
+        return Poses(moves[:, 0], moves[:, 1:], rotations)
 
     def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
-        """Return where they are in that frame ``(P, 3)`` [m], built at ``(N, 3)``."""
-        own: FloatArray = points[self.particles]
+        """Return positions in that frame ``(P, 3)`` [m]; built positions ``(N, 3)``."""
+        built: FloatArray = points[self.particles]
         if self.offset is not None:
-            return np.tile(self.offset, (len(own), 1))
+            return np.tile(self.offset, (len(built), 1))
         if self.carrier is None:
-            return own
+            return built
         at = poses.at(BOUND_AT)
-        return np.asarray(so3.rotate(so3.conjugate(at[3:]), own - at[:3]))
+        return np.asarray(so3.rotate(so3.conjugate(at[3:]), built - at[:3]))
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
-        """Return where they are to be at the begin [s] ``(P, 3)`` [m]."""
+        """Return the world positions at the begin [s] ``(P, 3)`` [m]."""
         now = poses.at(begin)
         return now[:3] + so3.rotate(now[3:], self.inside(poses, points))
 
 
-# With the frame of each over time.
+# Pins with their frames over time.
 Framed: TypeAlias = Sequence[tuple[Pin, Poses]]
 
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Particles that are one with those of another system."""
+    """Particles merged with those of another system."""
 
     particles: IntArray  # which ``(P,)``
     to: JoinedModel
-    where: str  # key that says so
+    where: str  # its key
 
 
 def read_pins(
     entry: BodyEntry, body: SpringBody
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
-    """Return what holds particles of a body, and what joins them to other systems."""
+    """Return pins of a body, and joins to other systems."""
     pins, joins = [], []
-    held: dict[int, PinModel] = {}  # what holds each particle
+    pinned_by: dict[int, PinModel] = {}  # pin of each particle
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
         at: Location = ("pins", i)
@@ -104,39 +104,38 @@ def read_pins(
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
             continue
         carrier = _carrier(entry, at, model, parts)
-        own = particles
+        remaining = particles
         if model.stiffness is None:
-            own = _left_to(entry, at, model, particles, held)
-        if len(own) or not len(particles):
-            pins.append(Pin(model, own, carrier, f"pins[{i}]"))
+            remaining = _unclaimed(entry, at, model, particles, pinned_by)
+        if len(remaining) or not len(particles):
+            pins.append(Pin(model, remaining, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
 
 
-def _left_to(
+def _unclaimed(
     entry: BodyEntry,
     at: Location,
     model: PinModel,
     particles: IntArray,
-    held: dict[int, PinModel],
+    pinned_by: dict[int, PinModel],
 ) -> IntArray:
-    """Return the particles that a pin holds alone, and record that it does.
+    """Return the particles that no earlier pin holds, and claim them for a pin.
 
-    Those that an earlier pin holds in the same way are left to that; in another way,
-    they are noted.
+    Particles that an earlier pin holds differently are recorded as a fault.
     """
-    twice = [n for n in particles.tolist() if n in held]
-    apart = sorted(n for n in twice if not _alike(model, held[n]))
-    if apart:
-        message = f"particles that another pin holds differently: {listed(apart)}"
+    twice = [n for n in particles.tolist() if n in pinned_by]
+    conflicting = sorted(n for n in twice if not _same_pin(model, pinned_by[n]))
+    if conflicting:
+        message = f"particles that another pin holds differently: {listed(conflicting)}"
         hint = "remove them from one of the two pins"
         entry.note("SIM052", message, *at, "particles", hint=hint)
-    own = particles[~np.isin(particles, np.array(twice, np.int64))]
-    held.update(dict.fromkeys(own.tolist(), model))
-    return own
+    remaining = particles[~np.isin(particles, np.array(twice, np.int64))]
+    pinned_by.update(dict.fromkeys(remaining.tolist(), model))
+    return remaining
 
 
-def _alike(first: PinModel, second: PinModel) -> bool:
-    """Return whether two pins hold what they hold in the same way."""
+def _same_pin(first: PinModel, second: PinModel) -> bool:
+    """Return whether two pins are equal except for their particles."""
     one, other = (pin.model_dump(exclude={"particles"}) for pin in (first, second))
     return one == other
 
@@ -144,10 +143,10 @@ def _alike(first: PinModel, second: PinModel) -> bool:
 def _particles_of(
     entry: BodyEntry, at: Location, names: Sequence[list[str | int]], body: SpringBody
 ) -> IntArray:
-    """Return the numbers of particles, those of each name in its order, each once.
+    """Return unique particle indices in the order of their names.
 
-    Places may share particles, such as the corners of a sheet; a number that is
-    written twice is noted.
+    Regions may share particles, such as the corners of a sheet; a repeated number is
+    recorded as a fault.
     """
     particles: list[int] = []
     written: list[int] = []
@@ -168,13 +167,13 @@ def _particles_of(
 def numbered(
     names: Sequence[str | int], body: SpringBody
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
-    """Return the numbers of particles, and which names are none, with the reason."""
-    count, known = len(body.body.positions), list(body.places)
+    """Return particle indices, and a fault for each unknown name."""
+    count, known = len(body.body.positions), list(body.regions)
     numbers: list[int] = []
     faults = []
     for i, name in enumerate(names):
-        if isinstance(name, str) and name in body.places:
-            numbers += [int(n) for n in body.places[name]]
+        if isinstance(name, str) and name in body.regions:
+            numbers += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
             hint = nearest(name, known) or f"use one of {listed(known)}, or numbers"
             message = f"unknown particles {name!r}"
@@ -188,9 +187,9 @@ def numbered(
 
 
 def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> None:
-    """Note what cannot be beside one of the keys that say where particles go."""
+    """Record keys that do not apply to a pin with one of the carrier keys."""
     keys = {"moves", *CARRIERS, "to", "stiffness", "damping"}
-    alone = {"to", "body"}  # who is held by nothing else, and is not drawn
+    alone = {"to", "body"}  # keys that exclude stiffness and damping
     allowed = {kept} if kept in alone else {kept, "stiffness", "damping"}
     for key in sorted((keys & model.model_fields_set) - allowed):
         entry.note("SIM052", f"{key} does not apply to a pin that has {kept}", *at, key)
@@ -199,7 +198,7 @@ def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> 
 def _carrier(
     entry: BodyEntry, at: Location, model: PinModel, parts: Mapping[str, Any]
 ) -> Any:
-    """Return what carries particles; note what else of a pin makes no sense."""
+    """Return the carrier of a pin; record keys that conflict with it."""
     if model.moves:
         _check_alone(entry, at, model, "moves")
         if (np.diff(np.array(model.moves)[:, 0]) <= 0).any():
@@ -215,26 +214,28 @@ def _carrier(
     return carrier
 
 
-def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
-    """Return where pins have their particles, of a body at points ``(N, 3)`` [m]."""
-    ties: list[Pins | Targets] = []
+def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
+    """Return pins and targets over time of a body at points ``(N, 3)`` [m]."""
+    ties: list[Pins | PointTargets] = []
     for pin, frame in pins:
-        places, model = frame.to_world(pin.inside(frame, points)), pin.model
+        positions, model = frame.to_world(pin.inside(frame, points)), pin.model
         if model.stiffness is None:
-            ties.append(Pins(pin.particles, places, frame.sample_times))
+            ties.append(Pins(pin.particles, positions, frame.sample_times))
             continue
         each = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * each, model.damping * each
         ties.append(
-            Targets(pin.particles, places, stiffness, damping, frame.sample_times)
+            PointTargets(
+                pin.particles, positions, stiffness, damping, frame.sample_times
+            )
         )
     return ties
 
 
 def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
-    """Return points ``(N, 3)`` [m] moved to where pins with an offset have theirs.
+    """Return points ``(N, 3)`` [m] moved rigidly to pins with an offset.
 
-    At the begin [s] they are moved as a whole, and turned as little as it takes.
+    Uses the least rotation that fits the pins at the begin [s].
     """
     offset = [(pin, frame) for pin, frame in pins if pin.offset is not None]
     if not offset:
@@ -243,13 +244,13 @@ def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
     current = np.concatenate([points[pin.particles] for pin, _ in offset])
     centre, middle = goal.mean(axis=0), current.mean(axis=0)
     spread = (goal - centre).T @ (current - middle)
-    turn = least_turns(spread, np.maximum(np.abs(spread).max(), 1.0))
-    turned: FloatArray = centre + (points - middle) @ turn.T
+    rotation = polar_rotations(spread, np.maximum(np.abs(spread).max(), 1.0))
+    turned: FloatArray = centre + (points - middle) @ rotation.T
     return turned
 
 
 def air_of(wind: FaceWindModel) -> Air:
-    """Return the air as faces bear it."""
+    """Return wind that acts on faces."""
     velocity, gusts = np.array(wind.velocity), _gusts(wind)
     if not len(gusts):
         return record_of(Air, wind, wind=velocity)
@@ -257,17 +258,17 @@ def air_of(wind: FaceWindModel) -> Air:
 
 
 def _gusts(wind: WindModel) -> FloatArray:
-    """Return more of the air over time: seconds and velocity ``(K, 4)`` [s, m/s]."""
+    """Return gusts: seconds and velocity ``(K, 4)`` [s, m/s]."""
     return np.array(wind.gusts).reshape(-1, 4)
 
 
 def wind_ties(
     wind: WindModel, points: FloatArray, drags: FloatArray, span: tuple[float, float]
-) -> Targets:
-    """Return the air that takes particles along, as what draws them by damping alone.
+) -> PointTargets:
+    """Return wind on particles as targets with damping and no stiffness.
 
-    Particles begin at points ``(N, 3)`` [m]; drags ``(N,)`` [N s/m] are what slows each
-    over its speed in still air; the span is the first and the last time [s].
+    Particles start at points ``(N, 3)`` [m]. Drags ``(N,)`` [N s/m] are force per speed
+    in calm air. The span is the first and the last time [s].
     """
     gusts, (first, last) = _gusts(wind), span
     times = np.array([first, max(last, first + 1.0)])
@@ -282,7 +283,7 @@ def wind_ties(
         middle = (times[:-1] + times[1:]) / 2
         blown = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
         speeds = speeds + np.stack(blown, axis=1)
-    ways = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
-    ways = np.concatenate([np.zeros((1, 3)), ways])
-    numbers, places = np.arange(len(points)), points + ways[:, None]
-    return Targets(numbers, places, np.zeros(len(points)), drags, times)
+    displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
+    displacements = np.concatenate([np.zeros((1, 3)), displacements])
+    numbers, positions = np.arange(len(points)), points + displacements[:, None]
+    return PointTargets(numbers, positions, np.zeros(len(points)), drags, times)

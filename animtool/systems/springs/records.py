@@ -1,4 +1,4 @@
-"""What is said of springs and of how to simulate them: in Python, and in files."""
+"""Options of springs, air, solvers and self-contact, for Python and files."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool.core.array_types import ArrayLike
-from animtool.core.options import Key, above, described, or_more
+from animtool.core.options import Key, above, inherits_docs, or_more
 from animtool.core.record import dataclass
 
-# Of springs, and of the air.
+# Ranges of spring and air options.
 _OfSpring = Annotated[float, or_more(0, "SIM042")]
 _OfAir = Annotated[float, or_more(0, "SIM050")]
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Family:
-    """What springs of a kind have in common.
+    """Properties of a family of springs.
 
     Attributes:
-        stiffness: None is no force, unless another says it [N/m].
+        stiffness: None is no force, unless another field sets it [N/m].
         damping: [N s/m].
-        ratio: Of c = 2 ratio √(k m), on the mean mass m of both ends [1].
-        axial_stiffness: Where it is given, `stiffness` is not used.
-        frequency: Likewise: stiffness over the mean mass of both ends is (2 π f)².
+        ratio: Damping c = 2 ratio √(k m), with the mean mass m of both ends [1].
+        axial_stiffness: Replaces `stiffness`.
+        frequency: Replaces `stiffness`, which is (2 π f)² times the mean end mass.
     """
 
     stiffness: Annotated[
@@ -82,18 +82,18 @@ class Family:
     ] = None
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Air:
-    """Air that moves past the triangles of a body.
+    """Aerodynamic force on the triangles of a body.
 
-    A triangle of area A, through whose normal n air flows at u against it, bears
-    ½ density A (drag |u·n| u + lift (u·n) (|u| n - (u·n) u/|u|)), its corners a third
-    each.
+    A triangle of area A with normal n and relative air velocity u gets the force
+    ½ density A (drag |u·n| u + lift (u·n) (|u| n - (u·n) u/|u|)), a third on each
+    corner.
 
     Attributes:
         wind: Velocity of the air ``(3,)``, or at the times ``(K, 3)`` [m/s].
-        times: Ascending ``(K,)`` [s]; None where the wind is steady.
+        times: Ascending ``(K,)`` [s]; None for steady wind.
     """
 
     wind: ArrayLike = (0.0, 0.0, 0.0)
@@ -104,16 +104,16 @@ class Air:
 
 
 class Solver(StrEnum):
-    """What takes springs through time.
+    """Time integrators of springs.
 
     Attributes:
-        AUTO: Semi-implicit Euler or BDF2, what is expected to take less time:
-            steps, times their cost. XPBD where a surface keeps apart from itself.
+        AUTO: Semi-implicit Euler or BDF2, whichever is expected to take less time.
+            XPBD for surfaces with self-contact.
         SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
-        XPBD: Extended position based dynamics in small steps: stable with any, and
-            less accurate. It damps, and long chains hang lower than they are to.
-        BDF2: Backward differences of two steps, for accuracy where springs are stiff.
-        IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
+        XPBD: Extended position based dynamics in small steps: unconditionally stable
+            and less accurate. It damps, and long chains hang too low.
+        BDF2: Two-step backward differences, accurate for stiff springs.
+        IMPLICIT_EULER: Implicit Euler: damps motion that its steps do not resolve.
     """
 
     AUTO = "auto"
@@ -123,19 +123,18 @@ class Solver(StrEnum):
     IMPLICIT_EULER = "implicit_euler"
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SpringOptions:
     """How to simulate springs.
 
     Attributes:
         solver: Of `Solver`.
-        step: None leaves it to the solver: as many steps in each 1/240 s as it needs.
-        stretch: Over the length at rest [1]; steps are halved where it is more.
-        growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up; of xpbd it is not asked for, and of bdf2 and
-            implicit Euler not where there are colliders.
-        longest: Length of a spring, in lengths at rest, from which on it has.
+        step: None lets the solver choose the number of steps in each 1/240 s.
+        stretch: Strain above which steps are halved [1].
+        growth: Energy gain, relative to the initial and supplied energy, that counts as
+            blow-up; not checked for xpbd, nor for implicit solvers with colliders.
+        longest: Spring length, in rest lengths, that counts as blow-up.
     """
 
     solver: Annotated[
@@ -173,27 +172,26 @@ class SpringOptions:
     longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SelfContact:
-    """How a surface keeps apart from itself: cloth in folds, rolls and layers.
+    """Self-contact of a surface: cloth in folds, rolls and layers.
 
-    At the end of each step, each particle is as far from each triangle as the cloth is
-    thick, and each edge three quarters of that from each other edge, on the side that
-    they were; Coulomb's friction takes from the way of one along the other. What one
-    gains in momentum the other loses. Pairs that are nearer at rest keep that distance;
-    along the surface they keep two thirds of it, so that the thickness is never more
-    than springs leave room for.
+    At the end of each step, particles keep the thickness from triangles and edges keep
+    three quarters of it from other edges, on the side where they were. Coulomb friction
+    reduces sliding. Momentum is conserved. Pairs that are closer at rest keep that
+    distance; along the surface they keep two thirds of it, so that the thickness never
+    exceeds what springs leave room for.
 
-    Limits of the method: what has gone through in spite of all, as where colliders
-    close in on it, is remembered and brought back, but cloth that begins in a tangle
-    stays in it (SIM166). Parts that go further over each other in one step than four
-    thicknesses may go through unseen (SIM165): with colliders or pins that fast, take
-    a shorter step.
+    Limits of the method: piercing that happens anyway, for example between closing
+    colliders, is tracked and undone, but cloth that starts in a tangle stays tangled
+    (SIM166). Parts that slide past each other by more than four thicknesses in one step
+    may pass through undetected (SIM165): use a shorter step for colliders or pins that
+    fast.
 
     Attributes:
-        speed: What comes apart keeps none of it.
-        rest: Where particles are at rest ``(N, 3)`` [m]; None is where the body begins.
+        speed: Separation adds no velocity.
+        rest: Rest positions ``(N, 3)`` [m]; None is the start of the body.
 
     References:
         M. Müller, B. Heidelberger, M. Hennix, J. Ratcliff, Position Based Dynamics,

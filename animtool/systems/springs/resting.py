@@ -1,4 +1,4 @@
-"""Where springs come to rest."""
+"""Static equilibrium of springs by Newton's method."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from animtool.systems.springs.body import Body
 from animtool.systems.springs.solvers import SAFE, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
-# Of the weight, or pull, of a particle, what is left of the forces on it.
+# Residual force relative to the weight of a particle.
 SOLVED = 1e-9
-# Of an energy, what the sum of those of some ten thousand springs is rounded by.
+# Relative rounding error of an energy summed over some ten thousand springs.
 ROUNDED = 1e-12
 MAX_STEPS = 400
-# How long particles sink, in turns of a pendulum as long as the body [rad]; the damping
-# of springs meanwhile, over critical; springs times steps at most: about a second.
+# Duration of the damped descent, as phase of a pendulum as long as the body [rad];
+# spring damping, relative to critical; largest springs times steps: about 1 s.
 SINKING, SWINGING, MAX_SINKING = 8.0, 0.1, 500_000_000
 MAX_SINKING_STEPS = 2_000_000
-# What is added to the stiffness in every direction goes up and down by these.
+# Factors that raise and lower the regularization of the stiffness.
 FIRMER, SOFTER = 4.0, 16.0
-# The matrices are symmetric, and nearly always positive.
+# The matrices are symmetric and nearly always positive definite.
 SYMMETRIC: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.0,
@@ -35,13 +35,13 @@ SYMMETRIC: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Where springs come to rest.
+    """A static equilibrium of springs.
 
     Attributes:
         positions: ``(N, 3)`` [m].
-        residual: Largest force left on a particle that is not held [N].
-        steps: Taken.
-        solved: Whether the residual is rounding.
+        residual: Largest remaining force on a free particle [N].
+        steps: Newton steps taken.
+        solved: Whether the residual is at rounding level.
     """
 
     positions: FloatArray
@@ -57,20 +57,20 @@ def find_rest(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Rest:
-    """Return where the forces on particles cancel out, with pins as they are at a time.
+    """Return the static equilibrium with pins as they are at a time.
 
-    Newton's method for the least energy, with as much added to the stiffness as it
-    takes for the energy to fall. Where it first leads up, particles sink in thick air
-    for a while, if that is cheap. Air is left out.
+    Minimizes the energy by Newton's method, regularized so that each step lowers it. If
+    the first step raises it, particles descend with strong damping for a while, if that
+    is cheap. Air is ignored.
 
-    Limits of the method: springs that are pressed give way to one of many sides; which
-    one, rounding decides. The energy is then a least one among those near by.
+    Limits of the method: compressed springs buckle to one of several sides, which
+    rounding decides. The result is a local minimum of the energy.
 
     Args:
-        system: Where it is built.
-        t: When pins are looked at [s].
-        progress: Told the share done, 0 to 1, by the orders of magnitude that the
-            forces have fallen.
+        system: The springs, in their built state.
+        t: Time at which pins are sampled [s].
+        progress: Called with the fraction done, 0 to 1, by the orders of magnitude that
+            the forces have fallen.
 
     >>> from animtool.systems.springs import Family, Pins, rope
     >>> line = rope([0, 0, 0], [0, 0, -1], 2, Family(98.1), mass=1.0)
@@ -80,26 +80,26 @@ def find_rest(
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
     calm = system.halted(t, replace(system.body, positions=start))
-    place, sunk = _Place(calm, start), False
-    firm, steps = place.typical, 0
-    while not place.solved and steps < MAX_STEPS:
+    current, sunk = _Configuration(calm, start), False
+    firm, steps = current.typical, 0
+    while not current.solved and steps < MAX_STEPS:
         steps += 1
-        moved = place.moved(firm)
-        if moved is not None and moved.energy <= place.energy + place.rounding:
-            place, firm = moved, firm / SOFTER
+        moved = current.moved(firm)
+        if moved is not None and moved.energy <= current.energy + current.rounding:
+            current, firm = moved, firm / SOFTER
         elif sunk:
             firm *= FIRMER
         else:
-            place, sunk = _sunk(calm, place), True
+            current, sunk = _sunk(calm, current), True
         if progress is not None:
-            progress(place.settled)
-    return Rest(place.x, place.residual, steps, place.solved)
+            progress(current.settled)
+    return Rest(current.x, current.residual, steps, current.solved)
 
 
-def _sunk(system: SpringSystem, start: _Place) -> _Place:
-    """Return where particles sink to in thick air, the start where that is dear.
+def _sunk(system: SpringSystem, start: _Configuration) -> _Configuration:
+    """Return the result of a damped descent, or the start if that is expensive.
 
-    Sheets fold on their way, where Newton's method takes many and short steps.
+    Sheets fold on the way, for which Newton's method takes many short steps.
     """
     body = replace(system.body, positions=start.x)
     size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
@@ -109,64 +109,68 @@ def _sunk(system: SpringSystem, start: _Place) -> _Place:
     swing = float(np.sqrt(pull / size))
     thick = system.halted(0.0, _damped(body), 2 * swing)
     step = SAFE * explicit_limit(thick, 0.0, thick.state)
-    wanted = SINKING / (swing * step) if step > 0 else np.inf
-    if not wanted <= MAX_SINKING_STEPS:
+    needed = SINKING / (swing * step) if step > 0 else np.inf
+    if not needed <= MAX_SINKING_STEPS:
         return start
-    if np.ceil(wanted) * len(body.springs.rest) > MAX_SINKING:
+    if np.ceil(needed) * len(body.springs.rest) > MAX_SINKING:
         return start
-    steps = int(np.ceil(wanted))
+    steps = int(np.ceil(needed))
     steps_at_once = thick.native("symplectic_euler")
     assert steps_at_once is not None
     x = steps_at_once(0.0, thick.state, step, steps)[0]
-    there = _Place(system, x) if np.isfinite(x).all() else start
+    there = _Configuration(system, x) if np.isfinite(x).all() else start
     return there if there.energy < start.energy else start
 
 
 def _damped(body: Body) -> Body:
-    """Return the same body whose springs swing little."""
+    """Return the body with strongly damped springs."""
     springs = body.springs
     masses = body.masses[springs.ends].mean(axis=1)
     damping = 2 * SWINGING * np.sqrt(springs.stiffness * masses)
     return replace(body, springs=replace(springs, damping=damping))
 
 
-class _Place:
-    """Positions, and the forces and energy there."""
+class _Configuration:
+    """Positions with their forces and energy."""
 
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
-        self._still = np.zeros_like(x)
+        self._at_rest = np.zeros_like(x)
         self._free = np.flatnonzero(~system.fixed)
         self._masses = system.free_masses
-        self.energy = system.energy(0.0, np.array((x, self._still))).potential
-        self._forces = system.acceleration(0.0, x, self._still) * self._masses[:, None]
+        self.energy = system.energy(0.0, np.array((x, self._at_rest))).potential
+        self._forces = (
+            system.acceleration(0.0, x, self._at_rest) * self._masses[:, None]
+        )
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
         pull = float(weights.max(initial=0.0))
         self.solved = self.residual <= SOLVED * pull
         orders = np.log10(max(self.residual, 1e-300) / max(pull, 1e-300))
-        # From the weight of a particle down to what is taken for rounding [1].
+        # Progress from the weight of a particle down to rounding level [1].
         self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
         self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
-        stiffest = np.append(system.body.springs.stiffness, system.draws.stiffness)
+        stiffest = np.append(
+            system.body.springs.stiffness, system.target_springs.stiffness
+        )
         self.typical = float(stiffest.max(initial=1.0))
 
-    def moved(self, firm: float) -> _Place | None:
-        """Return where one step of Newton's leads, None where it leads nowhere."""
+    def moved(self, firm: float) -> _Configuration | None:
+        """Return the result of one Newton step; None if it does not descend."""
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
         rows = (3 * self._free[:, None] + np.arange(3)).ravel()
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
-        whole = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
+        regularized = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
         try:
-            step = splu(whole, **SYMMETRIC).solve(self._forces.ravel()[rows])
+            step = splu(regularized, **SYMMETRIC).solve(self._forces.ravel()[rows])
         except RuntimeError:
             return None
         fall = step @ self._forces.ravel()[rows]
-        # Up the energy's slope is no way to rest, nor is what float64 does not hold.
+        # Reject steps that raise the energy or are not finite.
         if not np.isfinite(step).all() or not 0 < fall < np.inf:
             return None
         x = self.x.copy()
         x.reshape(-1)[rows] += step
-        return _Place(self._system, x)
+        return _Configuration(self._system, x)

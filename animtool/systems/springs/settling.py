@@ -1,4 +1,4 @@
-"""Where springs come to rest under a solver that does not rest where forces cancel."""
+"""Rest state of xpbd, which differs from the static equilibrium."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
-from animtool.systems.springs.motion import Grid, SpringState
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance
 from animtool.systems.springs.system import SpringSystem
 
-# Speed below which all particles are at rest [m/s]: they move on by micrometres.
+# Speed below which all particles count as at rest [m/s].
 RESTING = 1e-6
-# Cells of time at most, and springs times steps: about five seconds of work.
+# Largest number of cells, and of springs times steps: about five seconds of work.
 MAX_CELLS, MAX_WORK = 20_000, 500_000_000
-# Shorter steps go on as long as they leave this share of how far it is at most.
+# Steps are halved as long as the gap falls below this fraction of the last.
 HELPS = 0.7
-# Of the size of the springs, how far from where forces cancel they rest unreported.
+# Gap to the static equilibrium that is not reported, relative to the system size.
 NEAR = 1e-3
 
 
@@ -30,9 +30,9 @@ class XpbdRest:
     """Springs at rest under xpbd.
 
     Attributes:
-        system: That begins there.
-        choice: With as many steps as rest takes.
-        notices: How far it is from where forces cancel out (SIM152, SIM179, SIM199).
+        system: System that starts at rest.
+        choice: Solver with the steps that rest needs.
+        notices: Gap to the static equilibrium (SIM152, SIM179, SIM199).
     """
 
     system: SpringSystem
@@ -43,91 +43,91 @@ class XpbdRest:
 def rest_of_xpbd(
     system: SpringSystem, options: SpringOptions, choice: Choice, t: float
 ) -> XpbdRest:
-    """Return springs that begin where xpbd leaves them at rest, near their true rest.
+    """Return springs that start at the rest state of xpbd, near the equilibrium.
 
-    A step of xpbd goes through each spring once, so that what hangs on long chains is
-    lower than where the forces cancel out: from there it would fall. It falls here, and
-    is stopped whenever its energy of motion is largest, until it moves no more. Steps
-    that `auto` takes are halved as long as that brings it nearer.
+    A step of xpbd visits each spring once, so that long chains hang lower than in
+    equilibrium and would fall at the start. They fall here and are stopped whenever the
+    kinetic energy peaks, until they rest. With `auto`, steps are halved as long as that
+    reduces the gap.
 
     Args:
-        system: Springs that begin where forces cancel out.
-        options: What is allowed.
+        system: Springs that start in equilibrium.
+        options: Limits of the simulation.
         choice: Steps of xpbd.
-        t: When pins are looked at [s].
+        t: Time at which pins are sampled [s].
     """
-    still = system.halted(t, system.body)
+    halted = system.halted(t, system.body)
     near = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
     begun, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
     best: _Fallen | None = None
     while True:
-        found = _fallen(still, options, replace(choice, substeps=begun), work)
-        work = found.work
-        if not np.isfinite(found.speed):
-            return XpbdRest(system, choice, (_unsolved(found.speed),))
-        nearer = best is None or found.gap < HELPS * best.gap
+        fallen = _fallen(halted, options, replace(choice, substeps=begun), work)
+        work = fallen.work
+        if not np.isfinite(fallen.speed):
+            return XpbdRest(system, choice, (_unsolved(fallen.speed),))
+        nearer = best is None or fallen.gap < HELPS * best.gap
         if not nearer and best is not None:
-            found = best
-        shorter = choice.cell / (2 * found.substeps) >= SHORTEST_OF_AUTO
-        if found.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
+            fallen = best
+        shorter = choice.cell / (2 * fallen.substeps) >= SHORTEST_OF_AUTO
+        if fallen.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
             break
-        best, begun = found, 2 * found.substeps
-    notices = [] if found.speed <= RESTING else [_unsolved(found.speed)]
-    if found.gap > near:
-        notices.append(_away(found.gap, auto=auto))
-    steps = replace(choice, substeps=found.substeps)
-    return XpbdRest(system.starting_at(found.rest), steps, tuple(notices))
+        best, begun = fallen, 2 * fallen.substeps
+    notices = [] if fallen.speed <= RESTING else [_unsolved(fallen.speed)]
+    if fallen.gap > near:
+        notices.append(_away(fallen.gap, auto=auto))
+    steps = replace(choice, substeps=fallen.substeps)
+    return XpbdRest(system.starting_at(fallen.rest), steps, tuple(notices))
 
 
 @dataclass(frozen=True, slots=True)
 class _Fallen:
-    """Where springs that were stopped again and again are."""
+    """Result of the descent with repeated stops."""
 
     rest: FloatArray  # (N, 3) [m]
     speed: float  # of the fastest [m/s]
     substeps: int  # in a cell
     work: int  # springs times steps so far
-    gap: float  # of the furthest from where it began [m]
+    gap: float  # largest distance from the start [m]
 
 
 def _fallen(
-    still: SpringSystem, options: SpringOptions, choice: Choice, work: int
+    halted: SpringSystem, options: SpringOptions, choice: Choice, work: int
 ) -> _Fallen:
-    """Return where springs that stand still come to rest."""
-    motion = np.ascontiguousarray(still.state)
-    state = SpringState(motion, still.whole, choice.substeps, choice.substeps)
-    grid = Grid(choice.solver, 0.0, choice.cell, 0, state)
-    masses, before, cells = still.free_masses, 0.0, 0
+    """Return the rest state of halted springs."""
+    motion = np.ascontiguousarray(halted.state)
+    state = SpringState(motion, halted.none_torn, choice.substeps, choice.substeps)
+    grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
+    masses, before, cells = halted.free_masses, 0.0, 0
     speed, first = np.inf, work
     while speed > RESTING and cells < MAX_CELLS and work < MAX_WORK:
         cells += 1
         with np.errstate(all="ignore"):
-            grid = advance(still, options, grid, 1)
+            grid = advance(halted, options, grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = first + grid.steps * len(still.body.springs.rest)
+        work = first + grid.steps * len(halted.body.springs.rest)
         if not np.isfinite(speed):
             break
-        # Fewer steps later on would move it again.
+        # A later change to fewer steps would move it again.
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
         if energy < before:
             state, energy = replace(state, motion=_stopped(state)), 0.0
         before, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - still.state[0], axis=1).max(initial=0.0))
+    gap = float(np.linalg.norm(rest - halted.state[0], axis=1).max(initial=0.0))
     return _Fallen(rest, speed, grid.state.substeps, work, gap)
 
 
 def _stopped(state: SpringState) -> FloatArray:
-    """Return positions without velocities."""
+    """Return the motion with zero velocities."""
     motion = state.motion.copy()
     motion[1] = 0.0
     return motion
 
 
 def _away(gap: float, *, auto: bool) -> Fault:
-    """Return how far from where forces cancel out it rests [m]."""
+    """Return a notice of the gap to the static equilibrium [m]."""
     message = f"xpbd comes to rest {length_text(gap)} from where the forces on "
     message += "particles cancel out"
     if not auto:

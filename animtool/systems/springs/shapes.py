@@ -1,4 +1,4 @@
-"""Ropes, strands, sheets, cloth and volumes made of particles and springs."""
+"""Builders of ropes, strands, sheets, cloth and volumes."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ def rope(
     """Return a straight rope.
 
     Args:
-        start: Where it begins ``(3,)`` [m].
-        end: Where it ends ``(3,)`` [m].
-        count: Of particles, two or more.
-        along: Springs from each particle to the next; None leaves them out.
-        mass: Of each particle [kg].
-        tip_mass: Of the last [kg]; None is `mass`.
-        bend: Springs that skip one, against bending.
+        start: Start point ``(3,)`` [m].
+        end: End point ``(3,)`` [m].
+        count: Number of particles, two or more.
+        along: Springs between neighbours; None leaves them out.
+        mass: Mass of each particle [kg].
+        tip_mass: Mass of the last particle [kg]; None is `mass`.
+        bend: Springs between every second particle, against bending.
 
     >>> rope([0, 0, 0], [0, 0, -1], 3, Family(1e4), mass=0.1).positions[1].tolist()
     [0.0, 0.0, -0.5]
     """
-    share = np.linspace(0.0, 1.0, count)[:, None]
+    fractions = np.linspace(0.0, 1.0, count)[:, None]
     first, last = (np.asarray(point, np.float64) for point in (start, end))
     masses = np.full(count, float(mass))
     if tip_mass is not None:
         masses[-1] = tip_mass
-    return strand(first + share * (last - first), along, mass=masses, bend=bend)
+    return strand(first + fractions * (last - first), along, mass=masses, bend=bend)
 
 
 def strand(
@@ -51,18 +51,18 @@ def strand(
     mass: ArrayLike,
     bend: Family | None = None,
 ) -> Body:
-    """Return a strand through points, at rest where they are.
+    """Return a strand through points, at rest in them.
 
     Args:
         points: ``(N, 3)`` [m].
-        along: Springs from each particle to the next; None leaves them out.
-        mass: Of each particle, or of all ``(N,)`` [kg].
-        bend: Springs that skip one, against bending.
+        along: Springs between neighbours; None leaves them out.
+        mass: Mass of each particle ``(N,)``, or one for all [kg].
+        bend: Springs between every second particle, against bending.
     """
-    places = as_floats(points, ("N", 3), "points")
-    line = np.arange(len(places))
+    positions = as_floats(points, ("N", 3), "points")
+    line = np.arange(len(positions))
     families = [(_grid_pairs(line, 1), along), (_grid_pairs(line, 2), bend)]
-    return built(places, mass, families)
+    return built(positions, mass, families)
 
 
 def sheet(
@@ -80,21 +80,21 @@ def sheet(
 ) -> Body:
     """Return a flat sheet; particle ``row * columns + column``.
 
-    Each family of springs may be there or not. Structural springs alone resist neither
-    shearing nor bending; one diagonal a cell resists shearing, one way more than the
-    other; both, alike; springs that skip one particle resist bending.
+    Each family is optional. Structural springs alone resist neither shear nor bending.
+    One diagonal per cell resists shear unevenly, both diagonals evenly. Springs between
+    every second particle resist bending.
 
     Args:
-        columns: Particles across.
-        rows: Particles up.
-        mass: Of each [kg].
+        columns: Number of particles across.
+        rows: Number of particles up.
+        mass: Mass of each particle [kg].
         structural: Springs between neighbours.
         diagonal: Springs along one diagonal of each cell, from its first corner.
-        diagonals: Springs along both.
-        bend: Springs that skip one.
-        corner: Where particle 0 is ``(3,)`` [m].
-        across: From it to the end of the row ``(3,)`` [m].
-        up: From it to the end of the column ``(3,)`` [m].
+        diagonals: Springs along both diagonals.
+        bend: Springs between every second particle.
+        corner: Position of particle 0 ``(3,)`` [m].
+        across: Vector from it to the end of the row ``(3,)`` [m].
+        up: Vector from it to the end of the column ``(3,)`` [m].
 
     >>> body = sheet(3, 2, mass=0.1, structural=Family(1e3), bend=Family(10.0))
     >>> body.springs.ends.tolist()
@@ -103,15 +103,15 @@ def sheet(
     grid = np.arange(rows * columns).reshape(rows, columns)
     upward, along = np.indices(grid.shape).reshape(2, -1, 1)
     first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
-    places = first + along / max(columns - 1, 1) * right
-    places = places + upward / max(rows - 1, 1) * top
+    positions = first + along / max(columns - 1, 1) * right
+    positions = positions + upward / max(rows - 1, 1) * top
     one, both, two = (
-        np.concatenate([_grid_pairs(grid, *way) for way in ways])
-        for ways in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
+        np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
+        for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
     )
     rising = _grid_pairs(grid, 1, 1)
     families = [(one, structural), (rising, diagonal), (both, diagonals), (two, bend)]
-    return built(places, mass, families, _triangles(grid))
+    return built(positions, mass, families, _triangles(grid))
 
 
 def surface(
@@ -124,59 +124,58 @@ def surface(
     diagonals: Family | None = None,
     bend: Family | None = None,
 ) -> Body:
-    """Return the cloth of a polygon mesh, at rest where its points are.
+    """Return cloth from a polygon mesh, at rest in its points.
 
     Args:
         points: ``(N, 3)`` [m].
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face.
-        mass: Of each particle, or of all ``(N,)`` [kg].
+        mass: Mass of each particle ``(N,)``, or one for all [kg].
         structural: Springs along the edges.
-        diagonals: Springs across faces of four corners or more, to corners that are
-            not neighbours.
-        bend: Springs over each edge of two triangles, between the corners off it; of
-            faces with more corners, triangles are those of their fans. An edge of more
-            than two joins all of them.
+        diagonals: Springs between non-adjacent corners of faces with four corners or
+            more.
+        bend: Springs across each shared edge, between the opposite corners of its
+            triangles; larger faces are triangulated as fans.
 
     >>> body = surface(np.eye(4, 3), [3, 3], [0, 1, 2, 2, 1, 3], mass=1.0,
     ...                structural=Family(10.0), bend=Family(1.0))
     >>> body.springs.ends.tolist()
     [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [0, 3]]
     """
-    places = as_floats(points, ("N", 3), "points")
+    positions = as_floats(points, ("N", 3), "points")
     sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     triangles = triangulated(sizes, corners)
     along = edges(sizes, corners)
     crossing = _crossing(sizes, corners)
-    # A fan's inner edges are no edges of the mesh, and are not bent over.
+    # Inner edges of a fan are not mesh edges and get no bend springs.
     hinges = _hinges(triangles, along)
     families = [(along, structural), (crossing, diagonals), (hinges, bend)]
-    return built(places, mass, families, triangles)
+    return built(positions, mass, families, triangles)
 
 
 def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
-    found = [np.zeros((0, 2), np.int64)]
+    pairs = [np.zeros((0, 2), np.int64)]
     for step in range(2, int(counts.max(initial=0)) // 2 + 1):
         wide = np.repeat(counts >= 2 * step, counts)
-        found.append(_steps(counts, indices, np.full_like(counts, step))[wide])
-    return distinct_pairs(np.concatenate(found))
+        pairs.append(_steps(counts, indices, np.full_like(counts, step))[wide])
+    return distinct_pairs(np.concatenate(pairs))
 
 
 def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
-    """Return each corner with that some steps further round its face."""
+    """Return each corner with the corner some steps further around its face."""
     starts = np.repeat(np.cumsum(counts) - counts, counts)
     around, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
-    ahead = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
-    return np.stack([indices, indices[ahead]], axis=1)
+    others = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
+    return np.stack([indices, indices[others]], axis=1)
 
 
 def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
-    """Return the corners off each of some edges that triangles share ``(B, 2)``."""
-    own = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    """Return the opposite corners of triangles that share a kept edge ``(B, 2)``."""
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    one, other = of_one_edge(own)
-    wanted = _among(np.sort(own[one], axis=1), kept)
-    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[wanted])
+    one, other = of_one_edge(sides)
+    is_kept = _among(np.sort(sides[one], axis=1), kept)
+    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[is_kept])
 
 
 def _among(pairs: IntArray, kept: IntArray) -> BoolArray:
@@ -197,13 +196,13 @@ def block(
     """Return a solid block of particles on a grid; x runs fastest, then y, then z.
 
     Args:
-        counts: Particles along x, y and z.
-        size: Along x, y and z ``(3,)`` [m].
-        mass: Of each particle [kg].
+        counts: Number of particles along x, y and z.
+        size: Size along x, y and z ``(3,)`` [m].
+        mass: Mass of each particle [kg].
         structural: Springs between neighbours along the axes.
         face_diagonals: Springs across the sides of each cell.
         body_diagonals: Springs through each cell.
-        corner: Where particle 0 is ``(3,)`` [m].
+        corner: Position of particle 0 ``(3,)`` [m].
 
     >>> cube = block((2, 2, 2), [1, 1, 1], mass=1.0, structural=Family(1.0),
     ...              face_diagonals=Family(1.0), body_diagonals=Family(1.0))
@@ -214,27 +213,27 @@ def block(
     z, y, x = np.indices(grid.shape)
     steps = np.maximum(np.array(counts) - 1, 1)
     shares = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
-    places = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
-    ways = [way for way in product((-1, 0, 1), repeat=3) if way > (0, 0, 0)]
+    positions = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
+    offsets = [offset for offset in product((-1, 0, 1), repeat=3) if offset > (0, 0, 0)]
     families = [
-        (_grid_pairs(grid, *way), family)
+        (_grid_pairs(grid, *offset), family)
         for axes, family in enumerate((structural, face_diagonals, body_diagonals), 1)
-        for way in ways
-        if sum(map(abs, way)) == axes
+        for offset in offsets
+        if sum(map(abs, offset)) == axes
     ]
-    return built(places, mass, families, _skin(grid))
+    return built(positions, mass, families, _skin(grid))
 
 
 def tetrahedra(
     points: ArrayLike, cells: ArrayLike, edges: Family, *, mass: ArrayLike
 ) -> Body:
-    """Return the body of tetrahedra, with springs along their edges.
+    """Return a body of tetrahedra with springs along their edges.
 
     Args:
         points: ``(N, 3)`` [m].
-        cells: Corners of each ``(C, 4)``.
-        edges: Their springs.
-        mass: Of each particle, or of all ``(N,)`` [kg].
+        cells: Corners of each tetrahedron ``(C, 4)``.
+        edges: Springs along the edges.
+        mass: Mass of each particle ``(N,)``, or one for all [kg].
 
     >>> body = tetrahedra(np.eye(4, 3), [[0, 1, 2, 3]], Family(1.0), mass=1.0)
     >>> len(body.springs.rest), len(body.triangles)
@@ -248,21 +247,21 @@ def tetrahedra(
     _, first, often = np.unique(
         np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
     )
-    # A side of two cells is inside.
+    # A face shared by two cells is inside.
     outside = sides[np.sort(first[often == 1])]
     unique = np.unique(np.sort(pairs, axis=1), axis=0)
     return built(points, mass, [(unique, edges)], outside)
 
 
-def _grid_pairs(grid: IntArray, *way: int) -> IntArray:
-    """Return each particle of a grid, and that a way along its axes from it."""
-    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in way)
-    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in way)
+def _grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
+    """Return pairs of grid particles that differ by an offset along the axes."""
+    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in offsets)
+    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in offsets)
     return np.stack([grid[here].ravel(), grid[there].ravel()], axis=1)
 
 
 def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
-    """Return two triangles for each cell of a grid, flipped or not ``(T, 3)``."""
+    """Return two triangles for each grid cell, optionally flipped ``(T, 3)``."""
     a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
     c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
     if flip:
@@ -271,7 +270,7 @@ def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
 
 
 def _skin(grid: IntArray) -> IntArray:
-    """Return the triangles around a grid, their fronts outside."""
+    """Return the outward-facing triangles around a grid."""
     sides = [
         _triangles(np.take(grid, end, axis), flip=flip)
         for axis in range(3)

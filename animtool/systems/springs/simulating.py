@@ -1,4 +1,4 @@
-"""From springs and times to their states at these times."""
+"""Simulate springs and return their states at given times."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.motion import (
     MAX_SUBSTEPS,
-    Grid,
     SpringMotion,
     SpringState,
+    TimeGrid,
     through_notices,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -33,18 +33,18 @@ from animtool.systems.springs.solvers import (
 )
 from animtool.systems.springs.system import SpringSystem
 
-# A time within this share of a cell is at its start.
+# A time within this fraction of a cell counts as its start.
 ON_GRID = 1e-9
-# Cells between two looks for signs of a blow-up.
+# Cells between two checks for blow-up.
 LOOK_EVERY = 120
-# Times the stretch of xpbd from which on it is said that springs give by themselves:
-# then at least three quarters of it are their own.
+# Multiple of the xpbd stretch above which compliance is reported: at least three
+# quarters of the strain is then compliance.
 GIVES = 2
-# What has less mass than this share of the springs that pull it is thrown about.
+# A body with less than this fraction of the mass of its springs is unstable.
 LIGHT = 0.01
-# Times that the step is halved to keep an error.
+# Most halvings of the step to reach an error.
 MAX_HALVINGS = 8
-# Error of a step over that of a half one.
+# Error of a step relative to that of half the step.
 GAIN = {
     Solver.SYMPLECTIC_EULER: 2.0,
     Solver.XPBD: 2.0,
@@ -61,27 +61,26 @@ def simulate_springs(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> SpringMotion:
-    """Return the states of springs at times.
+    """Simulate springs and return their states at times.
 
-    Steps stand on a grid of time of their own, so that the rate of the output does not
-    change the motion: a time on the grid has the state there, one between two steps is
-    on the cubic through both.
+    Steps lie on a fixed time grid, so that the output rate does not change the motion.
+    Times between two grid points are interpolated by a cubic.
 
     Args:
-        system: Particles and springs, and what acts on them.
-        times: Ascending ``(F,)`` [s]; the first is that of the start.
-        options: Solver, steps and what is allowed.
-        checkpoint: Where to begin in place of the system's start: where an earlier
-            motion ended. The motion in parts is then the whole motion, bit for bit.
-            Without its memory a motion begins anew from its state.
-        progress: Told the time that was reached now and then [s]; where an error is to
-            be kept, once for each motion that is compared.
+        system: Particles, springs and external forces.
+        times: Ascending ``(F,)`` [s]; the first is the start.
+        options: Solver, steps and limits.
+        checkpoint: End of an earlier motion to resume from. The parts are then equal to
+            the uninterrupted motion, bit for bit. Without its memory, a new motion
+            starts from its state.
+        progress: Called with the time reached [s]; with an error tolerance, restarted
+            for each motion that is compared.
 
     Raises:
-        OptionError: There is no such solver (SIM001); times descend, are not finite or
-            none (SIM002); the start is not finite or of another shape (SIM003); an
-            option is out of its range (SIM004); a solver that is asked for does not
-            keep a surface apart from itself (SIM046).
+        OptionError: The solver is unknown (SIM001); times descend, are empty or not
+            finite (SIM002); the start is not finite or has another shape (SIM003); an
+            option is out of range (SIM004); the requested solver does not support
+            self-contact (SIM046).
 
     >>> from animtool.systems.springs import Family, Pins, SpringSystem, rope
     >>> line = rope([0, 0, 0], [1, 0, 0], 8, Family(1e4), mass=0.01)
@@ -92,38 +91,38 @@ def simulate_springs(
     """
     options = options or SpringOptions()
     solver = check_options(options)
-    moments = check_times(times, checkpoint)
+    knots = check_times(times, checkpoint)
     grid = checkpoint.memory if checkpoint is not None else None
-    if isinstance(grid, Grid):
+    if isinstance(grid, TimeGrid):
         limit = explicit_limit(system, grid.time, grid.state.motion)
         choice = Choice(
             grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
-        # Nothing is counted yet.
-        begun = Grid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
-        return _motion(SpringRun(system, options, choice, begun, progress), moments)
-    t = float(moments[0])
+        # Start with zero counts.
+        begun = TimeGrid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
+        return _motion(SpringRun(system, options, choice, begun, progress), knots)
+    t = float(knots[0])
     state = np.ascontiguousarray(
         system.state if checkpoint is None else checkpoint.state
     )
     _check_start(system, state)
     choice = choose(system, options, solver, t, state)
 
-    def made(substeps: int) -> SpringMotion:
+    def simulate_with(substeps: int) -> SpringMotion:
         fine = replace(choice, substeps=substeps)
-        start = SpringState(state, system.whole, substeps, substeps)
-        begun = Grid(fine.solver, t, fine.cell, 0, start)
-        return _motion(SpringRun(system, options, fine, begun, progress), moments)
+        start = SpringState(state, system.none_torn, substeps, substeps)
+        begun = TimeGrid(fine.solver, t, fine.cell, 0, start)
+        return _motion(SpringRun(system, options, fine, begun, progress), knots)
 
     if options.error is None:
-        return made(choice.substeps)
-    return _near_enough(made, choice, options.error)
+        return simulate_with(choice.substeps)
+    return _near_enough(simulate_with, choice, options.error)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
-    wanted, message = system.state.shape, ""
-    if state.shape != wanted:
-        message = f"the start must have shape {wanted}, not {state.shape}"
+    shape, message = system.state.shape, ""
+    if state.shape != shape:
+        message = f"the start must have shape {shape}, not {state.shape}"
     elif not np.isfinite(state).all():
         lost = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
         message = f"particle {lost} is not finite at the start"
@@ -132,19 +131,19 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
 
 
 def _near_enough(
-    made: Callable[[int], SpringMotion], choice: Choice, error: float
+    simulate_with: Callable[[int], SpringMotion], choice: Choice, error: float
 ) -> SpringMotion:
-    """Return the motion in the longest steps whose error is said to be in bounds."""
-    coarse = made(choice.substeps)
-    share = 1 / (GAIN[choice.solver] - 1)
+    """Return the motion in the longest steps whose estimated error is in bounds."""
+    coarse = simulate_with(choice.substeps)
+    factor = 1 / (GAIN[choice.solver] - 1)
     substeps, estimate = choice.substeps, np.inf
     for _ in range(MAX_HALVINGS):
         substeps *= 2
         if substeps > MAX_SUBSTEPS:
             break
-        fine = made(substeps)
+        fine = simulate_with(substeps)
         if coarse.stats.status is Status.OK is fine.stats.status:
-            estimate = share * float(np.abs(fine.positions - coarse.positions).max())
+            estimate = factor * float(np.abs(fine.positions - coarse.positions).max())
         coarse = replace(fine, stats=replace(fine.stats, error=estimate))
         if estimate <= error:
             return coarse
@@ -158,16 +157,16 @@ def _near_enough(
     return replace(coarse, notices=(*coarse.notices, notice))
 
 
-def _motion(run: SpringRun, moments: FloatArray) -> SpringMotion:
-    states = [run.states_at(float(moments[0]))]
-    energies = [run.energy_of(float(moments[0]), states[0])]
-    for t in moments[1:].tolist():
+def _motion(run: SpringRun, times: FloatArray) -> SpringMotion:
+    states = [run.states_at(float(times[0]))]
+    energies = [run.energy_of(float(times[0]), states[0])]
+    for t in times[1:].tolist():
         state = run.states_at(t)
         if run.status is not Status.OK:
             break
         states.append(state)
         energies.append(run.energy_of(t, state))
-    reached = moments[: len(states)]
+    reached = times[: len(states)]
     stats = run.stats(float(reached[-1]))
     return SpringMotion(
         reached,
@@ -189,54 +188,54 @@ def _motion(run: SpringRun, moments: FloatArray) -> SpringMotion:
 
 
 class SpringRun:
-    """A motion under way, in the steps that were chosen."""
+    """Advances a motion in the chosen steps."""
 
     def __init__(
         self,
         system: SpringSystem,
         options: SpringOptions,
         choice: Choice,
-        grid: Grid,
+        grid: TimeGrid,
         progress: Callable[[float], None] | None,
     ) -> None:
         self.system, self.choice = system, choice
         self._options, self._progress = options, progress
-        # Where it begins, where it is, and where it was at the last time asked for.
+        # Grid at the start, now, and at the last requested time.
         self._begun = self.grid = self.kept = grid
-        self._lost: Grid | None = None  # begin of the cell that was not crossed
-        # What rigid bodies of others were pushed by in the last cells.
+        self._lost: TimeGrid | None = None  # start of the cell that was not solved
+        # Impulses on rigid bodies of other systems in the last cells.
         self.wrenches: list[Wrenches] = []
         self.max_substeps = grid.state.substeps
         self.status = Status.OK
         self.sign = ""
-        # Where bodies are pushed, they feel it before the next cell.
+        # Pushed bodies react before the next cell.
         together = system.colliders.bodies or system.ties is not None
         self._cells = 1 if together else LOOK_EVERY
-        # Share that bodies took at least of what they were pushed by.
+        # Smallest fraction of an impulse that a body received.
         self.taken = 1.0
-        # Of a spring of xpbd, over that at rest.
+        # Longest xpbd spring relative to its rest length.
         self.longest = 1.0
-        # What xpbd leaves of a stretch is no energy that it goes on with, nor is what
-        # colliders leave of one to implicit steps.
+        # Residual strain of xpbd, and of implicit steps with colliders, is not energy
+        # that the motion continues with.
         stable = grid.solver is not Solver.SYMPLECTIC_EULER and system.colliders.active
         calm = stable or grid.solver is Solver.XPBD or system.ties is not None
         growth = np.inf if calm else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
-        # Its springs that are not torn.
+        # The system without torn springs, and their number.
         self.left, self._gone = system, 0
         self._watch = Watch(system, bounds)
-        self._leave_out_torn()
+        self._exclude_torn()
         self._watch.start(grid.time, grid.state.motion)
 
     def states_at(self, t: float) -> FloatArray:
-        """Return the state at a time, not before the one asked for last.
+        """Return the state at a time not before the last requested one.
 
-        What is pressed on bodies of others pushes them.
+        Contacts push bodies of other systems.
         """
-        place = (t - self.grid.origin) / self.grid.cell
-        near = round(place)
-        on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
-        self.cross(near if on_grid else int(np.floor(place)), push=True)
+        position = (t - self.grid.origin) / self.grid.cell
+        near = round(position)
+        on_grid = abs(position - near) <= ON_GRID * max(1.0, abs(position))
+        self.cross(near if on_grid else int(np.floor(position)), push=True)
         if self.status is Status.OK:
             self.kept = self.grid
         if self.status is not Status.OK or on_grid:
@@ -244,24 +243,26 @@ class SpringRun:
         return self.within((t - self.grid.time) / self.grid.cell)
 
     def cross(self, target: int, *, push: bool = False) -> None:
-        """Go on to the begin of a cell of a number, as far as it can."""
+        """Advance to the start of a cell by its index, as far as possible."""
         while self.grid.index < target and self.status is Status.OK:
             self._advance(min(self._cells, target - self.grid.index))
-            bodies = self.system.colliders.bodies if push else ()
-            for own, wrenches in zip(bodies, self.wrenches, strict=False):
-                own.push(self.grid.time, wrenches)
-                own.forget(self.grid.time)
+            pushed = self.system.colliders.bodies if push else ()
+            for bodies, wrenches in zip(pushed, self.wrenches, strict=False):
+                bodies.push(self.grid.time, wrenches)
+                bodies.forget(self.grid.time)
             if self._progress is not None:
                 self._progress(self.grid.time)
 
-    def within(self, share: float) -> FloatArray:
-        """Return the state at a share of the next cell, which is not kept."""
+    def within(self, fraction: float) -> FloatArray:
+        """Return the state at a fraction of the next cell, which is discarded."""
         begun = self._entered()
         with np.errstate(all="ignore"):
-            ahead = advance(self.system, self._options, begun, 1)
-            made = _between(begun.state.motion, ahead.state.motion, begun.cell, share)
-        if np.isfinite(made).all():
-            return made
+            after = advance(self.system, self._options, begun, 1)
+            motion = _between(
+                begun.state.motion, after.state.motion, begun.cell, fraction
+            )
+        if np.isfinite(motion).all():
+            return motion
         self.status, self.sign = Status.UNSTABLE, "its state is not finite"
         return self.grid.state.motion
 
@@ -271,7 +272,7 @@ class SpringRun:
         return self.grid.cell / self.max_substeps
 
     def stats(self, reached: float) -> Stats:
-        """Return what it took to reach a time [s]."""
+        """Return the statistics up to a time [s]."""
         grid = self.grid
         stable = self.choice.limit if self.status is Status.UNSTABLE else None
         return Stats(
@@ -281,22 +282,22 @@ class SpringRun:
         )  # fmt: skip
 
     def energy_of(self, t: float, state: FloatArray) -> float:
-        """Return the energy of a state that was reached last [J]."""
+        """Return the energy of the last state [J]."""
         known = self._watch.energy if state is self.grid.state.motion else None
         return (known or self.left.energy(t, state)).total
 
     @property
     def _stretched(self) -> bool:
-        """Whether xpbd left springs longer than they may be, and not by their give."""
+        """Whether xpbd strains springs beyond the limit and their compliance."""
         return not self.grid.stretch <= self._options.stretch
 
     @property
     def _auto(self) -> bool:
-        """Whether no solver was asked for."""
+        """Whether the solver was chosen automatically."""
         return self._options.solver == Solver.AUTO
 
-    def _entered(self) -> Grid:
-        """Return where the next cell begins: pins that jump in it are there at once."""
+    def _entered(self) -> TimeGrid:
+        """Return the grid at the start of the next cell, after its teleports."""
         grid, jumps = self.grid, self.system.jumps
         here = jumps.stage_of(grid)
         last = jumps.stage_of(replace(grid, index=grid.index - 1))
@@ -305,8 +306,8 @@ class SpringRun:
         motion = jumps.across(grid.state.motion, last, here)
         return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
-    def _leave_out_torn(self) -> None:
-        """Judge energy and stretch by the springs that there are."""
+    def _exclude_torn(self) -> None:
+        """Exclude torn springs from energy and strain checks."""
         torn = self.grid.state.torn
         gone = int(torn.sum())
         if gone != self._gone:
@@ -321,7 +322,7 @@ class SpringRun:
             self.grid = advance(self.system, self._options, begun, cells)
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
-            self._leave_out_torn()
+            self._exclude_torn()
             self.sign = self._watch.sign(t, state.motion)
             if begun.solver is Solver.XPBD:
                 ratio = self.left.stretch(t, state.motion)
@@ -337,8 +338,8 @@ class SpringRun:
         else:
             self.wrenches = [*self._pressed(), *self.grid.tied]
 
-    def _way_on(self) -> str:
-        """Return what to do where Newton's method found no solution of a cell."""
+    def _convergence_hint(self) -> str:
+        """Return a hint for a cell where Newton's method did not converge."""
         step = None if self._lost is None else working_step(self.system, self._lost)
         ties, hint = self.system.ties, "use a shorter step"
         if step is not None:
@@ -348,36 +349,38 @@ class SpringRun:
         if ties is None:
             return hint
         light = ties.lightest
-        own = float(self.system.free_masses.sum())
-        if light is not None and light[1] < LIGHT * own:
+        spring_mass = float(self.system.free_masses.sum())
+        if light is not None and light[1] < LIGHT * spring_mass:
             name, mass = light
             more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-            more += f"springs of {own:.3g} kg make unstable"
+            more += f"springs of {spring_mass:.3g} kg make unstable"
             hint = more if step is None else f"{hint}, or {more}"
         return hint
 
     def _pressed(self) -> list[Wrenches]:
-        """Return what is pressed on bodies of other systems.
+        """Return contact impulses on bodies of other systems.
 
-        What is heavier than a body would throw it off, faster than it came: it gives no
-        more than as much mass as that of the body would.
+        Impulses are limited to those of the mass of the body: heavier contacts would
+        throw it off.
         """
-        found, first = [], len(self.system.colliders)
-        for own in self.system.colliders.bodies:
-            rows = self.grid.pushes[first : first + len(own.colliders)]
-            first += len(own.colliders)
-            sums = np.zeros((own.count, 7))
-            held = own.owners >= 0
-            np.add.at(sums, own.owners[held], rows[held])
-            share = np.minimum(1.0, own.masses / np.maximum(sums[:, 6], own.masses))
-            self.taken = min(self.taken, float(share.min(initial=1.0)))
-            now = sums[:, :6] * share[:, None]
-            # What presses all through a cell has moved bodies as from its middle.
-            found.append(Wrenches(now, self.grid.cell / 2 * now))
-        return found
+        wrenches, first = [], len(self.system.colliders)
+        for bodies in self.system.colliders.bodies:
+            rows = self.grid.pushes[first : first + len(bodies.colliders)]
+            first += len(bodies.colliders)
+            sums = np.zeros((bodies.count, 7))
+            dynamic = bodies.owners >= 0
+            np.add.at(sums, bodies.owners[dynamic], rows[dynamic])
+            fraction = np.minimum(
+                1.0, bodies.masses / np.maximum(sums[:, 6], bodies.masses)
+            )
+            self.taken = min(self.taken, float(fraction.min(initial=1.0)))
+            now = sums[:, :6] * fraction[:, None]
+            # A constant force over a cell moves bodies as an impulse at its middle.
+            wrenches.append(Wrenches(now, self.grid.cell / 2 * now))
+        return wrenches
 
     def notices(self, stats: Stats) -> list[Fault]:
-        """Return what is odd about it so far."""
+        """Return warnings collected so far."""
         system, options, choice = self.system, self._options, self.choice
         begins = self._begun.index == 0
         notices = system.notices() if begins else system.colliders.surfaces.notices()
@@ -396,7 +399,7 @@ class SpringRun:
             notices.append(self._refused(stats))
         elif stats.status is Status.NOT_SOLVED:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-            notices.append(warning("SIM105", message, self._way_on()))
+            notices.append(warning("SIM105", message, self._convergence_hint()))
         if self._stretched and not self._auto:
             message = f"a spring was strained by {self.grid.stretch:.1%}, beyond "
             message += f"its own compliance; the limit is {options.stretch:.1%}"
@@ -423,7 +426,7 @@ class SpringRun:
         return notices + through_notices(self.grid.through)
 
     def _refused(self, stats: Stats) -> Fault:
-        """Return why auto does not go on, and what does."""
+        """Return why auto stopped, and alternatives."""
         allowed = self._options.stretch
         message = f"auto finds no solver for it: {self.choice.solver}, chosen because "
         message += (
@@ -438,7 +441,7 @@ class SpringRun:
 
 
 def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
-    """Return the state at a share of a cell [s], on the cubic through its ends."""
+    """Return the state at a fraction of a cell, on the cubic through its ends."""
     (x0, v0), (x1, v1) = begin, end
     slope = x1 - x0
     x = x0 + s * (

@@ -1,4 +1,4 @@
-"""Springs of a scene in steps, and what each entry shows of them."""
+"""Springs of a scene as a simulation in steps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from animtool.systems.framework.spec import Member
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.contacts import LOOK_BACK
 from animtool.systems.springs.losses import DAMPING, Losses
-from animtool.systems.springs.motion import Grid, SpringState
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.settling import rest_of_xpbd
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
@@ -38,83 +38,84 @@ from animtool.systems.springs.solvers import Choice, advance, choose
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.trials import trial_settings
 
-# Times of a whole motion that are compared with those of one in half steps.
+# Times at which a motion is compared with one in half steps.
 COMPARED = 64
-# Notices whose message says how much it is so far.
+# Notices whose message contains a running maximum.
 _GROWING = {"SIM131", "SIM123"}
-# Why a motion ends.
+# Codes that end a motion.
 STOPS = {"SIM102", "SIM105"}
-# Over how long they were at the beginning, springs that are as long as this are
-# hardly meant: no rope or cloth becomes twice as long [1].
+# Length relative to the start above which springs are reported as too soft [1].
 LONG = 2.0
 
 
-class Shown(Protocol):
-    """An entry that shows some of the springs."""
+class TearingView(Protocol):
+    """A view that may tear."""
 
     member: Member
 
     @property
     def tears(self) -> bool:
-        """Whether it is a surface that may part."""
+        """Whether it is a surface that can tear."""
 
     def part(self, last: SpringState) -> None:
-        """Draw it so that it can part where springs are torn in a later state."""
+        """Prepare the split topology for the torn springs of the final state."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpringPlan:
-    """Springs as they begin, and the steps that they are taken in."""
+    """Initial springs and their solver steps."""
 
     system: SpringSystem
     options: SpringOptions
     choice: Choice
     reason: str  # for the solver and its steps
-    error: float | None = None  # of positions, where it was asked for [m]
-    # What was told while they were found, and how long springs became [1].
-    told: Sequence[tuple[Sequence[Fault], float]] = ()
+    error: float | None = None  # position error, if requested [m]
+    # Notices of the planning runs, each with the strain reached [1].
+    planning_notices: Sequence[tuple[Sequence[Fault], float]] = ()
 
 
 def plan_springs(
     system: SpringSystem, options: SpringOptions, context: SimContext, *, settled: bool
 ) -> SpringPlan:
-    """Return the steps of springs, short enough for an error that is asked for.
+    """Return the springs and steps that meet a requested error.
 
-    Where they are ``settled`` and xpbd rests lower, they begin at its rest.
+    With ``settled``, xpbd starts in its rest state.
     """
     begin, reason, error = context.begin, "", None
-    told: list[tuple[Sequence[Fault], float]] = []
+    planning_notices: list[tuple[Sequence[Fault], float]] = []
     if options.error is not None:
         times = np.linspace(begin, max(context.last, begin), COMPARED)
         progress = _by_motions(context.phase, begin, float(times[-1]))
         motion = simulate_springs(system, times, options, progress=progress)
         if motion.stats.status is not Status.OK:
             raise StoppedError(_as_errors(motion.notices), motion.stats)
-        told.append((motion.notices, motion.stretch))
+        planning_notices.append((motion.notices, motion.stretch))
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose(system, options, check_options(options), begin, system.state)
     if settled and choice.solver is Solver.XPBD:
         rested = rest_of_xpbd(system, options, choice, begin)
         system, choice = rested.system, rested.choice
-        told.append((rested.notices, 0.0))
-    return SpringPlan(system, options, choice, reason or choice.reason, error, told)
+        planning_notices.append((rested.notices, 0.0))
+    return SpringPlan(
+        system, options, choice, reason or choice.reason, error, planning_notices
+    )
 
 
 class SpringSimulation:
-    """Springs in cells of time; what went on is counted for warnings alone."""
+    """Simulates springs in cells of time; counters serve warnings only."""
 
     checked = True
-    views: Sequence[Shown] = ()
+    views: Sequence[TearingView] = ()
 
     def __init__(self, plan: SpringPlan, context: SimContext) -> None:
         self.begin, self.last = context.begin, context.last
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
         self.reason, self.error = plan.reason, plan.error
-        self._said: dict[str, Fault] = {}
+        self._notices: dict[str, Fault] = {}
         self._worst = 0.0
-        for notices, stretch in plan.told:
-            self._say(notices, stretch)
+        for notices, stretch in plan.planning_notices:
+            self._keep_notices(notices, stretch)
         self.clock: Progress = None
         self.step_length = self.choice.cell
         self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
@@ -127,18 +128,18 @@ class SpringSimulation:
         self.clock = context.clock()
 
     def initial(self) -> SpringState:
-        """Return the state that they begin in."""
+        """Return the initial state."""
         substeps, state = self.choice.substeps, self.system.state
-        whole, tied = self.system.whole, self.system.ties is not None
+        untorn, tied = self.system.none_torn, self.system.ties is not None
         pulls = np.zeros((len(self.system.pinned), 6)) if tied else None
         return SpringState(
-            np.ascontiguousarray(state), whole, substeps, substeps, pulls=pulls
+            np.ascontiguousarray(state), untorn, substeps, substeps, pulls=pulls
         )
 
     def step(
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
-        """Return the state a cell later, or on the way to it; raise SIM102, SIM105."""
+        """Return the state a cell later, or within it; raise SIM102, SIM105."""
         if dt >= (1 - ON_STEP) * self.step_length:
             return self.steps(state, t, dt, 1)
         run = self._run(state, t)
@@ -153,7 +154,7 @@ class SpringSimulation:
         dt: float,  # noqa: ARG002
         count: int,
     ) -> Stepped[SpringState]:
-        """Return the state some cells later, and what pressed on bodies of others."""
+        """Return the state some cells later, and impulses on other bodies."""
         run = self._run(state, t)
         run.cross(run.grid.index + count)
         self._take_note(run, run.grid.time)
@@ -163,7 +164,7 @@ class SpringSimulation:
         return Stepped(grid.state, run.wrenches)
 
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
-        """Return what bodies of others are pressed and pulled by in the next cell."""
+        """Return impulses on bodies of other systems in the next cell."""
         run = self._run(state, t)
         run.cross(run.grid.index + 1)
         if run.status is not Status.OK:
@@ -171,17 +172,17 @@ class SpringSimulation:
         return run.wrenches
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
-        """Return a motion that goes on from a state at its time [s]."""
+        """Return a run that continues from a state at its time [s]."""
         grid, choice = self._grid(state, t), self.choice
         return SpringRun(self.system, self.options, choice, grid, self.clock)
 
-    def _grid(self, state: SpringState, t: float) -> Grid:
+    def _grid(self, state: SpringState, t: float) -> TimeGrid:
         choice, begin = self.choice, self.begin
         index = round((t - begin) / choice.cell)
-        return Grid(choice.solver, begin, choice.cell, index, state)
+        return TimeGrid(choice.solver, begin, choice.cell, index, state)
 
-    def misfit(self, state: SpringState, t: float) -> str:
-        """Return why kernels cannot go on from a state; empty where they can."""
+    def incompatibility(self, state: SpringState, t: float) -> str:
+        """Return why kernels cannot resume from a state; empty if they can."""
         try:
             advance(self.system, self.options, self._grid(state, t), 0)
         except ValueError as error:
@@ -191,44 +192,44 @@ class SpringSimulation:
         return ""
 
     def _take_note(self, run: SpringRun, reached: float) -> None:
-        """Count what a motion took, and stop where it ended."""
+        """Add the counts of a run; raise if it stopped."""
         stats = run.stats(reached)
         notices = run.notices(stats)
         self.taken += run.grid.steps
         if stats.status is not Status.OK:
-            # What stopped it comes last, and is told with the frame.
+            # The fault that stopped it comes last and is reported with the frame.
             faults = sorted(_as_errors(notices), key=lambda one: one.code in STOPS)
             if self.system.ties is not None:
-                # Bodies that are asked for first would have it said of them.
+                # Otherwise the fault would be attributed to the bodies.
                 names = " and ".join(view.member.name for view in self.views)
                 faults[-1] = replace(
                     faults[-1], message=f"{names}: " + faults[-1].message
                 )
             raise StoppedError(faults, stats)
-        self._say(notices, run.grid.stretch)
+        self._keep_notices(notices, run.grid.stretch)
         self.shortest = min(self.shortest, run.shortest)
         self.unresolved = max(self.unresolved, run.grid.unresolved)
 
-    def _say(self, notices: Sequence[Fault], stretch: float) -> None:
-        """Keep what a motion says, the worst of each kind."""
+    def _keep_notices(self, notices: Sequence[Fault], stretch: float) -> None:
+        """Keep notices of a run, the worst of each kind."""
         for fault in notices:
-            # Of what has a number that changes, the first, or the worst.
+            # Keep the first, or the worst, of notices with changing numbers.
             key = fault.code if fault.code in _GROWING else str(fault)
             worse = fault.code == "SIM131" and stretch >= self._worst
-            if key not in self._said or worse:
-                self._said[key] = fault
+            if key not in self._notices or worse:
+                self._notices[key] = fault
         self._worst = max(self._worst, stretch)
 
     def measure(self, state: SpringState, t: float) -> None:
-        """Count how long springs are in a state that is looked at, and its energy."""
+        """Record strain and energy of a visited state."""
         if state.motion is self._measured:
             return
         self._measured = state.motion
         springs = self.system.body.springs
-        whole = ~self.system.torn(state.torn) & (springs.rest > 0)
-        if whole.any():
-            lengths = springs.lengths(state.motion[0])[whole]
-            longest = float((lengths / springs.rest[whole]).max()) - 1.0
+        intact = ~self.system.torn(state.torn) & (springs.rest > 0)
+        if intact.any():
+            lengths = springs.lengths(state.motion[0])[intact]
+            longest = float((lengths / springs.rest[intact]).max()) - 1.0
             self.stretch = max(self.stretch, longest)
         if self.choice.solver in DAMPING and self.system.self_contact is None:
             energy = self._energy(state, t)
@@ -236,12 +237,12 @@ class SpringSimulation:
                 self._losses.look(t, energy)
 
     @property
-    def ahead(self) -> bool:
-        """Whether a surface may part, which has all its points from the first frame."""
+    def needs_final_state(self) -> bool:
+        """Whether a surface can tear: its topology must include the final tears."""
         return any(view.tears for view in self.views)
 
-    def see(self, last: SpringState) -> None:
-        """Let surfaces part where springs are torn in the end."""
+    def set_final_state(self, last: SpringState) -> None:
+        """Prepare surfaces for the tears of the final state."""
         for view in self.views:
             if view.tears:
                 view.part(last)
@@ -254,7 +255,7 @@ class SpringSimulation:
         return PointsFrame(np.arange(len(points)), points, velocities, radii, {})
 
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:
-        """Return the energy where nothing takes or brings any, and what was counted."""
+        """Return the energy of a conservative system, and counters."""
         long = (self.system.body.springs.rest > 0).any()
         return Diagnostics(
             self._energy(state, t),
@@ -265,8 +266,8 @@ class SpringSimulation:
 
     @property
     def notices(self) -> list[Fault]:
-        """What is odd so far."""
-        return [*self._said.values(), *self._losses.notices(self.choice.solver)]
+        """Warnings collected so far."""
+        return [*self._notices.values(), *self._losses.notices(self.choice.solver)]
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
         if self._slowed or state.torn.any() or self.system.ties is not None:
@@ -276,19 +277,23 @@ class SpringSimulation:
 
     @cached_property
     def _slowed(self) -> bool:
-        """Whether anything takes energy."""
+        """Whether drag, damping or colliders dissipate energy."""
         system = self.system
-        slowing = [system.drags, system.body.springs.damping, system.draws.damping]
+        slowing = [
+            system.drags,
+            system.body.springs.damping,
+            system.target_springs.damping,
+        ]
         slowing.append(np.array(system.pressures))
         return system.colliders.active or any(values.any() for values in slowing)
 
     def trial_settings(self) -> TrialSettings:
-        """Return solvers in several steps, about those that each takes itself."""
+        """Return solvers with several step lengths around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
     @property
     def long(self) -> bool:
-        """Whether springs that never tear became very long."""
+        """Whether untearable springs became very long."""
         tears = np.isfinite(self.system.body.springs.limit).any()
         longest = LONG * (1 + self._stretch_at_start)
         return bool(not tears and 1 + self.stretch > longest)
@@ -301,7 +306,7 @@ def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
 def _by_motions(
     phase: Callable[[], Progress], begin: float, last: float
 ) -> Callable[[float], None]:
-    """Return a function of the time reached; each motion it sees is a phase."""
+    """Return a progress callback; a time that falls starts a new phase."""
     span, before, tell = max(last - begin, 1e-9), math.inf, None
 
     def show(t: float) -> None:

@@ -1,4 +1,4 @@
-"""Solvers that take springs from cell to cell of time, and which is chosen."""
+"""Choice of a solver, and its advance over cells of time."""
 
 from __future__ import annotations
 
@@ -16,52 +16,55 @@ from animtool.core.record import dataclass
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.systems.framework.tied import TiedStep
-from animtool.systems.springs.checks import check_keeping_apart
+from animtool.systems.springs.checks import check_supports_self_contact
 from animtool.systems.springs.contacts import CellColliders, Cells, cell_colliders
-from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Through
+from animtool.systems.springs.motion import (
+    MAX_SUBSTEPS,
+    Piercing,
+    SpringState,
+    TimeGrid,
+)
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
-from animtool.systems.springs.ties import TiedCell, Ties
+from animtool.systems.springs.ties import BodyTies, TiedCell
 
-# Steps of xpbd are not shorter than this [s], and those that auto takes not than the
-# other: what keeps surfaces apart from themselves is to keep springs short as well.
+# Shortest step of xpbd [s], and of xpbd chosen by auto, which also has to limit strain
+# with self-contact.
 SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
-# Of a cell that is longer than so many of these, no more are tried.
+# Largest number of these in a long cell.
 LONG_CELL = 131072
-# Newton's corrections of implicit steps go on until they are below this share of the
-# mean length of springs.
+# Newton tolerance of implicit steps, relative to the mean spring length.
 SOLVED = 1e-6
-# The same where bodies carry pins: they feel what is left of it times a stiffness [1].
+# The same with pins on bodies, which feel the residual times a stiffness [1].
 TIED = 1e-11
-# Of a cell, where bodies turn by more in each [rad], or where no solution is found.
-TURN, MAX_PARTS = 0.125, 16
-# Where a cell is lost, how many times as many steps are tried; of what works a step is
-# proposed with as much room as this.
+# Rotation of bodies per part of a cell [rad], and most parts of a cell.
+MAX_ANGLE, MAX_PARTS = 0.125, 16
+# Refinements tried for a cell that was not solved, and the safety factor of the
+# proposed step.
 SHORTER, ROOM = (2, 4, 8, 16), 4
-# Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
-# 30, 48, 60 and 120 a second.
+# Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
 CELL = 1 / 240
-# Of the limit of explicit steps, what is taken.
+# Safety factor of the explicit step limit.
 SAFE = 0.8
-# Time for each second of motion that is short enough for explicit steps anyway [s].
+# Compute time per second of motion below which explicit steps are always fine [s].
 LITTLE = 0.03
-# Explicit steps a second from which on doubles hold no solution of implicit ones.
+# Explicit step rate above which implicit solves lose precision in float64.
 SOLVABLE = 1e9
-# Steps in a cell to begin with.
+# Initial steps per cell.
 FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
-# Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
-# 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
-# more of each, in all solvers about alike. Only how they compare decides.
+# Time of a step per spring of a 20 by 20 sheet [s], on one core of a server of 2024
+# (tests/bench/results/sim_springs.csv). With few springs the cost per spring is higher
+# in all solvers alike; only the ratio matters.
 COSTS = {
-    # Springs of neighbours are pulled four at a time, from columns of particles.
+    # Forces of neighbouring springs are computed four at a time.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
-    # Newton's corrections, each of some ten products of a matrix; more where explicit
-    # steps were many in each of its own, see `implicit_cost`.
+    # Newton corrections of about ten matrix products each; more for stiff systems, see
+    # `implicit_cost`.
     Solver.BDF2: 150e-9,
 }
-# The same of chains, whose equations are solved directly, however stiff [s].
+# The same for chains, which are solved directly [s].
 CHAIN_COST = 500e-9
-# Numbers that the ends of springs of a chain lie apart, at most, as kernels have it.
+# Largest index distance of spring ends in a chain; the kernels use the same limit.
 WIDEST_CHAIN = 4
 
 
@@ -92,12 +95,12 @@ def choose(
     t: float,
     state: FloatArray,
 ) -> Choice:
-    """Return the solver asked for, or the one that is expected to take least time."""
+    """Return the requested solver, or the one expected to be fastest."""
     limit = explicit_limit(system, t, state)
     rate = 1 / (SAFE * limit) if limit > 0 else math.inf
     solver, reason = requested, "it was requested"
     if system.self_contact is not None:
-        check_keeping_apart(requested)
+        check_supports_self_contact(requested)
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it has self-contact"
     elif system.ties is not None:
@@ -125,12 +128,16 @@ def choose(
 
 
 def tied_choice(
-    ties: Ties, options: SpringOptions, requested: Solver, begin: float, limit: float
+    ties: BodyTies,
+    options: SpringOptions,
+    requested: Solver,
+    begin: float,
+    limit: float,
 ) -> Choice:
-    """Return a solver whose cells begin and end with steps of what carries pins.
+    """Return a solver whose cells align with the steps of the pins' bodies.
 
     Raises:
-        OptionError: None does (SIM164).
+        OptionError: The steps cannot be aligned (SIM164).
     """
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
@@ -142,8 +149,8 @@ def tied_choice(
     if options.step is not None:
         cell = max(options.step, longest)
         substeps = max(1, round(cell / options.step))
-    fits = all(_whole(cell / one) for one in lengths)
-    fits &= options.step is None or _whole(cell / options.step)
+    fits = all(_is_integer(cell / one) for one in lengths)
+    fits &= options.step is None or _is_integer(cell / options.step)
     if not fits:
         bodies = " and ".join(f"{one:g}" for one in lengths)
         message = f"steps of {options.step or cell:g} s and those of the bodies that "
@@ -151,7 +158,7 @@ def tied_choice(
         hint = f"use step: {longest:g}, a multiple of it, or a fraction"
         raise OptionError(Fault("SIM164", message, where="step", hint=hint))
     for one in ties.carriers:
-        if one.begin > begin or not _whole((begin - one.begin) / cell):
+        if one.begin > begin or not _is_integer((begin - one.begin) / cell):
             message = f"it starts at {begin:g} s, but the bodies of its pins "
             message += f"at {one.begin:g} s"
             hint = "give both the same preroll"
@@ -159,19 +166,19 @@ def tied_choice(
     return Choice(solver, cell, substeps, reason, limit)
 
 
-def _whole(ratio: float) -> bool:
-    """Return whether a ratio is a whole number, but for rounding."""
+def _is_integer(ratio: float) -> bool:
+    """Return whether a ratio is an integer up to rounding."""
     return abs(ratio - round(ratio)) <= 1e-9 * max(1.0, abs(ratio))
 
 
 def implicit_cost(system: SpringSystem, ratio: float) -> float:
-    """Return what a step of bdf2 takes for each spring [s].
+    """Return the time of a bdf2 step per spring [s].
 
-    The ratio is how many steps of semi-implicit Euler one step stands for: products of
-    the matrix are about as many as its square root.
+    The ratio is the number of semi-implicit Euler steps that one step replaces: matrix
+    products grow with its square root.
     """
-    apart = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
-    if apart <= WIDEST_CHAIN:
+    bandwidth = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
+    if bandwidth <= WIDEST_CHAIN:
         return CHAIN_COST
     return COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
 
@@ -179,12 +186,11 @@ def implicit_cost(system: SpringSystem, ratio: float) -> float:
 def _cheapest(
     system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
-    """Return what is expected to take least time, of what is of the second order.
+    """Return the second-order solver that is expected to be fastest, and why.
 
-    Both keep a swing's energy where the other does, explicit steps that are stable and
-    those of bdf2: time decides, steps times what each costs. A step that is asked for
-    is the longest: explicit ones are as short as they have to be. Where an error is to
-    be kept steps of bdf2 count as little as they ever take.
+    Stable explicit steps and bdf2 conserve energy equally well, so that steps times
+    their cost decide. A requested step is an upper limit: explicit steps are as short
+    as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
     """
     step = options.step
     limits = f"semi-implicit Euler needs {rate:.0f} steps per second"
@@ -203,20 +209,20 @@ def _cheapest(
     elif explicit <= implicit:
         why = f"less time than {alternative}"
     else:
-        share = f"{alternative} takes {implicit / explicit:.0%} of their time"
-        return Solver.BDF2, f"{limits}, and {share}"
+        comparison = f"{alternative} takes {implicit / explicit:.0%} of their time"
+        return Solver.BDF2, f"{limits}, and {comparison}"
     return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
 
 
-def _met(system: SpringSystem, grid: Grid, count: int) -> CellColliders:
+def _met(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
     cells = Cells(grid.origin, grid.cell, grid.index, count)
     return cell_colliders(system.colliders, system.radius, cells)
 
 
 def advance(
-    system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
-) -> Grid:
-    """Return where a motion is some cells later."""
+    system: SpringSystem, options: SpringOptions, grid: TimeGrid, cells: int
+) -> TimeGrid:
+    """Advance a motion by some cells."""
     if system.ties is not None and cells:
         return _tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
@@ -233,32 +239,32 @@ def advance(
 
 
 def _explicit(
-    network: _kernels.SpringNetwork, grid: Grid, cells: int, met: CellColliders
-) -> Grid:
+    network: _kernels.SpringNetwork, grid: TimeGrid, cells: int, met: CellColliders
+) -> TimeGrid:
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
         state.substeps, met,
     )  # fmt: skip
-    made, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.crossed(cells, made, steps, steps, inside, pushes)
+    after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
+    return grid.crossed(cells, after, steps, steps, inside, pushes)
 
 
 def projected(
     network: _kernels.SpringNetwork,
-    grid: Grid,
+    grid: TimeGrid,
     cells: int,
     met: CellColliders,
     layers: _kernels.SpringLayers | None,
     stretch: float,
     most: int,
     limit: float = 0.0,
-) -> Grid:
-    """Return where a motion is some cells later, in steps of xpbd.
+) -> TimeGrid:
+    """Advance a motion by some cells in steps of xpbd.
 
-    A cell in which springs are longer by more than the stretch [1], and not by their
-    own give, is crossed in more steps, the ``most`` at most. Within a ``limit`` above 0
-    springs that hardly give are brought back each step [1].
+    A cell whose springs are strained beyond the stretch [1] and their compliance is
+    repeated with more steps, up to ``most``. A ``limit`` above 0 clamps the strain of
+    stiff springs in each step [1].
     """
     state = grid.state
     (
@@ -269,39 +275,39 @@ def projected(
         state.substeps, state.calm, state.least, max(state.least, most), stretch, met,
         layers, state.passages, limit,
     )  # fmt: skip
-    made = SpringState(
+    after = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
     return replace(
-        grid.crossed(cells, made, steps, steps, inside, pushes),
-        through=grid.through.with_more(Through(*through)),
+        grid.crossed(cells, after, steps, steps, inside, pushes),
+        through=grid.through.with_more(Piercing(*through)),
         stretch=max(grid.stretch, longest),
         touching=max(grid.touching, touched),
     )
 
 
-def _tied(system: SpringSystem, grid: Grid, ties: Ties) -> Grid:
-    """Return where a motion is a cell later with the bodies that carry its pins.
+def _tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
+    """Advance a motion by a cell together with the bodies that carry its pins.
 
-    In parts where these turn fast, or where nothing is found.
+    The cell is split into parts if bodies rotate fast or no solution is found.
     """
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     steps = [one.over(t0, t1) for one in ties.carriers]
     angle, parts = max(one.angle for one in steps), 1
-    while parts < MAX_PARTS and angle > TURN * parts:
+    while parts < MAX_PARTS and angle > MAX_ANGLE * parts:
         parts *= 2
     while True:
-        made = _in_parts(system, grid, ties, steps, parts)
-        if not made.lost or parts >= MAX_PARTS:
-            return replace(made, origin=grid.origin, cell=grid.cell,
+        after = _in_parts(system, grid, ties, steps, parts)
+        if not after.lost or parts >= MAX_PARTS:
+            return replace(after, origin=grid.origin, cell=grid.cell,
                            index=grid.index + 1)  # fmt: skip
         parts *= 2
 
 
-def working_step(system: SpringSystem, grid: Grid) -> float | None:
-    """Return a step that crosses a lost cell, with room; None where none is found.
+def working_step(system: SpringSystem, grid: TimeGrid) -> float | None:
+    """Return a step that solves a failed cell with a safety factor, or None [s].
 
-    That of the bodies [s], where these carry pins.
+    With pins on bodies it is a step of the bodies.
     """
     ties, begun = system.ties, grid.state
     if ties is not None:
@@ -322,9 +328,13 @@ def working_step(system: SpringSystem, grid: Grid) -> float | None:
 
 
 def _in_parts(
-    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep], parts: int
-) -> Grid:
-    """Return where a motion is a cell later, in parts of it with bodies after each."""
+    system: SpringSystem,
+    grid: TimeGrid,
+    ties: BodyTies,
+    steps: Sequence[TiedStep],
+    parts: int,
+) -> TimeGrid:
+    """Advance a motion by a cell in parts, with the bodies after each part."""
     if parts == 1:
         return _tied_part(system, grid, ties, steps)[0]
     begun, count = grid.state, -(-grid.state.substeps // parts)
@@ -334,11 +344,11 @@ def _in_parts(
     now = replace(grid, origin=grid.time, cell=grid.cell / parts, index=0, state=state)
     bodies, pushes = [one.begun for one in steps], []
     for _ in range(parts):
-        own = [
+        part_steps = [
             one.part(state, now.time, now.cell)
             for one, state in zip(steps, bodies, strict=True)
         ]
-        now, bodies = _tied_part(system, now, ties, own)
+        now, bodies = _tied_part(system, now, ties, part_steps)
         pushes.append(now.pushes)
         if now.lost:
             break
@@ -352,42 +362,46 @@ def _in_parts(
 
 
 def _tied_part(
-    system: SpringSystem, grid: Grid, ties: Ties, steps: Sequence[TiedStep]
-) -> tuple[Grid, list[Any]]:
-    """Return where a motion is a cell later, and the states of the bodies then."""
+    system: SpringSystem, grid: TimeGrid, ties: BodyTies, steps: Sequence[TiedStep]
+) -> tuple[TimeGrid, list[Any]]:
+    """Return the grid a cell later, and the states of the bodies."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.jumps.stage_of(grid)
-    network, held, drawn = system.cell_network(stage, t0, t1)
+    network, pinned, drawn = system.cell_network(stage, t0, t1)
     met = _met(system, grid, 1)
     columns = np.concatenate([tie.columns for tie in ties.ties])
-    share = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
+    fraction = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
 
     def cross(begins: FloatArray, ends: FloatArray) -> Pulled:
-        held[:, columns] = begins + share * (ends - begins)
-        network.lead(held, drawn)
+        pinned[:, columns] = begins + fraction * (ends - begins)
+        network.lead(pinned, drawn)
         return _pulled(network, grid, met, TIED * ties.size)
 
-    found = TiedCell(ties, steps).cross(cross, grid.state.known)
-    made: Pulled = found.crossed
-    state = replace(made.grid.state, known=found.known)
+    solution = TiedCell(ties, steps).cross(cross, grid.state.known)
+    pulled: Pulled = solution.crossed
+    state = replace(pulled.grid.state, known=solution.known)
     bodies = [
-        one.pulled(own)[0] for one, own in zip(steps, found.wrenches, strict=True)
+        one.pulled(wrenches)[0]
+        for one, wrenches in zip(steps, solution.wrenches, strict=True)
     ]
-    ended = replace(made.grid, state=state, lost=made.lost, tied=found.wrenches)
+    ended = replace(pulled.grid, state=state, lost=pulled.lost, tied=solution.wrenches)
     return ended, bodies
 
 
 @dataclass(slots=True)
 class Pulled:
-    """Where a motion is after a cell, and what held particles were pulled by."""
+    """A grid after a cell, and impulses on pinned particles."""
 
-    grid: Grid
+    grid: TimeGrid
     pulls: FloatArray  # impulses and moments about the origin ``(H, 6)``
     lost: bool
 
 
 def _pulled(
-    network: _kernels.SpringNetwork, grid: Grid, met: CellColliders, tolerance: float
+    network: _kernels.SpringNetwork,
+    grid: TimeGrid,
+    met: CellColliders,
+    tolerance: float,
 ) -> Pulled:
     state = grid.state
     (
@@ -397,21 +411,21 @@ def _pulled(
         grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
         state.pulls,
     )  # fmt: skip
-    made = replace(
+    after = replace(
         state, motion=motion, before=before if known else None, torn=torn,
         pulls=pulls[1],
     )  # fmt: skip
-    crossed = grid.crossed(1, made, steps, corrections, inside, pushes)
+    crossed = grid.crossed(1, after, steps, corrections, inside, pushes)
     return Pulled(crossed, pulls[0], lost > 0)
 
 
 def _implicit(
     network: _kernels.SpringNetwork,
-    grid: Grid,
+    grid: TimeGrid,
     cells: int,
     met: CellColliders,
     tolerance: float,
-) -> Grid:
+) -> TimeGrid:
     state = grid.state
     (
         motion, before, known, torn, steps, corrections, lost, inside, pushes, _,
@@ -419,6 +433,6 @@ def _implicit(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
     )  # fmt: skip
-    made = replace(state, motion=motion, before=before if known else None, torn=torn)
-    crossed = grid.crossed(cells, made, steps, corrections, inside, pushes)
+    after = replace(state, motion=motion, before=before if known else None, torn=torn)
+    crossed = grid.crossed(cells, after, steps, corrections, inside, pushes)
     return replace(crossed, lost=lost > 0)

@@ -261,12 +261,12 @@ class SpringsModel(SolvedModel):
         default=False,
     )
 
-    def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
+    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
         """Return particles and springs, and what holds them, with all that is wrong."""
         # Loaded by name: it looks at models.
         read: Any = load_object("animtool.systems.springs.entry:read_entry")
-        made: tuple[Any, Sequence[Fault]] = read(self, parts)
-        return made
+        built: tuple[Any, Sequence[Fault]] = read(self, parts)
+        return built
 
     def shared(self, *, meets: bool = True) -> Mapping[str, Any]:
         """Return what it states for all that it is joined to; a radius if any meets."""

@@ -1,4 +1,4 @@
-"""Particles and springs as a system that integrators take through time."""
+"""Particles and springs as a system for integrators."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (
     Body,
-    Draws,
     Flags,
-    Loads,
     Paths,
+    SpringForces,
+    TargetSprings,
     spring_layers,
 )
 from animtool.systems.springs.checks import (
@@ -40,7 +40,7 @@ from animtool.systems.springs.checks import (
 from animtool.systems.springs.paths import (
     Path,
     Pins,
-    Targets,
+    PointTargets,
     Teleports,
     over_knots,
     position_at,
@@ -48,16 +48,16 @@ from animtool.systems.springs.paths import (
 )
 from animtool.systems.springs.records import Air, SelfContact
 from animtool.systems.springs.slopes import fastest, slopes
-from animtool.systems.springs.ties import Ties
+from animtool.systems.springs.ties import BodyTies
 
-# Of the speed of targets, where no step says over which time to take it [s].
+# Interval for estimating target velocities when no step is given [s].
 EPSILON_TIME = 1e-6
-# Steps that a kernel takes in one call, at most.
+# Most steps in one kernel call.
 AT_ONCE = 1 << 20
 
 
 class _Stage(NamedTuple):
-    """What holds particles between two jumps."""
+    """Pins and targets between two teleports."""
 
     pins: Path
     targets: Path
@@ -65,34 +65,33 @@ class _Stage(NamedTuple):
 
 
 class SpringSystem(SecondOrder):
-    """A body of springs, held and drawn, in gravity and air.
+    """A body of springs with pins and targets, in gravity and air.
 
-    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a; its
-    ends at one place it pulls nothing. Torn springs come of `simulate_springs` only:
-    other methods go on with all.
+    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a, and
+    not at all if its ends coincide. Only `simulate_springs` tears springs.
 
     Attributes:
-        contacts: What particles met in the last step that `integrate` settled; None
-            where there was none.
+        contacts: Contacts of the last step that `integrate` settled; None if there was
+            no such step.
 
     Args:
         body: Particles, springs and triangles.
-        pins: Particles that are held, and where.
-        targets: Points that particles are drawn to.
+        pins: Pinned particles and their paths.
+        targets: Points that pull particles.
         gravity: ``(3,)`` [m/s²].
-        drag: What slows all motion, over mass and speed [1/s].
-        resistance: The same over speed, of each particle ``(N,)`` or all [N s/m].
-        air: What acts on the triangles.
+        drag: Drag per mass and speed [1/s].
+        resistance: Drag per speed, of each particle ``(N,)`` or all [N s/m].
+        air: Air that acts on the triangles.
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
-        colliders: What particles may run into.
+        colliders: What particles collide with.
         radius: Distance that particles keep from colliders [m].
-        speed_limit: Pins and targets that go faster were put elsewhere: what they hold
-            is taken along as a whole, and gets no velocity of it [m/s].
-        self_contact: How the triangles keep apart from themselves; None does not ask.
+        speed_limit: Faster pins and targets count as teleports: attached particles move
+            along rigidly and gain no velocity [m/s].
+        self_contact: Self-contact of the triangles; None turns it off.
 
     Raises:
-        OptionError: What makes no sense (SIM004, SIM040 to SIM045), of colliders
-            SIM020.
+        OptionError: A body, pin or option is invalid (SIM004, SIM040 to SIM045), or a
+            collider is (SIM020).
 
     >>> from animtool.systems.springs.shapes import rope
     >>> from animtool.systems.springs import Family
@@ -110,7 +109,7 @@ class SpringSystem(SecondOrder):
         body: Body,
         *,
         pins: Pins | None = None,
-        targets: Targets | None = None,
+        targets: PointTargets | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         drag: float = 0.0,
         resistance: ArrayLike = 0.0,
@@ -122,7 +121,7 @@ class SpringSystem(SecondOrder):
         self_contact: SelfContact | None = None,
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
-        targets = targets or Targets((), np.zeros((0, 3)), 0.0)
+        targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
         self.pinned, drawn = (
             np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
         )
@@ -137,13 +136,15 @@ class SpringSystem(SecondOrder):
         self.gravity = as_floats(gravity, (3,), "gravity")
         self.drag = float(drag)
         self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
-        # Of air, over the area of triangles and the square of its speed.
+        # Air drag and lift per area and squared speed.
         self.pressures = 0.5 * air.density * air.drag, 0.5 * air.density * air.lift
         winds = np.asarray(air.wind, np.float64)[..., None, :]
         self._wind_path = check_path("air", winds, air.times, 1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
-        held = body.positions[self.pinned] if pins.positions is None else pins.positions
-        pin_path = check_path("pins", held, pins.times, len(self.pinned))
+        pinned_positions = (
+            body.positions[self.pinned] if pins.positions is None else pins.positions
+        )
+        pin_path = check_path("pins", pinned_positions, pins.times, len(self.pinned))
         target_path = check_path(
             "targets", targets.positions, targets.times, len(drawn)
         )
@@ -151,21 +152,21 @@ class SpringSystem(SecondOrder):
             np.array(np.broadcast_to(value, drawn.shape), np.float64)
             for value in (targets.stiffness, targets.damping)
         )
-        self.draws = Draws(drawn, stiffness, damping)
+        self.target_springs = TargetSprings(drawn, stiffness, damping)
         holders = np.append(self.pinned, drawn)
-        self._ways = (pin_path, target_path)
-        self.jumps = Teleports(body, holders, self._ways, speed_limit)
+        self._paths = (pin_path, target_path)
+        self.jumps = Teleports(body, holders, self._paths, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
-        self.ties: Ties | None = None  # what carries some of the pins
+        self.ties: BodyTies | None = None  # rigid bodies that carry pins
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
         self.radius, self.speed_limit = float(radius), float(speed_limit)
         self._pins_move = len(pin_path[0]) > 1
         self.self_contact = self_contact
-        given = None if self_contact is None else self_contact.rest
-        rest = body.positions if given is None else given
+        contact_rest = None if self_contact is None else self_contact.rest
+        rest = body.positions if contact_rest is None else contact_rest
         self._rest = np.ascontiguousarray(rest, np.float64)
         self._collides = self.colliders.active or self_contact is not None
         self.settles = self._pins_move or self._collides or len(self.jumps) > 0
@@ -177,25 +178,25 @@ class SpringSystem(SecondOrder):
 
     @property
     def spacing(self) -> float:
-        """Mean length of its springs at rest, 1 where they have none [m]."""
+        """Mean rest length of its springs; 1 if all are 0 [m]."""
         rest = self.body.springs.rest
         return float(rest.mean()) if rest.any() else 1.0
 
     def network(self, stage: int) -> _kernels.SpringNetwork:
-        """Return what kernels step, after some of the jumps of pins and targets."""
+        """Return the kernel network of a stage between teleports."""
         return self._stage(stage).network
 
     def lead(self, span: float, path: FloatArray) -> None:
-        """Take pins and targets over a span [s], straight between even times of it.
+        """Set the paths of pins and targets over a span [s], linear between even times.
 
-        At these all particles are to be at ``path`` ``(K, N, 3)`` [m].
+        ``path`` has the positions of all particles at these times ``(K, N, 3)`` [m].
         """
         knots = np.linspace(0.0, span, len(path))
         pins, targets = (
             (knots, np.ascontiguousarray(path[:, rows]))
-            for rows in (self.pinned, self.draws.particles)
+            for rows in (self.pinned, self.target_springs.particles)
         )
-        before, self._ways = self._ways, (pins, targets)
+        before, self._paths = self._paths, (pins, targets)
         if self._staged is None or not np.array_equal(before[0][0], knots):
             self._staged = None
             return
@@ -205,7 +206,7 @@ class SpringSystem(SecondOrder):
 
     def _stage(self, number: int) -> _Stage:
         if self._staged is None or self._staged[0] != number:
-            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways
+            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._paths
             knots, paths = over_knots([pins, targets, self._wind_path])
             springs = self.body.springs.select(self.order)
             network = replace(self.loads, springs=springs).network(Paths(knots, *paths))
@@ -213,9 +214,9 @@ class SpringSystem(SecondOrder):
         return self._staged[1]
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
-        """Return both ends of a cell, and times [s] between at which paths bend."""
-        made = self._stage(stage)
-        times = [one for one, _ in (made.pins, made.targets, self._wind_path)]
+        """Return both ends of a cell, and the path knots within it [s]."""
+        staged = self._stage(stage)
+        times = [one for one, _ in (staged.pins, staged.targets, self._wind_path)]
         every = np.unique(np.concatenate(times))
         inside = every[(every > t0) & (every < t1)]
         return np.concatenate([[t0], inside, [t1]])
@@ -223,34 +224,34 @@ class SpringSystem(SecondOrder):
     def cell_network(
         self, stage: int, t0: float, t1: float
     ) -> tuple[_kernels.SpringNetwork, FloatArray, FloatArray]:
-        """Return what kernels step in a cell, with paths of pins and of targets in it.
+        """Return the kernel network of a cell, with pin and target paths.
 
-        At its knots ``(K, P, 3)`` and ``(K, A, 3)`` [m].
+        Paths at the knots of the cell are ``(K, P, 3)`` and ``(K, A, 3)`` [m].
         """
-        made, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
-        held, drawn, wind = (
+        staged, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
+        pinned, drawn, wind = (
             np.array([position_at(path, t) for t in knots.tolist()])
-            for path in (made.pins, made.targets, self._wind_path)
+            for path in (staged.pins, staged.targets, self._wind_path)
         )
         springs = self.body.springs.select(self.order)
-        paths = Paths(knots, held, drawn, wind)
-        return replace(self.loads, springs=springs).network(paths), held, drawn
+        paths = Paths(knots, pinned, drawn, wind)
+        return replace(self.loads, springs=springs).network(paths), pinned, drawn
 
     def faces_of(self, particles: IntArray) -> bool:
-        """Return whether some particles have faces, which meet colliders too."""
+        """Return whether particles have faces, which collide too."""
         return bool(np.isin(self.body.triangles, particles).any())
 
     @property
-    def loads(self) -> Loads:
-        """What acts on particles, with springs in the order of the body's."""
-        return Loads(
+    def loads(self) -> SpringForces:
+        """Forces on particles, with springs in body order."""
+        return SpringForces(
             self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
-            self.gravity, self.pressures, self.pinned, self.draws,
+            self.gravity, self.pressures, self.pinned, self.target_springs,
         )  # fmt: skip
 
     @cached_property
     def layers(self) -> _kernels.SpringLayers | None:
-        """What of the surface kernels keep apart."""
+        """Kernel self-contact of the surface; None without."""
         contact = self.self_contact
         if contact is None:
             return None
@@ -258,47 +259,47 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def order(self) -> IntArray:
-        """The order in which springs are gone through ``(S,)``."""
+        """Order in which kernels visit springs ``(S,)``."""
         count = len(self.body.positions)
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
-    def whole(self) -> Flags:
-        """Which springs are torn where none is, in the order of kernels ``(S,)``."""
+    def none_torn(self) -> Flags:
+        """Torn flags with no spring torn, in kernel order ``(S,)``."""
         return np.zeros(len(self.body.springs.rest), np.uint8)
 
     def torn(self, flags: Flags) -> BoolArray:
-        """Return which springs are torn ``(S,)``, of those in the order of kernels."""
+        """Return torn flags in body order ``(S,)``, from kernel order."""
         torn = np.zeros(len(flags), np.bool_)
         torn[self.order] = flags.astype(np.bool_)
         return torn
 
     @cached_property
     def inverse_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
+        """Inverse masses ``(N,)`` [1/kg], 0 for pinned particles."""
         masses = np.where(self.fixed, 1.0, self.body.masses)
         return np.where(self.fixed, 0.0, 1.0 / masses)
 
     @cached_property
     def free_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [kg], 0 of those that are held."""
+        """Masses ``(N,)`` [kg], 0 for pinned particles."""
         return np.where(self.fixed, 0.0, self.body.masses)
 
     @cached_property
     def drags(self) -> FloatArray:
-        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
+        """Drag of each particle per mass and speed ``(N,)`` [1/s]."""
         return self.drag + self.resistance * self.inverse_masses
 
     @property
     def state(self) -> FloatArray:
-        """Where it starts ``(2, N, 3)``."""
+        """Initial positions and velocities ``(2, N, 3)``."""
         return self._state
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
+        """Return accelerations ``(N, 3)`` [m/s²], 0 for pinned particles."""
         network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
-            network, t, EPSILON_TIME, np.array((x, v)), self.whole
+            network, t, EPSILON_TIME, np.array((x, v)), self.none_torn
         )
 
     def jacobians(
@@ -309,9 +310,9 @@ class SpringSystem(SecondOrder):
         return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
-        """Return the derivative of forces by positions, negative ``(3 N, 3 N)``.
+        """Return the sparse stiffness matrix: minus force derivatives ``(3 N, 3 N)``.
 
-        Of springs and targets, sparse; rows of particles that are held are 0.
+        It has springs and targets; rows of pinned particles are 0.
         """
         from scipy.sparse import diags_array
 
@@ -320,25 +321,25 @@ class SpringSystem(SecondOrder):
         return diags_array(np.repeat(-masses, 3)) @ by_x
 
     def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
-        """Return springs with pins and targets as they are at a time, without air.
+        """Return the springs with pins and targets frozen at a time, without air.
 
         Args:
             t: The time [s].
-            body: Where particles are, and their springs.
-            drag: What slows all motion, over mass and speed [1/s].
+            body: Positions and springs.
+            drag: Drag per mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
-        aims, draws = position_at(stage.targets, t), self.draws
+        aims, draws = position_at(stage.targets, t), self.target_springs
         return SpringSystem(
             body,
             pins=Pins(self.pinned, position_at(stage.pins, t)),
-            targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
+            targets=PointTargets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
         )
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
-        """Return the same particles without some of their springs ``(S,)``."""
+        """Return the system without some springs ``(S,)``."""
         left = copy(self)
         left.body = replace(self.body, springs=self.body.springs.select(~gone))
         left._staged = None
@@ -347,26 +348,26 @@ class SpringSystem(SecondOrder):
         return left
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
-        """Return the same springs that begin elsewhere, at rest.
+        """Return the system starting at rest in other positions.
 
         Args:
             positions: ``(N, 3)`` [m].
         """
-        places = as_floats(positions, self.body.positions.shape, "positions")
+        points = as_floats(positions, self.body.positions.shape, "positions")
         moved = copy(self)
-        moved.body = replace(self.body, positions=places)
-        moved._state = np.stack([places, np.zeros_like(places)])
+        moved.body = replace(self.body, positions=points)
+        moved._state = np.stack([points, np.zeros_like(points)])
         return moved
 
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the energy of springs, gravity and motion.
 
-        Moved pins and targets and wind may bring in about what all particles have at
-        their speed.
+        Moving pins, targets and wind may supply about the kinetic energy of all
+        particles at their speed.
         """
         x, v = state
         masses = self.free_masses
-        # What float64 does not hold is an infinite energy.
+        # Overflow gives an infinite energy.
         with np.errstate(over="ignore", invalid="ignore"):
             return self._energy_of(t, x, v, masses)
 
@@ -377,22 +378,22 @@ class SpringSystem(SecondOrder):
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
-        draws = self.draws
+        draws = self.target_springs
         if len(draws.particles):
             gaps = x[draws.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
-        mass, given_speed, speed = self._driven
-        supply = mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
+        mass, supplied, speed = self._driven
+        supply = mass * (supplied + max(speed, self.colliders.fastest) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property
     def _driven(self) -> tuple[float, float, float]:
-        """The mass that moves, what wind and ways bring it, and the speed of those."""
+        """Moving mass, squared speed supplied by wind and paths, and path speed."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speed, travel = map(max, zip(*map(reach_of, self._ways), strict=True))
+        speed, travel = map(max, zip(*map(reach_of, self._paths), strict=True))
         pull = float(np.linalg.norm(self.gravity))
-        # What is put elsewhere brings no speed.
+        # Teleports supply no speed.
         return mass, wind**2 + pull * travel, min(speed, self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
@@ -400,20 +401,20 @@ class SpringSystem(SecondOrder):
         return position_at(self._wind_path, t)
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
-        """Return the largest length of a spring over its length at rest [1]."""
-        places = np.ascontiguousarray(state[0])
+        """Return the largest ratio of spring length to rest length [1]."""
+        points = np.ascontiguousarray(state[0])
         network = self.network(self.jumps.stage(t))
-        longest = _kernels.spring_energy(network, places)[1]
+        longest = _kernels.spring_energy(network, points)[1]
         return longest if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
-        """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
+        """Return bounds of the fastest modes ``(M, 2)``, for any positions."""
         return fastest(self.loads)
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state after a step: pins where they are to be, and contacts."""
+        """Return the state after a step with pins and contacts applied."""
         if not self.settles:
             return after
         moved = after.copy()
@@ -437,30 +438,30 @@ class SpringSystem(SecondOrder):
         return moved
 
     def native(self, method: str) -> Native | None:
-        """Return what takes many steps at once, of symplectic_euler."""
+        """Return a native stepper of symplectic_euler, or None."""
         if method != "symplectic_euler" or self._collides or len(self.jumps):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
-            made = np.ascontiguousarray(state)
+            motion = np.ascontiguousarray(state)
             for first in range(0, count, AT_ONCE):
-                made = _kernels.step_springs(
-                    self.network(0), made, self.whole, t, first, h,
+                motion = _kernels.step_springs(
+                    self.network(0), motion, self.none_torn, t, first, h,
                     min(AT_ONCE, count - first), 1, None,
                 )[0]  # fmt: skip
-            return made
+            return motion
 
         return steps
 
     def notices(self) -> list[Fault]:
-        """Return warnings of the start, and of what is put elsewhere at once."""
-        found = start_notices(self.body) + self.colliders.notices()
+        """Return warnings about the start and teleports."""
+        notices = start_notices(self.body) + self.colliders.notices()
         if self.self_contact is not None:
-            found += tangle_notices(self.body.positions, self.body.triangles)
-        return found + self.jumps.notices()
+            notices += tangle_notices(self.body.positions, self.body.triangles)
+        return notices + self.jumps.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which spring is stretched most."""
+        """Return which spring has the largest strain."""
         springs = self.body.springs
         if not len(springs.rest):
             return ""

@@ -1,9 +1,8 @@
-"""Pins that rigid bodies of others carry: a cell of time of both together.
+"""Two-way coupling of pins with the rigid bodies that carry them.
 
-A body is taken through a cell as if nothing of the springs pulled it, and what they
-pull over the cell is found so that body and pins end at the same places with it:
-Newton's method on the velocities that the pull gives the bodies. So a light body on a
-heavy rope is as stable as a heavy body on a light one.
+A body first crosses a cell without spring forces. Newton's method then finds the
+velocities that the springs give the bodies, so that bodies and pins end in the same
+positions. A light body on a heavy rope is as stable as a heavy body on a light one.
 """
 
 from __future__ import annotations
@@ -19,36 +18,36 @@ from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.tied import TiedBodies, TiedStep, to_world
 
-# How far bodies are moved to see how the pull changes, in mean lengths of springs [1].
+# Finite difference step of body positions, in mean spring lengths [1].
 TRIAL = 1e-6
-# Corrections go on until they move bodies by less, in the same [1].
+# Converged when a correction moves bodies by less, in the same unit [1].
 MET = 1e-10
-# What is not corrected further by new slopes, in the same [1].
+# Corrections below this do not rebuild the Jacobian, in the same unit [1].
 NEAR = 1e-7
-# What is left after the last that is near enough, in the same [1].
+# Accepted residual after the last correction, in the same unit [1].
 ENOUGH = 1e-4
 MAX_CORRECTIONS = 24
-# What a correction may be of the one before: ropes that become slack have kinks [1].
+# Largest ratio of a correction to the last one: slack ropes have kinks [1].
 GROWTH = 2.0
-# Of a correction, what the next may be before slopes are looked for again [1].
+# Ratio of corrections above which the Jacobian is rebuilt [1].
 SLOW = 0.25
 MAX_HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tie:
-    """Particles that a body carries."""
+    """Particles carried by a body."""
 
-    columns: IntArray  # their numbers among the held particles ``(P,)``
-    carrier: int  # number of the system of the body
-    body: int  # number of the body there
-    inside: FloatArray  # where they are in its frame ``(P, 3)`` [m]
-    masses: FloatArray  # theirs, which the body bears ``(P,)`` [kg]
+    columns: IntArray  # indices among the pinned particles ``(P,)``
+    carrier: int  # index of the system of the body
+    body: int  # index of the body in it
+    inside: FloatArray  # positions in its frame ``(P, 3)`` [m]
+    masses: FloatArray  # their masses, borne by the body ``(P,)`` [kg]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ties:
-    """What carries held particles, of one or more rigid systems."""
+class BodyTies:
+    """Bodies of one or more rigid systems that carry pinned particles."""
 
     carriers: Sequence[TiedBodies]
     ties: Sequence[Tie]
@@ -57,105 +56,105 @@ class Ties:
 
     @property
     def lightest(self) -> tuple[str, float] | None:
-        """Name and mass [kg] of the lightest body that moves; None where none does."""
-        found = []
+        """Name and mass [kg] of the lightest dynamic body; None without one."""
+        masses = []
         for tie in self.ties:
             system = self.carriers[tie.carrier].system.shared
             rows = np.flatnonzero(system.dynamic == tie.body)
             mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
-            found.append((mass, system.names[tie.body]))
-        mass, name = min(found)
+            masses.append((mass, system.names[tie.body]))
+        mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
 
 
 class _Pulled(NamedTuple):
-    """What a guess of the pull leads to."""
+    """Result of a trial pull."""
 
     crossed: Any
-    left: FloatArray  # velocities that it misses ``(6 U,)``
-    wrenches: list[Wrenches]  # what bodies were pulled by, by system
+    left: FloatArray  # residual velocities ``(6 U,)``
+    wrenches: list[Wrenches]  # impulses on bodies, by system
 
 
-# Returns what springs come to where held particles of some columns end a cell.
+# Advances springs, from begin and end positions of the carried particles.
 Cross = Callable[[FloatArray, FloatArray], Any]
 
 
 class TiedCrossing(NamedTuple):
-    """A cell that was crossed."""
+    """Result of a coupled cell."""
 
-    crossed: Any  # what springs come to
-    wrenches: tuple[Wrenches, ...]  # what bodies were pulled by, by system
-    # How what is missed changes with what bodies get, and that ``(6 U, 6 U + 1)``.
+    crossed: Any  # result of the springs
+    wrenches: tuple[Wrenches, ...]  # impulses on bodies, by system
+    # Jacobian and solution, to warm-start the next cell ``(6 U, 6 U + 1)``.
     known: FloatArray | None
 
 
 class _Unknown(NamedTuple):
-    """A body whose pull is looked for."""
+    """A body whose pull is solved for."""
 
     carrier: int
-    number: int  # among those that can be pushed
-    ties: Sequence[int]  # numbers of what it carries
+    number: int  # index among the dynamic bodies
+    ties: Sequence[int]  # indices of its ties
     mass: float
     inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
-    ease: FloatArray  # its inverse, 0 about axes that nothing turns about
-    reach: float  # how far it is from the centre to what it carries, at most [m]
+    ease: FloatArray  # inverse inertia, 0 about locked axes
+    reach: float  # largest distance from the centre to carried particles [m]
 
 
 def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
-    """Return the correction of velocities that takes away what is missed."""
-    found = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
-    return np.asarray(-found, np.float64)
+    """Return the Newton correction of velocities."""
+    correction = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    return np.asarray(-correction, np.float64)
 
 
 class TiedCell:
-    """A cell of time of springs and of the bodies that carry some of their pins."""
+    """Solves a cell of springs together with the bodies that carry pins."""
 
-    def __init__(self, ties: Ties, steps: Sequence[TiedStep]) -> None:
+    def __init__(self, ties: BodyTies, steps: Sequence[TiedStep]) -> None:
         self._ties, self._steps, self._h = ties, steps, steps[0].span
-        self._places = [
+        self._positions = [
             to_world(self._steps[tie.carrier].begins[tie.body], tie.inside)
             for tie in ties.ties
         ]
         self._unknown = list(self._bodies())
-        # Velocities of what each body carries, at the begin.
+        # Velocities of carried particles at the begin, by body.
         self._begun = [
             {
-                k: self._steps[one.carrier].begun_at(one.number, self._places[k])
+                k: self._steps[one.carrier].begun_at(one.number, self._positions[k])
                 for k in one.ties
             }
             for one in self._unknown
         ]
 
     def _bodies(self) -> Any:
-        """Yield the bodies that move by themselves and carry anything."""
+        """Yield the free bodies that carry particles."""
         carriers = self._ties.carriers
         for k, step in enumerate(self._steps):
             dynamic = carriers[k].system.shared.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
-                own = [
+                tie_numbers = [
                     i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
                 ]
-                if not own or not step.free[number]:
+                if not tie_numbers or not step.free[number]:
                     continue
                 centre, ease = (rows[number] for rows in step.inertias)
-                points = np.concatenate([self._places[i] for i in own])
+                points = np.concatenate([self._positions[i] for i in tie_numbers])
                 reach = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[number])
                 inertia = np.linalg.pinv(ease, hermitian=True)
                 reach = max(reach, self._ties.size)
-                yield _Unknown(k, number, own, mass, inertia, ease, reach)
+                yield _Unknown(k, number, tie_numbers, mass, inertia, ease, reach)
 
     @property
     def _scale(self) -> FloatArray:
-        """How far velocities of bodies move what they carry in a cell ``(6 U,)``."""
+        """Displacement of carried particles per body velocity in a cell ``(6 U,)``."""
         rows = [[1.0] * 3 + [one.reach] * 3 for one in self._unknown]
         return self._h * np.array(rows).reshape(-1)
 
     def cross(self, cross: Cross, known: FloatArray | None) -> TiedCrossing:
-        """Return what springs come to, and what bodies were pulled by.
+        """Solve a cell; return the result of the springs and impulses on bodies.
 
-        ``known`` is what the cell before found, from which on this one is solved.
+        ``known`` is the warm start from the last cell.
         """
         count = 6 * len(self._unknown)
         if not count:
@@ -176,30 +175,30 @@ class TiedCell:
             moved = float(np.abs(change * scale).max())
             if moved <= MET * size:
                 break
-            share, left, after = self._taken(y, change, slopes, cross)
+            fraction, left, after = self._taken(y, change, slopes, cross)
             if after is None:
                 if fresh or moved <= NEAR * size:
                     break
                 slopes = None
                 continue
-            change = share * change
+            change = fraction * change
             y = y + change
             gap = after.left - now.left - slopes @ change
             now = after
-            if left > SLOW * moved or share < 1.0:
+            if left > SLOW * moved or fraction < 1.0:
                 slopes, fresh = None, False
                 continue
-            # Broyden's: what this correction showed of how the pull changes.
+            # Broyden update of the Jacobian.
             slopes = slopes + np.outer(gap, change) / float(change @ change)
             fresh = False
         now.crossed.lost |= not moved <= ENOUGH * size
-        found = None if slopes is None else np.column_stack([slopes, y])
-        return TiedCrossing(now.crossed, tuple(now.wrenches), found)
+        warm_start = None if slopes is None else np.column_stack([slopes, y])
+        return TiedCrossing(now.crossed, tuple(now.wrenches), warm_start)
 
     def _slopes(
         self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
     ) -> FloatArray:
-        """Return how what is missed changes with the velocities ``(6 U, 6 U)``."""
+        """Return the Jacobian of residuals by velocities ``(6 U, 6 U)``."""
         columns = []
         for k, step in enumerate(steps.tolist()):
             moved = y.copy()
@@ -214,28 +213,28 @@ class TiedCell:
         slopes: FloatArray,
         cross: Cross,
     ) -> tuple[float, float, _Pulled | None]:
-        """Return what share of a correction leads on, and where; None where none.
+        """Return the accepted fraction of a correction and its result, or None.
 
-        With how far the next one moves bodies, as it is with these slopes [m]. It has
-        to be less (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
+        With the size of the next simplified correction [m], which must decrease
+        (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
         """
-        size, scale, share = self._ties.size, self._scale, 1.0
+        size, scale, fraction = self._ties.size, self._scale, 1.0
         moved = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
-            after = self._tried(y + share * change, cross)
+            after = self._tried(y + fraction * change, cross)
             if not after.crossed.lost and np.isfinite(after.left).all():
                 left = float(np.abs(_corrected(slopes, after) * scale).max())
-                if left <= max((1 - share / 4) * moved, MET * size):
-                    return share, left, after
-            share /= 2
-        return share, np.inf, None
+                if left <= max((1 - fraction / 4) * moved, MET * size):
+                    return fraction, left, after
+            fraction /= 2
+        return fraction, np.inf, None
 
     def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
-        """Return what comes of velocities ``(6 U,)`` that pulls give bodies."""
+        """Return the result of trial velocities ``(6 U,)`` of bodies."""
         pulls = [np.zeros((one.count, 6)) for one in self._ties.carriers]
-        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+        for one, velocity in zip(self._unknown, y.reshape(-1, 6), strict=True):
             row = pulls[one.carrier][one.number]
-            row[:3], row[3:] = one.mass * own[:3], one.inertia @ own[3:]
+            row[:3], row[3:] = one.mass * velocity[:3], one.inertia @ velocity[3:]
         ends = [
             step.pulled(step.wrenches(rows))
             for step, rows in zip(self._steps, pulls, strict=True)
@@ -244,37 +243,37 @@ class TiedCell:
             to_world(ends[tie.carrier][1][tie.body], tie.inside)
             for tie in self._ties.ties
         ]
-        crossed = cross(np.concatenate(self._places), np.concatenate(goals))
-        found = [np.zeros_like(rows) for rows in pulls]
+        crossed = cross(np.concatenate(self._positions), np.concatenate(goals))
+        totals = [np.zeros_like(rows) for rows in pulls]
         left = []
-        for u, own in enumerate(y.reshape(-1, 6)):
+        for u, velocity in enumerate(y.reshape(-1, 6)):
             one = self._unknown[u]
             step = self._steps[one.carrier]
             pull = self._pull(u, ends[one.carrier][0], goals, crossed.pulls)
             turning = step.turning(one.number, pull)
             gained = [pull[:3] / one.mass, one.ease @ turning]
-            left.append(np.concatenate(gained) - own)
-            found[one.carrier][one.number] = *pull[:3], *turning
+            left.append(np.concatenate(gained) - velocity)
+            totals[one.carrier][one.number] = *pull[:3], *turning
         wrenches = [
-            step.wrenches(rows) for step, rows in zip(self._steps, found, strict=True)
+            step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
         ]
         return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
 
     def _pull(
         self, u: int, end: Any, goals: Sequence[FloatArray], pulls: FloatArray
     ) -> FloatArray:
-        """Return what a body is pulled by, of springs and of what it carries ``(6,)``.
+        """Return impulse and moment on a body from springs and carried masses ``(6,)``.
 
-        Particles that it carries have mass, which springs do not feel.
+        The inertia of carried particles is added: springs do not include it.
         """
         one, total = self._unknown[u], np.zeros(6)
         step = self._steps[one.carrier]
         for k in one.ties:
-            tie, x0, x1 = self._ties.ties[k], self._places[k], goals[k]
+            tie, x0, x1 = self._ties.ties[k], self._positions[k], goals[k]
             total += pulls[tie.columns].sum(axis=0)
             mass, v0 = tie.masses[:, None], self._begun[u][k]
             v1 = step.speeds_at(end, one.number, x1)
-            own = mass * (self._h * self._ties.gravity - (v1 - v0))
-            total[:3] += own.sum(axis=0)
-            total[3:] += so3.cross((x0 + x1) / 2, own).sum(axis=0)
+            inertial = mass * (self._h * self._ties.gravity - (v1 - v0))
+            total[:3] += inertial.sum(axis=0)
+            total[3:] += so3.cross((x0 + x1) / 2, inertial).sum(axis=0)
         return total

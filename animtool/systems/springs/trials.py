@@ -1,4 +1,4 @@
-"""Settings of springs that a table of trials compares."""
+"""Solver settings of springs for work-precision tables."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import choose
 from animtool.systems.springs.system import SpringSystem
 
-# What settings of a table are compared with: of the second order, and stable.
+# Reference method of a table: second order and stable.
 EXACT = Solver.BDF2
-# Instead, where the stiffest springs let no implicit step be solved.
+# Reference for springs too stiff for implicit steps.
 EXPLICIT = Solver.SYMPLECTIC_EULER
 
 
 def trial_settings(
-    system: SpringSystem, own: SpringOptions, begin: float
+    system: SpringSystem, configured: SpringOptions, begin: float
 ) -> TrialSettings:
-    """Return solvers in several steps, about those that each takes itself."""
-    free = replace(own, step=None)
+    """Return solvers with several step lengths around their defaults."""
+    free = replace(configured, step=None)
 
-    def usual(solver: Solver, options: SpringOptions = free) -> Setting:
-        """Return a solver with the step that options come to."""
+    def default_setting(solver: Solver, options: SpringOptions = free) -> Setting:
+        """Return a solver with its default step."""
         choice = choose(system, options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    chosen = usual(Solver(own.solver), own)
+    chosen = default_setting(Solver(configured.solver), configured)
 
     def able(solver: Solver) -> list[Setting]:
-        """Return the setting of a solver; none where it is not for the springs."""
+        """Return the setting of a solver; empty if it cannot simulate the springs."""
         try:
-            return [usual(solver)]
+            return [default_setting(solver)]
         except OptionError:
             return []
 
     def settings() -> list[Setting]:
         each = [one for s in Solver if s is not Solver.AUTO for one in able(s)]
         each = [chosen if one.method == chosen.method else one for one in each]
-        return [way for one in each for way in stepwise(one.method, one["step"])]
+        return [row for one in each for row in stepwise(one.method, one["step"])]
 
     def references() -> list[list[Setting]]:
-        """Return ever shorter steps of bdf2; of the explicit, of its own else."""
+        """Return finer steps of bdf2, of explicit Euler, and of the chosen solver."""
         exact = [min(chosen["step"], one["step"]) for one in able(EXACT)]
-        ways = [stepwise(EXACT, step, FINER) for step in exact]
-        ways += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
+        groups = [stepwise(EXACT, step, FINER) for step in exact]
+        groups += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
         if chosen.method not in {EXACT, EXPLICIT}:
-            ways.append(stepwise(chosen.method, chosen["step"], FINER))
-        return ways
+            groups.append(stepwise(chosen.method, chosen["step"], FINER))
+        return groups
 
     def changes(setting: Setting) -> Mapping[str, Any]:
         if setting == chosen:
-            return {"error": None, "solver": own.solver, "step": own.step}
+            return {"error": None, "solver": configured.solver, "step": configured.step}
         return {"error": None, "solver": setting.method, "step": setting["step"]}
 
     return TrialSettings(chosen, settings, references, changes)

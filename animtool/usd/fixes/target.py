@@ -18,7 +18,7 @@ from pxr import Sdf, Usd, UsdUtils
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, counted
-from animtool.core.files.output import once_named, replacing
+from animtool.core.files.output import after_commit, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input
 from animtool.core.plugins import load_object
@@ -215,7 +215,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
                 raise output_error(output, error) from error
         else:
             export_layer(layer, temporary, output, arguments)
-    once_named(lambda: _reload(output))
+    after_commit(lambda: _reload(output))
     paths = counted(moved, "relative asset path")
     return [f"rewrites {paths} for the new folder"] * bool(moved)
 

@@ -19,7 +19,7 @@ from pxr import Sdf, Tf, Vt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
-from animtool.core.files.output import once_named, replacing
+from animtool.core.files.output import after_commit, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.usd.layers.package import unpacked
@@ -325,7 +325,7 @@ class Chunks:
         with replacing(self.files.manifest) as temporary:
             export_layer(self._manifest, temporary, self.files.manifest)
         files = [*self.paths, self.files.manifest]
-        once_named(lambda: self.files.remove_others(files))
+        after_commit(lambda: self.files.remove_others(files))
         return files
 
 

@@ -24,10 +24,11 @@ from animtool.core.files.reading import (
     FileState,
     changed_error,
     open_input,
-    seen_from,
+    path_from_folder,
     too_large,
     unreadable,
 )
+from animtool.core.files.signatures import expects
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import PACKAGE
@@ -152,13 +153,14 @@ def asset_path(file: Path, folder: Path) -> str:
     >>> asset_path(Path("/show/tex/skin.png"), Path("/show"))
     './tex/skin.png'
     """
-    name = seen_from(file, folder)
+    name = path_from_folder(file, folder)
     if name.startswith("../") or Path(name).is_absolute():
         return name
     # Without a dot, USD would search for it.
     return f"./{name}"
 
 
+@expects("USD001", "a USD file")
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)

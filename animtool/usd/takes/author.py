@@ -13,7 +13,7 @@ from pxr import Sdf
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import check_outputs, together
+from animtool.core.files.output import atomic_outputs, check_outputs
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
@@ -242,7 +242,7 @@ def write_usd(
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
         author_metadata(root, _metadata(job, result.takes))
         layers = [authored.rig, authored.animation, root]
-    with _quietly(result), together():
+    with _quietly(result), atomic_outputs():
         for layer, path in zip(layers, result.outputs, strict=True):
             saver = save if layer is authored.animation else save_layer
             result.bytes += saver(layer, path)
@@ -382,9 +382,9 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    carried = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
-    take = carried.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=carried)
+    placed = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
+    take = placed.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=placed)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -410,7 +410,7 @@ def _layer_job(
         chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + carried.notices + mapping.notices
+    notices = target.notices + placed.notices + mapping.notices
     return job, written, notices
 
 

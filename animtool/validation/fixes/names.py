@@ -9,7 +9,7 @@ from typing import Any
 
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
-from animtool.core.files.reading import files_meant
+from animtool.core.files.reading import matching_files
 from animtool.core.readers import DOCUMENT, READERS
 from animtool.documents.document import Location, document_of, read_document, read_text
 from animtool.documents.edit import Edit, Rename, Replace
@@ -80,7 +80,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 def _documents(rig: Path) -> Iterator[Path]:
     for root in project_roots(rig):
-        for file in files_meant(str(root), DOCUMENT_SUFFIXES):
+        for file in matching_files(str(root), DOCUMENT_SUFFIXES):
             yield file.path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, counted
-from animtool.core.files.output import check_outputs, together
+from animtool.core.files.output import atomic_outputs, check_outputs
 from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
@@ -72,7 +72,7 @@ def fix_files(
     changed = list(reversed(targets.values()))
     check_outputs(changed, [], overwrite=True)
     plans = [_plan(path, options) for path in changed]
-    with together():
+    with atomic_outputs():
         for plan in plans:
             if plan.mended:
                 plan.after.write(plan.path)

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.output import (
-    ahead,
+    atomic_outputs,
+    early_outputs,
     name_problem,
-    together,
     write_arrays,
     write_parts,
 )
@@ -202,8 +202,8 @@ class TextDraft:
 
     def write(self, output: Path) -> Sequence[str]:
         """Write the text to a file, after its new arrays."""
-        with together():
-            with ahead(list(self.arrays)):
+        with atomic_outputs():
+            with early_outputs(list(self.arrays)):
                 for path, arrays in self.arrays.items():
                     write_arrays(path, dict(arrays))
                 self._check_arrays()

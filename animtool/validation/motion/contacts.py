@@ -40,7 +40,7 @@ AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class FootContacts:
+class FootStances:
     """Foot contacts of a take.
 
     Attributes:
@@ -67,7 +67,7 @@ class FootContacts:
     static: BoolArray
 
 
-def contacts_of(subject: MotionSubject) -> FootContacts | None:
+def contacts_of(subject: MotionSubject) -> FootStances | None:
     """Return the foot contacts; None if there are no feet or stance frames."""
     feet = feet_of(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
@@ -96,7 +96,7 @@ def contacts_of(subject: MotionSubject) -> FootContacts | None:
     flat = level & _agrees(ground, partners, within)
     floor[~_agrees(floor, partners, within)] = np.inf
     near = carries & flat & (np.abs(heights - ground) < within)
-    return FootContacts(
+    return FootStances(
         feet, partners, ground, level, flat, floor, carries, near, static
     )
 

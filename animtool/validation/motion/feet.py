@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
-    FootContacts,
+    FootStances,
     contacts_of,
     moves_over,
 )
@@ -36,7 +36,7 @@ ALONG, AGAINST, MOSTLY_AGAINST = 0.1, -0.15, -0.05
 EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
-def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None:
+def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     """Return the ratio of hip travel to foot travel, if it is consistently off.
 
     Over 1 feet are dragged along, and below they slip back.
@@ -58,7 +58,7 @@ def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None
 
 
 def _ratios(
-    subject: MotionSubject, contacts: FootContacts
+    subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocities of the stance foot relative to the hips ``(N,)``.
 
@@ -150,7 +150,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
 
 def _slowest_slides(
     subject: MotionSubject,
-    contacts: FootContacts,
+    contacts: FootStances,
     speeds: FloatArray,
     slides: FloatArray,
 ) -> FloatArray:
@@ -194,7 +194,7 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
 
 def _skids(
     subject: MotionSubject,
-    contacts: FootContacts,
+    contacts: FootStances,
     speeds: FloatArray,
     first: int,
     last: int,
@@ -212,7 +212,7 @@ def _skids(
 
 
 def _slide_length(
-    subject: MotionSubject, contacts: FootContacts, first: int, last: int
+    subject: MotionSubject, contacts: FootStances, first: int, last: int
 ) -> float:
     """Return the shortest path of a foot near the ground over a run [m].
 
@@ -225,7 +225,7 @@ def _slide_length(
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _scaled_travel(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+def _scaled_travel(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if root travel does not match the feet throughout."""
     scale = travel_scale(subject, contacts)
     if scale is None:

@@ -13,7 +13,7 @@ from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     NEAR,
-    FootContacts,
+    FootStances,
     contacts_of,
 )
 from animtool.validation.motion.size import body_axis
@@ -57,7 +57,7 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     yield from of_take or [*_sunk(subject, contacts), *_floating(subject, contacts)]
 
 
-def _full_take(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+def _full_take(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
@@ -147,7 +147,7 @@ def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
     return bool(heights[leg[-1]] - heights[leg[0]] > HANGS * bones.sum() > 0.0)
 
 
-def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+def _sunk(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, known = _ground_of_pairs(subject, contacts)
@@ -175,7 +175,7 @@ def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
 
 
 def _ground_of_pairs(
-    subject: MotionSubject, contacts: FootContacts
+    subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, BoolArray]:
     """Return the ground height per foot, and whether it is known ``(E,)``.
 
@@ -194,7 +194,7 @@ def _ground_of_pairs(
     return ground, known
 
 
-def _floating(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if no joint is near the ground for longer than a jump."""
     flat = np.isfinite(contacts.floor)
     if not flat.any():

@@ -208,7 +208,7 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
     solved = ""
     for i, entry in enumerate(subject.scene.passes):
         if i in subject.solved:
-            solved = entry.place.where
+            solved = entry.location.where
         elif solved and _moves(entry.pass_) and i not in subject.idle:
             message = (
                 f"the pass {entry.pass_.name} moves what {solved} solved for targets"

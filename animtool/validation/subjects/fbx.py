@@ -7,11 +7,11 @@ from pathlib import Path
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
+from animtool.formats.characters.choice import characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import FbxSampler, frames_of, moves, take_stream
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
-from animtool.formats.gltf.characters import characters
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.gltf import clip_subject
 from animtool.validation.subjects.subject import CheckedFile

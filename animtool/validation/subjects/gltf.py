@@ -13,13 +13,13 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
+from animtool.formats.characters.choice import CharacterNodes, characters
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.characters import CharacterNodes, characters
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
 from animtool.formats.gltf.keys import key_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import GltfSampler, clip_stream, moves, sampler
+from animtool.formats.gltf.sampling import GltfSampler, clip_stream, moves, sampler_of
 from animtool.formats.gltf.timing import ON_FRAME, GltfFrames, frames_of, key_times
 from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
@@ -56,7 +56,7 @@ def _takes(gltf: Gltf, built: GltfRig, faults: list[Fault]) -> list[MotionSubjec
     for animation in gltf.animations:
         if not moves(built, animation):
             continue
-        moving = sampler(gltf, built, animation)
+        moving = sampler_of(gltf, built, animation)
         try:
             frames = frames_of(animation, None, str(gltf.path), moving.numbers)
         except AnimtoolError as error:

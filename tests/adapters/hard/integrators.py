@@ -17,7 +17,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 
 __all__ = ["INTEGRATING"]
 
@@ -33,7 +33,7 @@ def falling() -> ForceSystem:
 
 
 def options_for(name: str) -> IntegrateOptions:
-    if find_integrator(name).control is Control.FIXED:
+    if find_integrator(name).control is StepControl.FIXED:
         return IntegrateOptions(name, step=1 / 480)
     return IntegrateOptions(name, tolerance=1e-10)
 
@@ -60,7 +60,7 @@ def _dt_spike(name: str) -> None:
     whole = integrate(falling(), every, options_for(name)).states
     found = integrate(falling(), spike, options_for(name)).states
     kept: FloatArray = np.concatenate([whole[:7], whole[18:]])
-    if find_integrator(name).control is Control.FIXED:
+    if find_integrator(name).control is StepControl.FIXED:
         assert found.tobytes() == kept.tobytes()
     np.testing.assert_allclose(found, kept, rtol=0, atol=1e-7)
 
@@ -81,7 +81,7 @@ def _close_encounter(name: str) -> None:
 
 def _of_fixed_steps(name: str) -> bool:
     """Return whether a method cannot say that its step is too long."""
-    return find_integrator(name).control is Control.FIXED
+    return find_integrator(name).control is StepControl.FIXED
 
 
 INTEGRATING = Subsystem(

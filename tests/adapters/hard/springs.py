@@ -20,7 +20,7 @@ from animtool.sim import (
     integrate,
 )
 from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.systems.springs import (
     Body,
     Family,
@@ -42,7 +42,9 @@ UP = (0.0, 0.0, 1.0)
 STILL = (0.0, 0.0, 0.0, 1.0)
 CONTROLS = {name: find_integrator(name).control for name in INTEGRATORS}
 # scipy's solvers leave no room for contacts and pins that move.
-METHODS = [name for name, control in CONTROLS.items() if control is not Control.SCIPY]
+METHODS = [
+    name for name, control in CONTROLS.items() if control is not StepControl.SCIPY
+]
 WAYS = [f"integrate {name}" for name in METHODS]
 SOFT = Family(100.0, 0.1)
 # Steps of implicit methods, which cost more and are stable with any [s].
@@ -70,7 +72,7 @@ def by_integrator(
     step: float,
     checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
-    if CONTROLS[name] is Control.FIXED:
+    if CONTROLS[name] is StepControl.FIXED:
         if find_integrator(name).implicit:
             step = max(step, LONG)
         options = IntegrateOptions(name, step=step)
@@ -169,7 +171,7 @@ def _dt_spike(way: str) -> None:
     kept = np.append(np.arange(2), np.arange(6, 8))
     whole = taken(swinging(), way, every)
     found = taken(swinging(), way, every[kept])
-    if CONTROLS.get(way.rsplit(maxsplit=1)[-1]) is Control.ADAPTIVE:
+    if CONTROLS.get(way.rsplit(maxsplit=1)[-1]) is StepControl.ADAPTIVE:
         # Its steps end on the times that are asked for.
         np.testing.assert_allclose(found.states, whole.states[kept], atol=1e-5)
         return

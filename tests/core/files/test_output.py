@@ -15,12 +15,12 @@ from animtool.core.files.leftovers import (
     temporary_prefix,
 )
 from animtool.core.files.output import (
+    after_commit,
+    atomic_outputs,
     check_outputs,
-    once_named,
+    protect_inputs,
     replacing,
     size_of,
-    sparing_inputs,
-    together,
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import note_input
@@ -164,7 +164,7 @@ def test_what_one_process_left_is_removed(tmp_path: Path) -> None:
 def test_files_get_their_names_together(tmp_path: Path) -> None:
     one, other = tmp_path / "one.txt", tmp_path / "other.txt"
     one.write_text("before", "utf-8")
-    with together():
+    with atomic_outputs():
         with replacing(one) as temporary:
             temporary.write_text("after", "utf-8")
         with replacing(other) as temporary:
@@ -178,7 +178,7 @@ def test_files_get_their_names_together(tmp_path: Path) -> None:
 def test_sizes_are_known_before_names(tmp_path: Path) -> None:
     one = tmp_path / "one.txt"
     one.write_text("before all", "utf-8")
-    with together():
+    with atomic_outputs():
         with replacing(one) as temporary:
             temporary.write_text("after", "utf-8")
         assert size_of(one) == 5
@@ -192,10 +192,10 @@ def test_some_props_are_done_once_files_have_names(tmp_path: Path, sound: bool) 
     one, found = tmp_path / "one.txt", []
 
     def write() -> None:
-        with together():
+        with atomic_outputs():
             with replacing(one) as temporary:
                 temporary.write_text("after", "utf-8")
-            once_named(lambda: found.append(one.exists()))
+            after_commit(lambda: found.append(one.exists()))
             assert found == []
             if not sound:
                 raise KeyboardInterrupt
@@ -206,14 +206,14 @@ def test_some_props_are_done_once_files_have_names(tmp_path: Path, sound: bool) 
         with pytest.raises(KeyboardInterrupt):
             write()
     assert found == [True] * sound
-    once_named(lambda: found.append(False))
+    after_commit(lambda: found.append(False))
     assert found[-1] is False
 
 
 def test_what_is_together_within_waits_for_the_whole(tmp_path: Path) -> None:
     one = tmp_path / "one.txt"
-    with together():
-        with together(), replacing(one) as temporary:
+    with atomic_outputs():
+        with atomic_outputs(), replacing(one) as temporary:
             temporary.write_text("after", "utf-8")
         assert not one.exists()
     assert one.read_text("utf-8") == "after"
@@ -224,7 +224,7 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
     one = tmp_path / "one.txt"
 
     def write() -> None:
-        with together():
+        with atomic_outputs():
             with replacing(one) as temporary:
                 temporary.write_text("after", "utf-8")
             with replacing(tmp_path / "other.txt") as temporary:
@@ -243,7 +243,7 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
 
 def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
     def read(*outputs: Path) -> None:
-        with sparing_inputs(outputs):
+        with protect_inputs(outputs):
             note_input(tmp_path / "shot.usda")
             note_input(tmp_path / "layer.usda", composed=True)
 
@@ -282,7 +282,7 @@ def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
     assert caught.value.code == "OUT007"
 
     def write() -> None:
-        with together():
+        with atomic_outputs():
             for path in paths:
                 with replacing(path) as temporary:
                     temporary.touch()

@@ -15,7 +15,7 @@ from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.core.files import reading as files
 from animtool.core.files.reading import (
-    files_meant,
+    matching_files,
     nearest_file,
     open_input,
     read_input,
@@ -38,7 +38,7 @@ def found(folder: Path, text: str) -> list[tuple[str, str]]:
     """Return files and where each was searched, from a folder."""
     return [
         (file.path.relative_to(folder).as_posix(), file.base.relative_to(folder).name)
-        for file in files_meant(str(folder / text), [".bvh"])
+        for file in matching_files(str(folder / text), [".bvh"])
     ]
 
 

@@ -40,7 +40,7 @@ def test_every_format(
     path = written(tmp_path, file)
     markers = read_c3d(path)
     expected, rate = read_points(path.read_bytes())
-    assert np.array_equal(markers.seen, np.isfinite(points).all(axis=-1))
+    assert np.array_equal(markers.visible, np.isfinite(points).all(axis=-1))
     np.testing.assert_allclose(markers.positions * 1000.0, expected, atol=1e-9)
     assert float(markers.clock.rate) == rate
     assert markers.names == ("A", "B", "C", "D")

@@ -40,7 +40,7 @@ def test_there_and_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.positions, markers.positions, atol=1e-6)
     np.testing.assert_array_equal(back.filled, markers.filled)
     np.testing.assert_allclose(back.residuals, np.where(
-        markers.seen, markers.residuals, np.nan), rtol=1e-6)  # fmt: skip
+        markers.visible, markers.residuals, np.nan), rtol=1e-6)  # fmt: skip
     np.testing.assert_array_equal(back.cameras, markers.cameras)
     assert not back.notices
 
@@ -125,5 +125,5 @@ def test_positions_beyond_float32_are_not_written(tmp_path: Path) -> None:
     (fault,) = write_c3d(markers, path)
     assert fault.code == "C3D104"
     back = read_c3d(path)
-    assert back.seen.sum() == 7
+    assert back.visible.sum() == 7
     np.testing.assert_allclose(back.positions[0], markers.positions[0], rtol=1e-6)

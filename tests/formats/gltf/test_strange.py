@@ -17,7 +17,7 @@ from support.suite import some_quick
 
 from animtool.core.errors import Severity
 from animtool.formats.gltf.animations import Animation, TargetPath
-from animtool.formats.gltf.sampling import sampler
+from animtool.formats.gltf.sampling import sampler_of
 from animtool.formats.gltf.timing import distinct_clip_names
 from animtool.rig.kinematics import forward
 from animtool.scene.convert.takes import convert
@@ -77,7 +77,7 @@ def places(
 ) -> dict[str, npt.NDArray[np.float64]]:
     """Return positions of joints and points of meshes by name ``(F, N, 3)``."""
     animation = character.gltf.animations[clip]
-    motion = sampler(character.gltf, character.made, animation).at(times)
+    motion = sampler_of(character.gltf, character.made, animation).at(times)
     world = forward(character.made.rig, *motion.dense())
     weights = None if motion.weights is None else motion.weights.dense()[:, :, 0]
     joints = enumerate(character.made.rig.names)

@@ -96,10 +96,11 @@ def test_radians_and_what_says_nothing(
     write: Callable[[str], Path], rig_file: Path
 ) -> None:
     for header, factor, said in (
-        ("inDegrees=no", 1.0, []),
+        ("inDegrees=no", 1.0, ["MOF112"]),
         ("Angles are in degrees.", np.pi / 180, []),
         ("datacolumns 3\ndatarows 3", np.pi / 180, []),
-        ("version=1", 1.0, ["MOF107"]),
+        ("version=1", 1.0, ["MOF107", "MOF112"]),
+        ("inDegrees=maybe", 1.0, ["MOF107", "MOF112"]),
     ):
         stream = read_mot(write(f"{header}\nendheader\n{ROWS}"), rig=rig_file)
         assert codes(stream.notices) == said
@@ -346,3 +347,19 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
         write_mot(replace(take, rig=fixed), tmp_path / "b.mot")
     assert error.value.code == "MOF008"
     assert not (tmp_path / "b.mot").exists()
+
+
+def test_an_angle_unit_that_is_neither_yes_nor_no(write: Callable[[str], Path]) -> None:
+    stream = read_mot(write(f"inDegrees=Maybe\nendheader\n{ROWS}"))
+    (notice,) = [one for one in stream.notices if one.code == "MOF107"]
+    assert "inDegrees is 'Maybe', not yes or no" in notice.message
+
+
+def test_degrees_declared_as_radians(write: Callable[[str], Path]) -> None:
+    rows = "time\tknee\thip\n0\t1\t2\n0.01\t170\t3\n"
+    stream = read_mot(write(f"inDegrees=no\nendheader\n{rows}"))
+    (notice,) = [one for one in stream.notices if one.code == "MOF112"]
+    assert "'knee' reaches 170, which is 27.1 revolutions" in notice.message
+    small = rows.replace("170", "12.5")
+    notices = read_mot(write(f"inDegrees=no\nendheader\n{small}")).notices
+    assert "MOF112" not in codes(notices)

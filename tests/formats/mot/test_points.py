@@ -54,7 +54,7 @@ def test_vectors_are_markers(
     clock = markers.clock
     assert (len(markers), clock.rate, clock.start) == found
     assert markers.names == ("a", "b")
-    assert not markers.seen[:, 1].any()
+    assert not markers.visible[:, 1].any()
     scale = 1.0 if "MKR104" in said else 1e-3
     first = [1000 * scale * times[0], 2 * scale, 3 * scale]
     assert markers.positions[0, 0] == pytest.approx(first)

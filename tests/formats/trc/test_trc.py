@@ -62,14 +62,14 @@ def test_rows_at_once_do_not_show(
 def test_empty_cells_and_nan_are_not_seen(tmp_path: Path, end: str) -> None:
     rows = "1\t0.0\t1\t2\t3\t\t\t\n2\t0.01\tnan\tNaN\tnan\t4\t5\t6\n"
     markers = read(tmp_path, (HEAD + rows).replace("\n", end))
-    assert markers.seen.tolist() == [[True, False], [False, True]]
+    assert markers.visible.tolist() == [[True, False], [False, True]]
     assert markers.positions[1, 1].tolist() == [4.0, 5.0, 6.0]
     assert not [n for n in markers.notices if n.code != "MKR103"]
 
 
 def test_a_short_row_ends_in_empty_cells(tmp_path: Path) -> None:
     markers = read(tmp_path, HEAD + "1\t0\t1\t2\t3\n2\t.01\t1\t2\t3\n")
-    assert markers.seen.tolist() == [[True, False]] * 2
+    assert markers.visible.tolist() == [[True, False]] * 2
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_rows_that_are_cut_short(
     tmp_path: Path, rows: str, frames: int, seen: int, said: list[str]
 ) -> None:
     markers = read(tmp_path, HEAD + rows)
-    assert (len(markers), int(markers.seen.sum())) == (frames, seen)
+    assert (len(markers), int(markers.visible.sum())) == (frames, seen)
     assert codes(markers) == said
 
 
@@ -205,3 +205,33 @@ def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
         ]
     ).reshape(9, 3, 3)
     np.testing.assert_allclose(read_there, 1000 * positions, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "rows", "message"),
+    [
+        (
+            ("\t2\t2\tm", "\t9\t2\tm"),
+            ROWS,
+            "the header states 9 frames",
+        ),
+        (
+            ("\t2\t2\tm", "\t2\t5\tm"),
+            ROWS,
+            "the header states 5 markers",
+        ),
+        (("\tB\t", "\t\t"), ROWS, "1 of 2 markers has no name, the first in column 6"),
+        (("\tm\n", "\t\n"), ROWS, "the file states no unit; using mm"),
+        (("", ""), ROWS[:-5], "the last row is truncated (7 of 8 values)"),
+        (
+            ("", ""),
+            f"{ROWS}8\t.07\t1\t2\t3\t4\t5\t6\n",
+            "5 missing frames (0.05 s) before line 9; markers are missing there",
+        ),
+    ],
+)
+def test_warnings_say_what_the_header_and_the_rows_have(
+    tmp_path: Path, change: tuple[str, str], rows: str, message: str
+) -> None:
+    markers = read(tmp_path, HEAD.replace(*change) + rows)
+    assert [one for one in markers.notices if one.message.startswith(message)]

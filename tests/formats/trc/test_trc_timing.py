@@ -93,7 +93,7 @@ def test_time_decides_and_what_disagrees_is_reported(
     assert said(markers) == codes
     clock = markers.clock
     assert (len(markers), clock.rate, clock.start) == found
-    assert markers.seen.sum() == len(times)
+    assert markers.visible.sum() == len(times)
     if times[0]:
         begin = float(times[0])
         at = begin + np.arange(len(markers)) / float(clock.rate)

@@ -16,13 +16,13 @@ from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.item import mapped_path, read_rules
-from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
+from animtool.batch.ledger import _Files, _owner, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.batch.variants import read_variants
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.cli.batch_progress import scores_table
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
@@ -92,12 +92,16 @@ class _Recorded:
 
     def _record(self, part: str) -> None:
         batch = self.batch
-        with held_ledger(batch.records, batch.name, part) as ledger:
+        with locked_ledger(batch.records, batch.name, part) as ledger:
             planner = Planner(batch, ledger.history)
             for item in batch.items[:2] if part else batch.items[2:]:
                 item.output.write_bytes(b"made")
                 files = [
-                    (record_of(path, named_from(path, batch.root), FileState.of(path)),)
+                    (
+                        record_of(
+                            path, relative_name(path, batch.root), FileState.of(path)
+                        ),
+                    )
                     for path in (item.file.path, item.output)
                 ]
                 key, how = planner.key(item), planner.how(item)
@@ -124,19 +128,19 @@ class _Recorded:
             # What accidents do to a record never makes an item seem up to date.
             scores_table(report.scored)
             status = report.items[changed].status
-            assert not by_bytes or status is Status.NOT_RUN
+            assert not by_bytes or status is ItemStatus.NOT_RUN
             self._settled()
         except AnimtoolError as error:
             return error.code
         finally:
             self.takes[changed].write_bytes(text)
             os.utime(self.takes[changed], ns=(10**18, 10**18))
-        return f"{report.count(Status.SKIPPED)} of {COUNT - 1} known"
+        return f"{report.count(ItemStatus.SKIPPED)} of {COUNT - 1} known"
 
     def _settled(self) -> None:
         """Write records anew, which then are whole."""
         batch = self.batch
-        with held_ledger(batch.records, batch.name) as ledger:
+        with locked_ledger(batch.records, batch.name) as ledger:
             ledger.failed("another.usdc", "why")
             ledger.settle(lambda _: True)
             made = ledger.history.manifest.items

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from animtool.formats.mjcf.read import read_mjcf
-from animtool.formats.robots.xml import Element, parse_xml
+from animtool.formats.robots.xml import XmlElement, parse_xml
 from fuzz.characters import outcome
 from fuzz.mutations import pick, spoil
 from fuzz.targets.urdf import CODES, text_of, watch
@@ -89,7 +89,7 @@ def _spoiled(rng: np.random.Generator, text: str) -> bytes:
     return content if how < 0.75 else spoil(rng, content)
 
 
-def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
+def _spoil(rng: np.random.Generator, elements: list[XmlElement]) -> None:
     """Change, drop, double or add an element, or one of its attributes."""
     one = elements[int(rng.integers(len(elements)))]
     match int(rng.integers(6)):
@@ -101,7 +101,7 @@ def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
             tag = _TAGS[int(rng.integers(len(_TAGS)))]
             made = {"name": "x", "file": pick(rng, list(_VALUES)), "pos": "0 0 1"}
             kept = {k: v for k, v in made.items() if rng.random() < 0.5}
-            one.children.append(Element(tag, kept, one.path, 1, 1))
+            one.children.append(XmlElement(tag, kept, one.path, 1, 1))
         case 3:
             one.tag = _TAGS[int(rng.integers(len(_TAGS)))]
         case _ if one.attributes:

@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.errors import AnimtoolError
 from animtool.scene.file.read import load_scene
-from animtool.scene.file.schema import whole_model
+from animtool.scene.file.schema import full_model
 from fuzz.targets.springs import FPS, FRAMES, simulated, strands
 
 ABOUT = (
@@ -132,7 +132,7 @@ def system_kinds() -> list[str]:
 
 
 def _schema() -> dict[str, Any]:
-    return whole_model().model_json_schema(by_alias=True)
+    return full_model().model_json_schema(by_alias=True)
 
 
 def make(

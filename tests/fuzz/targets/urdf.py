@@ -12,7 +12,7 @@ import numpy as np
 from support.robots import ARM, random_robot
 
 from animtool.core.errors import FormatError
-from animtool.formats.robots.xml import Element, XmlCodes, parse_xml
+from animtool.formats.robots.xml import XmlCodes, XmlElement, parse_xml
 from animtool.formats.urdf.read import read_urdf
 from fuzz.characters import outcome
 from fuzz.mutations import pick, spoil
@@ -130,7 +130,7 @@ def _spoiled(rng: np.random.Generator) -> bytes:
         return content
 
 
-def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
+def _spoil(rng: np.random.Generator, elements: list[XmlElement]) -> None:
     """Change, drop, double or move an element, or one of its attributes."""
     one = elements[int(rng.integers(len(elements)))]
     other = elements[int(rng.integers(len(elements)))]
@@ -142,7 +142,7 @@ def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
         case 2:
             tag = _TAGS[int(rng.integers(len(_TAGS)))]
             made = {"name": "x", "filename": pick(rng, list(_VALUES)), "xyz": "0 0 1"}
-            one.children.append(Element(tag, made, one.path, 1, 1))
+            one.children.append(XmlElement(tag, made, one.path, 1, 1))
         case 3 if other not in one.walk() and one not in other.walk():
             one.children.append(other)
         case 4:
@@ -160,7 +160,7 @@ def _spoil(rng: np.random.Generator, elements: list[Element]) -> None:
                 one.attributes[name] = pick(rng, list(_VALUES))
 
 
-def text_of(root: Element) -> str:
+def text_of(root: XmlElement) -> str:
     """Return a tree as XML."""
     inner = "".join(text_of(child) for child in root.children)
     given = "".join(f" {k}={quoteattr(v)}" for k, v in root.attributes.items())

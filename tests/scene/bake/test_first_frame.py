@@ -15,7 +15,7 @@ from support.suite import some_quick
 
 from animtool.core.clock import Clock
 from animtool.core.rates import parse_rate
-from animtool.scene.bake.first_frame import frame_start, whole_frames
+from animtool.scene.bake.first_frame import frame_start, integer_frames
 from animtool.usd.takes.read import read_usd
 
 FIRST, FRAMES = 1001, 24
@@ -112,10 +112,10 @@ def test_a_whole_start_keeps_its_number() -> None:
     # Far from a frame at the other rate: the nearest where whole ones are asked for.
     half = Fraction(97096, 100)
     assert frame_start(half, Fraction(24), Fraction(25)) == 1011
-    kept = frame_start(half, Fraction(24), Fraction(25), whole=False)
+    kept = frame_start(half, Fraction(24), Fraction(25), on_frame=False)
     assert kept == half * 25 / 24
 
 
 def test_one_sample_a_frame_has_no_whole_frames() -> None:
     clock = Clock(Fraction(24), Fraction(3, 2), Fraction(1), 4)
-    assert whole_frames(clock, Fraction(24), clock.start) is None
+    assert integer_frames(clock, Fraction(24), clock.start) is None

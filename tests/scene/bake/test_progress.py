@@ -12,7 +12,12 @@ from support.sanitized import SANITIZED
 from animtool import bake
 from animtool.scene.bake import progress
 from animtool.scene.bake.bake import bake_outputs
-from animtool.scene.bake.progress import BlockProgress, PeakMemory, Phases, TimeProgress
+from animtool.scene.bake.progress import (
+    BlockProgress,
+    PeakMemory,
+    ProgressPhases,
+    TimeProgress,
+)
 from animtool.scene.file.read import load_scene
 
 RIG = """\
@@ -131,12 +136,12 @@ def test_blocks_share_what_was_read() -> None:
 
 def test_phases_take_half_of_what_is_left() -> None:
     told: list[float] = []
-    phases = Phases(told.append)
+    phases = ProgressPhases(told.append)
     for tell in (phases.phase(), phases.phase(), phases.last()):
         tell(1.0)
         tell(0.5)
     assert told == [0.5, 1.0]
-    phases = Phases(told.append)
+    phases = ProgressPhases(told.append)
     told.clear()
     for begin in (phases.phase, phases.phase, phases.last):
         begin()(1.0)

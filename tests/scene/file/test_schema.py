@@ -10,7 +10,7 @@ import pytest
 from animtool.core.errors import FormatError
 from animtool.documents.check import validated
 from animtool.documents.document import document_of
-from animtool.scene.file.schema import SystemModel, model_for, whole_model
+from animtool.scene.file.schema import SystemModel, full_model, model_for
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
 ROPE = "{rope: {from: [0, 2, 0], to: [1, 2, 0], count: 5, mass: 1}}"
@@ -50,7 +50,7 @@ def reading(text: str, model: Any) -> tuple[Any, list[str]]:
 @pytest.mark.parametrize("entries", ENTRIES)
 def test_a_scene_is_read_as_with_all_kinds(entries: str) -> None:
     text = f"scene: animtool/1\nrange: [1, 2]\n{entries}\n"
-    whole = reading(text, lambda _: whole_model())
+    whole = reading(text, lambda _: full_model())
     assert reading(text, model_for) == whole
 
 
@@ -73,7 +73,7 @@ def kinds(written: Any) -> set[str]:
     return set(system.model_fields)
 
 
-@pytest.mark.parametrize("model", [model_for({}), whole_model()])
+@pytest.mark.parametrize("model", [model_for({}), full_model()])
 def test_a_scene_has_a_thousand_systems_at_most(model: Any) -> None:
     schema = model.model_json_schema()["properties"]["systems"]
     assert schema["maxItems"] == 1000

@@ -26,7 +26,7 @@ from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file.read import load_scene
 from animtool.scene.file.tracks import TrackNames
-from animtool.scene.sources.joining import Part, joined
+from animtool.scene.sources.joining import SourcePart, joined
 from animtool.scene.sources.onto_rig import on_rig
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
@@ -50,9 +50,9 @@ def note(
     return Fault(code, message, hint=hint, severity=severity)
 
 
-def part(take: Take, **given: object) -> Part:
+def part(take: Take, **given: object) -> SourcePart:
     stream = TakeStream.of(take)
-    made = Part(stream, None, None, None, note)
+    made = SourcePart(stream, None, None, None, note)
     return replace(made, **given)
 
 
@@ -194,7 +194,7 @@ def test_a_last_frame_lasts_until_the_next_would_come() -> None:
     assert codes(stream) == []
 
 
-def refused(*parts: Part) -> list[str]:
+def refused(*parts: SourcePart) -> list[str]:
     with pytest.raises(OptionError) as caught:
         joined(parts[0], parts[1:]).collect()
     return [fault.code for fault in caught.value.faults]
@@ -400,9 +400,9 @@ def keyed_grin(fps: int, delay: str) -> TakeStream:
     ends = np.array([[0.0], [1.0]])
     curves = cubic_curves(np.array([1003.0, 1033.5]), ends, 0 * ends, 0 * ends)
     stream = replace(TakeStream.of(face), control_curves={"grin": curves})
-    source = Part(stream, TrackNames(controls=("grin",)), delay, None, note)
+    source = SourcePart(stream, TrackNames(controls=("grin",)), delay, None, note)
     base = replace(TakeStream.of(still(HERO, 20)), start=Fraction(7010, 7))
-    return joined(Part(base, None, "23:59:59:22", None, note), [source])
+    return joined(SourcePart(base, None, "23:59:59:22", None, note), [source])
 
 
 @pytest.mark.parametrize(

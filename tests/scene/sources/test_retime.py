@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.formats.bvh import read_bvh
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
-from animtool.scene.sources.retime import begun_early
+from animtool.scene.sources.retime import with_preroll
 
 
 def test_the_first_frame_is_held_by_the_frames_and_by_the_curve(walk: Path) -> None:
@@ -24,7 +24,7 @@ def test_the_first_frame_is_held_by_the_frames_and_by_the_curve(walk: Path) -> N
         return take.motion
 
     keyed = replace(TakeStream.of(take), curve=curve, count=take.motion.frames)
-    early = begun_early(keyed, 3)
+    early = with_preroll(keyed, 3)
     assert early.altered
     assert early.curve is not None
     first = float(take.clock.start)

@@ -17,7 +17,7 @@ from animtool.core.errors import FormatError, OptionError, ToleranceError
 from animtool.documents.document import Document, read_document
 from animtool.motion.frames import TransformsFrame
 from animtool.report.tradeoffs import TABLES
-from animtool.scene.file.entries import Place, SceneSystem
+from animtool.scene.file.entries import EntryLocation, SceneSystem
 from animtool.scene.systems.derived import SystemSetup, read_spec
 from animtool.scene.systems.simulation import open_systems
 from animtool.scene.systems.trial import system_trials
@@ -56,7 +56,9 @@ def read(folder: Path, **keys: Any) -> tuple[SystemSetup | None, Document]:
 def system(folder: Path, **keys: Any) -> SceneSystem:
     setup, document = read(folder, **keys)
     assert setup is not None
-    return SceneSystem("it", "swing", setup, Place(document.path, 1, 1, "systems[0]"))
+    return SceneSystem(
+        "it", "swing", setup, EntryLocation(document.path, 1, 1, "systems[0]")
+    )
 
 
 def run(folder: Path, **keys: Any) -> SimulationRun:

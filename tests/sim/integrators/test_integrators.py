@@ -38,11 +38,11 @@ from animtool.sim import (
 )
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.adaptive import doubled
-from animtool.sim.integrators.integrator import Control, Form
+from animtool.sim.integrators.integrator import Form, StepControl
 
 ALL = [find_integrator(name) for name in INTEGRATORS]
 STEPPED = [each for each in ALL if each.step is not None]
-FIXED = [each for each in ALL if each.control is Control.FIXED]
+FIXED = [each for each in ALL if each.control is StepControl.FIXED]
 DAMPING = [0.0, 0.063, 1.58]
 
 

@@ -8,16 +8,16 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
-from animtool.systems.attach.poses import Pose, onward, travel_between
+from animtool.systems.attach.poses import LocalPose, onward, travel_between
 
 UP = np.array([0.0, 1.0, 0.0])
 RIG = Rig("one", (Joint("root", -1), Joint("child", 0)))
 
 
-def pose(place: list[float], degrees: float = 0.0) -> Pose:
+def pose(place: list[float], degrees: float = 0.0) -> LocalPose:
     """Return the pose of a root at a place, turned about the up axis."""
     turn = so3.exp(np.radians(degrees) * UP)
-    return Pose(
+    return LocalPose(
         np.array([place, [0.0, 0.3, 0.0]]), np.stack([turn, so3.IDENTITY]), None, None
     )
 
@@ -27,7 +27,7 @@ def test_who_walks_goes_on_at_the_mean_of_both_speeds() -> None:
     poses = (pose([5, 1, 2]), pose([6, 1.5, 2]), pose([12, 1, 2]), pose([15, 0.9, 2]))
     travel = travel_between(RIG, UP, poses)
     assert_allclose(travel.shift, [12, 0, 0], atol=1e-12)
-    assert_allclose(travel.turn, so3.IDENTITY, atol=1e-12)
+    assert_allclose(travel.rotation, so3.IDENTITY, atol=1e-12)
     again = onward(RIG, poses[0], travel)
     assert_allclose(again.translations, [[17, 1, 2], [0, 0.3, 0]])
 
@@ -41,11 +41,11 @@ def test_who_goes_round_a_corner_goes_on_in_the_new_direction() -> None:
         pose([9, 1, 5], -90),
     )
     travel = travel_between(RIG, UP, poses)
-    assert_allclose(travel.turn, so3.exp(np.radians(-90) * UP), atol=1e-12)
+    assert_allclose(travel.rotation, so3.exp(np.radians(-90) * UP), atol=1e-12)
     again = onward(RIG, poses[0], travel)
     # Where it begins anew it has gone one step on, along +Z.
     assert_allclose(again.translations[0], [9, 1, 6], atol=1e-12)
-    assert_allclose(again.rotations[0], travel.turn, atol=1e-12)
+    assert_allclose(again.rotations[0], travel.rotation, atol=1e-12)
     # And the second frame is another step ahead.
     assert_allclose(
         onward(RIG, poses[1], travel).translations[0], [9, 1, 7], atol=1e-12

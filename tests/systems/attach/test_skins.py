@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.attached import moved, sheet_rig, simulated, take_of
+from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
 
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.skins import capped, margin_for, skins_of
-from animtool.systems.framework.meter import Solid, depths_in
+from animtool.systems.framework.meter import ClosedSurface, depths_in
 
 SIZE = 10
 BOX = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -48,7 +48,8 @@ def deepest(take: Take) -> float:
     roots = take.world().positions[:, 0]
     frames = zip(moved(take), roots, strict=True)
     return max(
-        float(depths_in(Solid(points + root, TRIANGLES), x).max()) for x, root in frames
+        float(depths_in(ClosedSurface(points + root, TRIANGLES), x).max())
+        for x, root in frames
     )
 
 
@@ -95,3 +96,23 @@ def test_in_blocks_it_moves_the_same() -> None:
     whole, _ = blown(posted())
     blocks, _ = blown(posted(), blocks=3)
     np.testing.assert_array_equal(moved(blocks), moved(whole))
+
+
+def combed() -> Rig:
+    """Return a head with strands that hang in front of a box of skin."""
+    rig = strands_rig()
+    points = (BOX - [0.5, 0.5, 0]) * [0.6, 0.3, 0.2] + [0.2, -0.3, -0.24]
+    every = np.zeros((8, 1))
+    skin = Skin("linear", ("head",), LoadedArray(every), LoadedArray(every + 1.0))
+    box = Mesh("box", LoadedArray(points), LoadedArray(FACES.astype(float)), skin=skin)
+    return replace(rig, meshes=(box,))
+
+
+@pytest.mark.parametrize("skin", [True, False, None])
+def test_strands_stay_out_of_a_skin_if_asked(skin: bool | None) -> None:
+    take = take_of(combed(), 24, 0.5)
+    blow = {"wind": (0.0, 0.0, -3.0), "drag": 2.0, "frequency": 0.2}
+    strands, _ = simulated(take, settle=0.3, skin=skin, **blow)
+    solid = ClosedSurface(take.rig.meshes[0].points.load(), TRIANGLES)
+    depth = max(float(depths_in(solid, x).max()) for x in moved(strands))
+    assert depth < 1e-4 if skin else depth > 5e-3

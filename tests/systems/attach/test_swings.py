@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from support.attached import moved, tail_rig, take_of
 
 from animtool.maths import so3
-from animtool.systems.attach.strands import chain_rotations, least_turns
+from animtool.systems.attach.strands import chain_rotations, shortest_rotations
 
 SEEDS = st.integers(0, 2**31)
 
@@ -21,7 +21,7 @@ def test_the_least_turn_points_one_way_to_the_other(seed: int) -> None:
     rng = np.random.default_rng(seed)
     before, after = rng.normal(size=(2, 8, 3))
     after[0], after[1] = -3 * before[0], 2 * before[1]
-    turns = least_turns(before, after)
+    turns = shortest_rotations(before, after)
     pointed = so3.rotate(turns, before)
     ways = [part / np.linalg.norm(part, axis=-1)[:, None] for part in (pointed, after)]
     assert_allclose(*ways, atol=1e-7)
@@ -31,7 +31,7 @@ def test_the_least_turn_points_one_way_to_the_other(seed: int) -> None:
 
 
 def test_what_has_no_length_is_not_turned() -> None:
-    turns = least_turns(np.zeros((2, 3)), np.array([[1.0, 0, 0], [0, 0, 0]]))
+    turns = shortest_rotations(np.zeros((2, 3)), np.array([[1.0, 0, 0], [0, 0, 0]]))
     assert_allclose(turns, np.tile(so3.IDENTITY, (2, 1)))
 
 

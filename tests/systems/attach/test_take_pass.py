@@ -28,7 +28,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.simulation import Simulation
+from animtool.systems.attach.simulation import AttachSimulation
 from animtool.systems.attach.take_pass import bodies_of, simulate
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
@@ -153,7 +153,7 @@ def test_blocks_hold_no_more_numbers_than_they_may(
     options = SimulateOptions(what=("hair",))
     bodies = bodies_of(take.rig, options.what)
     clock = take.clock
-    parts = Simulation(
+    parts = AttachSimulation(
         take.rig, bodies, options, clock.fps, clock.start, clock.step
     ).blocks(iter([take.motion]))
     sizes = [next(iter(one.points.values())).dense() for one in parts]
@@ -287,7 +287,7 @@ def test_what_is_done_is_told_in_even_parts_to_the_end(
     """Of 13 frames 12 are gone through, and those before the first besides."""
     take = take_of(tail_rig(1), 24, 0.5, swing)
     given, told = SimulateOptions(**{"settle": 0.0, **options}), list[float]()
-    simulation = Simulation(
+    simulation = AttachSimulation(
         take.rig,
         bodies_of(take.rig, ("tail",)),
         given,

@@ -71,9 +71,9 @@ def test_it_begins_with_the_energy_that_forces_give_it() -> None:
     found = fluid(forces=[stokes])._pull(state, 0.0)
     # Each has a radius of half the spacing.
     assert_allclose(found, -6 * np.pi * 0.1 * 0.25 * V / MASS)
-    assert own.misfit(state, 0.0) == ""
-    assert own.misfit(replace(state, sound=0.0), 0.0) == ""
-    assert own.misfit(replace(state, sound=-1e-9), 0.0)
+    assert own.incompatibility(state, 0.0) == ""
+    assert own.incompatibility(replace(state, sound=0.0), 0.0) == ""
+    assert own.incompatibility(replace(state, sound=-1e-9), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from animtool.systems.framework.meter import (
+    ClosedSurface,
     ContactMeter,
     Sides,
-    Solid,
     depths_in,
     pierced_pairs,
 )
@@ -18,7 +18,7 @@ QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1]]
 QUADS += [[2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 FACES = np.array(QUADS)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
 ALONG = np.array([1.0, 0, 0])
-CUBE = Solid(CORNERS, FACES)
+CUBE = ClosedSurface(CORNERS, FACES)
 # A sheet of one triangle, whose corner is 0.1 m inside the cube.
 SHEET = np.array([[0.9, 0.4, 0.4], [1.5, 0.3, 0.4], [1.5, 0.5, 0.4]])
 ENDS = np.array([[0, 1], [1, 2], [2, 0]])
@@ -60,7 +60,7 @@ def test_edges_through_a_solid_are_counted_and_its_own_are_not() -> None:
     assert pierced_pairs(SHEET, triangle, [CUBE]) == 3
     assert pierced_pairs(SHEET + ALONG, triangle, [CUBE]) == 0
     # One side of a second cube is in the first: together they are one solid.
-    both = Solid(
+    both = ClosedSurface(
         np.concatenate([CORNERS, CORNERS + 0.5]), np.concatenate([FACES, FACES + 8])
     )
     away = SHEET + ALONG

@@ -16,7 +16,7 @@ from support.simulated import Simulator
 from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
-from animtool.systems.framework.matter import Bodies
+from animtool.systems.framework.matter import PointMasses
 from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
     MassProfile,
@@ -452,7 +452,7 @@ def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
         }
     )  # fmt: skip
     context = _Context({"bodies": [{"points": TWO}]})
-    far = Bodies(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
+    far = PointMasses(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
     monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
     with pytest.raises(AnimtoolError, match="numbers overflow") as error:
         build(spec, context)

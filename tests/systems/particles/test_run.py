@@ -15,7 +15,7 @@ from support.suite import examples
 from animtool.core.errors import OptionError, ToleranceError
 from animtool.sim import INTEGRATORS, IntegrateOptions, find_integrator
 from animtool.sim.colliders import Box, Collider, Mesh, Plane, Poses, Sphere
-from animtool.sim.integrators.integrator import Control, Form
+from animtool.sim.integrators.integrator import Form, StepControl
 from animtool.systems.particles import (
     BoxShape,
     Disc,
@@ -204,7 +204,7 @@ def test_moving_emitters_lend_their_velocity() -> None:
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_every_integrator_serves(name: str) -> None:
     integrator = find_integrator(name)
-    fixed = integrator.control is Control.FIXED
+    fixed = integrator.control is StepControl.FIXED
     throw = Particles(
         [Emitter(bursts=[(0, 3)], speed=3, spread=0.2)],
         [GRAVITY, find_force("drag")(linear=1e-4)],

@@ -19,10 +19,10 @@ from animtool.systems.rigid.simulation import RigidSimulation
 def test_an_attitude_is_a_rotation(attitude: list[float], fits: bool) -> None:
     motion = np.zeros((2, 14))
     motion[:, 3:7] = [0, 0, 0, 1], attitude
-    assert (misfit(motion=motion) == "") is fits
+    assert (incompatibility(motion=motion) == "") is fits
 
 
-def misfit(**changes: Any) -> str:
+def incompatibility(**changes: Any) -> str:
     """Return why a state of two bodies with a joint does not fit."""
     motion = np.zeros((2, 14))
     motion[:, 6] = 1.0
@@ -30,7 +30,7 @@ def misfit(**changes: Any) -> str:
     bodies = SimpleNamespace(names=["a", "b"], joints=SimpleNamespace(names=["hinge"]))
     bodies._shape_names = lambda: bodies.names
     state = cast(Any, SimpleNamespace(**whole | changes))
-    return RigidSimulation.misfit(cast(Any, bodies), state, 0.0)
+    return RigidSimulation.incompatibility(cast(Any, bodies), state, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -41,4 +41,4 @@ def misfit(**changes: Any) -> str:
      ({"deepest_pairs": np.array([[0, -2], [-1, -1]])}, False)],
 )  # fmt: skip
 def test_what_a_state_names_is_there(changes: dict[str, Any], fits: bool) -> None:
-    assert (misfit(**changes) == "") is fits
+    assert (incompatibility(**changes) == "") is fits

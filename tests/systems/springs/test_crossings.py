@@ -20,7 +20,7 @@ from animtool.systems.springs.crossings import (
     thin_notices,
     widest_gap,
 )
-from animtool.systems.springs.drawing import Curves, Faces
+from animtool.systems.springs.drawing import CurveShape, FaceShape
 
 CLOTH = """\
 scene: animtool/1
@@ -52,12 +52,12 @@ def notices(folder: Path, more: str) -> dict[str, str]:
     return {n.code: n.message for n in report.notices}
 
 
-def faces(columns: int, rows: int) -> Faces:
+def faces(columns: int, rows: int) -> FaceShape:
     grid = np.arange(rows * columns).reshape(rows, columns)
     quads = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
     indices = np.stack(quads, axis=-1).reshape(-1)
     body = sheet(columns, rows, mass=1, structural=Family(1.0))
-    return Faces(np.full((rows - 1) * (columns - 1), 4), indices, body.springs)
+    return FaceShape(np.full((rows - 1) * (columns - 1), 4), indices, body.springs)
 
 
 def test_pairs_beyond_those_at_the_start_are_counted() -> None:
@@ -120,7 +120,7 @@ def test_gaps_are_diagonals_of_faces_and_lengths_of_segments() -> None:
     body = sheet(3, 4, mass=1, structural=Family(1.0), across=[2, 0, 0], up=[0, 3, 0])
     assert widest_gap(faces(3, 4), body.positions) == pytest.approx(np.sqrt(2))
     line = rope([0, 0, 0], [4, 0, 0], 5, Family(1.0), mass=1)
-    curves = Curves(np.array([3, 2]), 0.01, line.springs)
+    curves = CurveShape(np.array([3, 2]), 0.01, line.springs)
     points = line.positions.copy()
     points[3:] += 9.0
     assert widest_gap(curves, points) == pytest.approx(1.0)

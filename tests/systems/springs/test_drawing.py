@@ -78,8 +78,10 @@ def made(kind: str, torn: list[int]) -> tuple[Mesh, Body, np.ndarray, Tearing]:
 
 def knows_its_turn(found: Tearing) -> bool:
     """Return whether every particle at a tear has neighbours in two directions."""
-    turning = found.turning
-    ways = [turning.ways[turning.owners == i] for i in range(len(turning.which))]
+    turning = found.rotations
+    ways = [
+        turning.rest_offsets[turning.owners == i] for i in range(len(turning.which))
+    ]
     return all(np.linalg.matrix_rank(own) == 2 for own in ways)
 
 

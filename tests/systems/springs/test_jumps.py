@@ -16,10 +16,10 @@ from animtool.systems.springs import (
     Body,
     Family,
     Pins,
+    PointTargets,
     Solver,
     SpringOptions,
     SpringSystem,
-    Targets,
     join,
     rope,
     sheet,
@@ -137,7 +137,7 @@ def test_what_is_drawn_to_targets_goes_along(way: str) -> None:
     def drawn(shift: FloatArray) -> SpringSystem:
         places = [body.positions, body.positions]
         places += [body.positions + shift] * 2
-        targets = Targets(np.arange(6), places, 2.0, 0.1, times)
+        targets = PointTargets(np.arange(6), places, 2.0, 0.1, times)
         return SpringSystem(body, targets=targets)
 
     frames = np.arange(25) * FRAME

@@ -69,7 +69,7 @@ def test_the_share_is_of_the_energy_that_moves() -> None:
     losses = Losses(mass=2.0)
     for t, kinetic, potential in [(0, 0, 5), (1, 4, 1), (2, 0, 4.5)]:
         losses.look(t, Energy(kinetic, potential))
-    assert losses.share == pytest.approx(0.5 / 4)
+    assert losses.fraction == pytest.approx(0.5 / 4)
     (notice,) = losses.notices(Solver.XPBD)
     assert notice.code == "SIM196"
     losses.look(3, Energy(0.0, 5 - 0.9 * REPORTED * 4))
@@ -80,8 +80,8 @@ def test_what_hardly_moves_loses_nothing() -> None:
     losses = Losses(mass=2.0)
     losses.look(0, Energy(0.9 * RESTING**2, 1.0))
     losses.look(1, Energy(0.0, 0.0))
-    assert losses.share == 0.0
-    assert np.isfinite(losses.share)
+    assert losses.fraction == 0.0
+    assert np.isfinite(losses.fraction)
 
 
 @pytest.mark.parametrize(("kinetic", "share"), [(0.9e-6, 0.0), (1.5e-6, 0.2)])
@@ -92,4 +92,4 @@ def test_what_goes_slower_than_a_millimetre_a_second_rests(
     losses = Losses(mass=2.0)
     losses.look(0.0, Energy(0.0, 1.0))
     losses.look(1.0, Energy(kinetic, 1.0 - 1.2 * kinetic))
-    assert losses.share == pytest.approx(share, rel=1e-6)
+    assert losses.fraction == pytest.approx(share, rel=1e-6)

@@ -13,8 +13,8 @@ from animtool.systems.springs import (
     Air,
     Family,
     Pins,
+    PointTargets,
     SpringSystem,
-    Targets,
     find_rest,
     rope,
     sheet,
@@ -55,7 +55,7 @@ def test_pins_and_targets_are_as_they_are_at_a_time() -> None:
     system = SpringSystem(
         line,
         pins=Pins([0], moved[:, :1], times),
-        targets=Targets([5], moved[:, 1:], 100.0, 1.0, times),
+        targets=PointTargets([5], moved[:, 1:], 100.0, 1.0, times),
     )
     before, after = (find_rest(system, t) for t in (0.0, 0.5))
     assert before.solved

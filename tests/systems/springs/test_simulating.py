@@ -19,10 +19,10 @@ from animtool.systems.springs import (
     Body,
     Family,
     Pins,
+    PointTargets,
     Solver,
     SpringOptions,
     SpringSystem,
-    Targets,
     join,
     rope,
     sheet,
@@ -55,7 +55,7 @@ def waved() -> SpringSystem:
     aims[:, 0, 0] += times
     return flag(
         pins=Pins([0, 5], path, times),
-        targets=Targets([14], aims, 5.0, 0.1, times),
+        targets=PointTargets([14], aims, 5.0, 0.1, times),
         air=Air([[0, 3.0, 0], [2.0, 0, 0]], times=[0, 0.3]),
     )
 
@@ -241,7 +241,7 @@ def test_targets_draw_particles_home() -> None:
     home = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
     line = rope(home[0], home[2], 3, Family(1e3, 0.5), mass=0.01)
     for solver in Solver:
-        system = SpringSystem(line, targets=Targets([0, 1, 2], home, 50.0, 0.5))
+        system = SpringSystem(line, targets=PointTargets([0, 1, 2], home, 50.0, 0.5))
         motion = simulate_springs(system, [0, 3], SpringOptions(solver))
         sag = 0.01 * 9.81 / 50
         assert_allclose(motion.positions[-1], home - [0, 0, sag], atol=1e-5)

@@ -19,9 +19,9 @@ from animtool.systems.springs import (
     Body,
     Family,
     Pins,
+    PointTargets,
     Springs,
     SpringSystem,
-    Targets,
     block,
     rope,
     sheet,
@@ -58,7 +58,9 @@ def forces(system: SpringSystem, state: FloatArray, t: float = 0.0) -> FloatArra
 
 @given(SEEDS)
 def test_forces_are_the_slope_of_the_energy(seed: int) -> None:
-    system = shaken(seed, pins=Pins([0, 5]), targets=Targets([1, 1, 2], np.eye(3), 3.0))
+    system = shaken(
+        seed, pins=Pins([0, 5]), targets=PointTargets([1, 1, 2], np.eye(3), 3.0)
+    )
     x = system.state[0]
     still = np.zeros_like(x)
     found = forces(system, np.array((x, still)))
@@ -75,7 +77,7 @@ def test_forces_are_the_slope_of_the_energy(seed: int) -> None:
 @given(SEEDS)
 def test_slopes_are_those_of_differences(seed: int) -> None:
     system = shaken(
-        seed, pins=Pins([3]), targets=Targets([1], [[1, 2, 3]], 3.0, 0.5),
+        seed, pins=Pins([3]), targets=PointTargets([1], [[1, 2, 3]], 3.0, 0.5),
         air=Air(AIR), drag=0.3, resistance=0.2,
     )  # fmt: skip
     x, v = system.state
@@ -134,7 +136,7 @@ def test_the_order_of_particles_does_not_matter(seed: int) -> None:
 
 @given(SEEDS)
 def test_no_motion_is_faster_than_its_bound(seed: int) -> None:
-    system = shaken(seed, pins=Pins([2]), targets=Targets([4], [[0, 0, 0]], 30.0))
+    system = shaken(seed, pins=Pins([2]), targets=PointTargets([4], [[0, 0, 0]], 30.0))
     springs = system.body.springs
     # Springs at rest are stiffest along themselves.
     rest = np.linalg.norm(
@@ -142,7 +144,7 @@ def test_no_motion_is_faster_than_its_bound(seed: int) -> None:
     )
     body = replace(system.body, springs=replace(springs, rest=rest))
     relaxed = SpringSystem(
-        body, pins=Pins([2]), targets=Targets([4], [[0, 0, 0]], 30.0)
+        body, pins=Pins([2]), targets=PointTargets([4], [[0, 0, 0]], 30.0)
     )
     x, v = relaxed.state
     by_x, by_v = (matrix.toarray() for matrix in relaxed.jacobians(0.0, x, 0 * v))
@@ -238,7 +240,7 @@ def test_integrators_take_springs_through_time(method: str) -> None:
 @given(SEEDS, st.integers(1, 70))
 def test_kernels_step_as_the_table_does(seed: int, count: int) -> None:
     system = shaken(
-        seed, pins=Pins([3]), targets=Targets([1], [[1, 2, 3]], 3.0, 0.5),
+        seed, pins=Pins([3]), targets=PointTargets([1], [[1, 2, 3]], 3.0, 0.5),
         air=Air([1.0, 2.0, 3.0]), drag=0.3,
     )  # fmt: skip
     options = IntegrateOptions("symplectic_euler", step=2.0**-10)
@@ -313,7 +315,7 @@ def test_triangles_have_corners() -> None:
 def test_pins_and_targets_are_of_particles() -> None:
     assert faults(pins=Pins([0, 5])) == ["SIM043"]
     assert faults(pins=Pins([1, 1])) == ["SIM043"]
-    assert faults(targets=Targets([-1], [[0, 0, 0]], 1.0)) == ["SIM043"]
+    assert faults(targets=PointTargets([-1], [[0, 0, 0]], 1.0)) == ["SIM043"]
 
 
 @pytest.mark.parametrize(
@@ -328,7 +330,7 @@ def test_pins_and_targets_are_of_particles() -> None:
 )
 def test_paths_fit_their_times(positions: FloatArray, times: object) -> None:
     assert faults(pins=Pins([0], positions, times)) == ["SIM044"]  # type: ignore[arg-type]
-    assert faults(targets=Targets([0], positions, 1.0, times=times)) == ["SIM044"]  # type: ignore[arg-type]
+    assert faults(targets=PointTargets([0], positions, 1.0, times=times)) == ["SIM044"]  # type: ignore[arg-type]
 
 
 def test_many_faults_are_counted() -> None:

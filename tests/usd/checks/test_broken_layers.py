@@ -13,12 +13,12 @@ from support.suite import is_full, some_quick
 from support.usd import open_stage, validation_errors
 
 from animtool.core.errors import Severity
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.usd.checks import check_layer
 from animtool.usd.layers.stderr import without_usd_warnings
 
 # Those of checks alone say what to do whatever the file is.
-CODES = {code: rule for code, rule in own_rules().items() if rule.hint}
+CODES = {code: rule for code, rule in builtin_rules().items() if rule.hint}
 
 # What needs another file than the good one: see test_usd_validators.
 ELSEWHERE = {"USD280", "USD283", "USD284", "USD285", "USD286"}

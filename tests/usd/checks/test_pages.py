@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.suite import some_quick
 
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.usd.checks import check_layer
 
 LAYER = Path(__file__).with_name("pages.usda")
@@ -77,7 +77,7 @@ def test_the_layer_of_the_examples_is_good(folder: Path) -> None:
     assert [str(fault) for fault in check_layer(path)] == []
 
 
-CODES = [code for code, rule in own_rules().items() if rule.hint]
+CODES = [code for code, rule in builtin_rules().items() if rule.hint]
 
 
 @pytest.mark.parametrize("code", some_quick(filter(example, CODES), 4))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.suite import examples
 
 from animtool.core.errors import Fault
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.documents.document import document_of
 from animtool.validation.fixes.draft import FIXES, fix_of
 from animtool.validation.fixes.plan import plan_file, with_fixable
@@ -28,7 +28,7 @@ IGNORES = (
 
 @pytest.mark.parametrize("code", FIXES)
 def test_a_fix_is_there_and_of_a_code(code: str) -> None:
-    assert code in own_rules()
+    assert code in builtin_rules()
     assert callable(fix_of(code))
 
 

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import escaped
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.core.source_lines import cut
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.run import Report
@@ -98,7 +98,7 @@ def test_findings_that_repeat_one_of_their_file_are_counted(report: Report) -> N
     assert sum("USD206" in line for line in lines) == 2
     assert f"{alike[0]} (3 more like it)" in lines
     assert sum("RIG201" in line for line in lines) == 3
-    whole = written(found, "text", whole=True).splitlines()
+    whole = written(found, "text", repeats=True).splitlines()
     assert sum("USD206" in line for line in whole) == 5
 
 
@@ -360,7 +360,7 @@ def test_sarif(report: Report) -> None:
     assert documented.help.markdown
     assert "#" not in documented.help.text
     levels = {rule.id: rule.defaultConfiguration.level for rule in rules}
-    assert levels == {code: str(own_rules()[code].severity) for code in levels}
+    assert levels == {code: str(builtin_rules()[code].severity) for code in levels}
     assert set(levels.values()) > {"warning"}
     assert run.columnKind == "unicodeCodePoints"
 

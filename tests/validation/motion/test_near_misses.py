@@ -15,7 +15,7 @@ from support.planted_takes import at_frames, eased, edited, held, scaled, step, 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity
-from animtool.core.rules import find_rule, own_rules, replaced_codes
+from animtool.core.rules import builtin_rules, find_rule, replaced_codes
 from animtool.edit.resample import resampled
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -29,7 +29,7 @@ from animtool.validation.options import ValidateOptions
 from animtool.validation.run import findings_in, validate
 from animtool.validation.subjects.open import open_file
 
-RULES = [rule for rule in own_rules().values() if rule.takes]
+RULES = [rule for rule in builtin_rules().values() if rule.takes]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def kicked(take: Take, frames: int, degrees: float) -> Take:
 def test_a_fast_kick_is_no_jump(walking: Take) -> None:
     kick = kicked(walking, 12, 110.0)
     j = kick.motion.rotations.animated.tolist().index(kick.rig.index("LeftLeg"))
-    steps = np.linalg.norm(subject(kick).turns[:, j], axis=1)
+    steps = np.linalg.norm(subject(kick).rotation_steps[:, j], axis=1)
     assert np.degrees(steps.max()) > 20.0
     assert "MOT202" not in codes(kick)
     assert "MOT202" in codes(turned("LeftLeg", 20, slice(35, 36))(walking))

@@ -12,7 +12,7 @@ from support.planted_takes import TAKES, Planted
 from support.suite import some_quick
 
 from animtool.core.errors import Fault, Severity
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake
 from animtool.scene.sources.open import open_source
@@ -20,7 +20,7 @@ from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
 
-RULES = [rule for rule in own_rules().values() if rule.takes]
+RULES = [rule for rule in builtin_rules().values() if rule.takes]
 
 ROOT = Path(__file__).parents[3]
 SAMPLES = {

@@ -2,43 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Protocol
-
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
-from animtool.formats.gltf.meshes import SkinEntry
-from animtool.formats.gltf.nodes import Node, parents_first, roots
+from animtool.formats.characters.nodes import NodeTree, parents_first, roots
 
 # The path that means the whole file.
 FILE_PATH = "/"
 MAX_NAMED = 8
-
-
-class NodeTree(Protocol):
-    """A file with nodes and skins."""
-
-    @property
-    def path(self) -> Path:
-        """Path of the file."""
-
-    @property
-    def nodes(self) -> tuple[Node, ...]:
-        """Nodes in file order."""
-
-    @property
-    def skins(self) -> tuple[SkinEntry, ...]:
-        """Skins in file order."""
-
-    @property
-    def scenes(self) -> list[list[int]]:
-        """Root nodes of each scene."""
-
-    @property
-    def default_scene(self) -> int:
-        """Index of the default scene; -1 if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +77,11 @@ def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     return [f"/{name}" for name in distinct(names)]
 
 
-def chosen(
+def choose_character(
     file: NodeTree,
     prim_path: str | None,
-    unknown: str = "GLT014",
-    several: str = "GLT109",
+    unknown: str,
+    several: str,
 ) -> tuple[CharacterNodes, list[Fault]]:
     """Return the character to read, and a note about the others.
 

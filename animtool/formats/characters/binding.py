@@ -18,7 +18,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.similar import distinct
-from animtool.formats.gltf.characters import NodeTree
+from animtool.formats.characters.nodes import NodeTree
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Mesh, Shape

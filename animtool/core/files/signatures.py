@@ -1,0 +1,150 @@
+"""Which format the first bytes of a file are of, whatever its name says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.reading import open_input
+from animtool.core.names import KINDS
+from animtool.core.record import dataclass
+
+# All of these formats show within their first bytes.
+HEAD_BYTES = 65_536
+_Read = TypeVar("_Read", bound=Callable[..., Any])
+# YAML or JSON that names its kind and version.
+DOCUMENT = "an animtool file (YAML or JSON)"
+_EXPORT = "export FBX, glTF or USD from {}, then use that file"
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """A format, and how its files begin.
+
+    Attributes:
+        about: The format, with an article.
+        pattern: Matches the first bytes, without byte order mark and blanks.
+        suffixes: Of such files, the first the commonest; empty if not read.
+        hint: What to do instead, where the format is not read.
+    """
+
+    about: str
+    pattern: bytes
+    suffixes: tuple[str, ...]
+    hint: str = ""
+
+
+def _signature(
+    about: str, pattern: bytes, suffixes: str = "", hint: str = ""
+) -> Signature:
+    return Signature(about, pattern, tuple(suffixes.split()), hint)
+
+
+_XML_START = rb"(?>(?:<\?.*?\?>|<!--.*?-->|<!doctype[^>]*>|\s)*)<"
+_ZIP = rb"PK\x03\x04.{22}.{4}"
+SIGNATURES = (
+    _signature("a BVH file", rb"hierarchy\s", ".bvh"),
+    _signature("a GLB file", rb"glTF[\x01\x02]\0\0\0", ".glb .vrm"),
+    _signature("an FBX file", rb"Kaydara FBX Binary|; FBX \d", ".fbx"),
+    _signature("a C3D file", rb"[\x02-\x0a]\x50.{6}", ".c3d"),
+    _signature("a TRC file", rb"PathFileType[\t ,]", ".trc"),
+    _signature(
+        "an OpenSim motion file",
+        rb"[^\0]{0,4000}\n[ \t]{0,20}endheader\b",
+        ".mot .sto",
+    ),
+    _signature("a binary USD file", rb"PXR-USDC", ".usdc .usd"),
+    _signature("a USD file of text", rb"#usda ", ".usda .usd"),
+    _signature("a USD package", _ZIP + rb"[^\0]{1,200}?\.usd[ac]?", ".usdz"),
+    _signature("an archive of arrays", _ZIP + rb"[^\0]{1,200}?\.npy", ".npz"),
+    _signature("a URDF file", _XML_START + rb"robot[\s>]", ".urdf"),
+    _signature("an MJCF file", _XML_START + rb"mujoco[\s>]", ".xml .mjcf"),
+    _signature("a Live Link Face recording", rb"timecode,blendshapecount", ".csv"),
+    _signature("a glTF file", rb'\{(?=.*"asset").*"(?:nodes|accessors)"', ".gltf .vrm"),
+    _signature(
+        DOCUMENT,
+        rb'[{"\s]*(?:' + "|".join(KINDS).encode() + rb')"?\s*:\s*"?animtool/',
+        ".yaml .yml .json",
+    ),
+    _signature("a web page", _XML_START + rb"html[\s>]", "", "download the file again"),
+    _signature(
+        "a pointer of Git LFS",
+        rb"version https://git-lfs\.",
+        "",
+        "fetch the file: git lfs pull",
+    ),
+    _signature("a Blender file", rb"BLENDER", "", _EXPORT.format("Blender")),
+    _signature(
+        "a Maya scene", rb"//Maya ASCII|FOR[48].{4,12}Maya", "", _EXPORT.format("Maya")
+    ),
+    _signature(
+        "an Alembic file",
+        rb"Ogawa",
+        "",
+        "export FBX, glTF or USD of the skeleton from the tool that wrote it",
+    ),
+)
+
+
+def signature_of(head: bytes) -> Signature | None:
+    r"""Return the format of a file's first bytes; None if it is not a known one.
+
+    >>> signature_of(b"HIERARCHY\nROOT hips").suffixes
+    ('.bvh',)
+    """
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
+    flags = re.IGNORECASE | re.DOTALL
+    return next((one for one in SIGNATURES if re.match(one.pattern, text, flags)), None)
+
+
+def other_format(
+    code: str, path: Path | str, expected: str, hint: str = ""
+) -> Fault | None:
+    """Return the fault of a file whose bytes are of another known format than expected.
+
+    Args:
+        code: Of the fault.
+        path: The file.
+        expected: The format that it is read as, with an article: ``a GLB file``.
+        hint: What to do where the name of the file is right, so that another file is
+            meant; empty where such a file is read.
+    """
+    path = Path(path)
+    try:
+        with open_input(path, None, recorded=False) as file:
+            signature = signature_of(file.read(HEAD_BYTES))
+    except FormatError:
+        return None
+    if signature is None or signature.about == expected:
+        return None
+    if path.suffix.lower() not in signature.suffixes:
+        new = f"{path.stem}{signature.suffixes[0]}" if signature.suffixes else ""
+        hint = signature.hint or f"rename it to {new}"
+    message = f"is {signature.about}, not {expected}"
+    return Fault(code, message, str(path), (), hint) if hint else None
+
+
+def expects(code: str, expected: str, hint: str = "") -> Callable[[_Read], _Read]:
+    """Decorate a reader: its errors name another format where the bytes are of one.
+
+    The arguments are those of `other_format`.
+    """
+
+    def decorate(read: _Read) -> _Read:
+        @wraps(read)
+        def checked(path: Path, *args: Any, **options: Any) -> Any:
+            try:
+                return read(path, *args, **options)
+            except FormatError as error:
+                fault = other_format(code, path, expected, hint)
+                if fault is None:
+                    raise
+                raise FormatError(fault) from error
+
+        return cast(_Read, checked)
+
+    return decorate

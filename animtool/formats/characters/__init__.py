@@ -1,0 +1,1 @@
+"""Characters in files of nodes and skins, common to glTF and FBX."""

@@ -1,0 +1,155 @@
+"""A take of a character as a stream: which take it is, its blocks, and its keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.clip import Clip
+from animtool.clip.keyed_curve import KeyedCurve
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock
+from animtool.core.errors import Fault, FormatError, Severity, counted, listed
+from animtool.core.names import nearest
+from animtool.core.record import dataclass
+from animtool.core.units import unit_name
+from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
+from animtool.rig.skeleton import Rig
+
+MAX_NAMED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class TakeWords:
+    """Words and codes of messages about the takes of a format.
+
+    Attributes:
+        noun: What the format calls a take.
+        static: Message for a character without a take.
+        unknown: Code of a name that no take has.
+        none: Code of the note that there is no take.
+        several: Code of the note that one of several is read.
+    """
+
+    noun: str
+    static: str
+    unknown: str
+    none: str
+    several: str
+
+
+def choose_take(
+    words: TakeWords,
+    path: str,
+    names: list[str],
+    take: str | None,
+    candidates: Sequence[int],
+    default: int,
+) -> tuple[int, list[Fault]]:
+    """Return the index of the take to read, -1 for none, and a note about the others.
+
+    Args:
+        words: Of the format.
+        path: The file.
+        names: Of its takes.
+        take: The name that is asked for; None is the default.
+        candidates: Indices of takes that may be meant without a name.
+        default: Index of the default; the first candidate if it is none of them.
+
+    Raises:
+        FormatError: No take has the name.
+    """
+    if take is not None:
+        if take in names:
+            return names.index(take), []
+        message = f"has no {words.noun} {take!r}"
+        fault = Fault(words.unknown, message, path, (), nearest(take, names))
+        raise FormatError(fault)
+    if not candidates:
+        return -1, [Fault(words.none, words.static, path, severity=Severity.NOTE)]
+    index = default if default in candidates else candidates[0]
+    if len(candidates) == 1:
+        return index, []
+    count = counted(len(candidates), words.noun)
+    message = f"reading {words.noun} {names[index]!r} of {count}"
+    hint = f"read another with {argument('source.take')}: {listed(names, MAX_NAMED)}"
+    return index, [Fault(words.several, message, path, (), hint, Severity.NOTE)]
+
+
+def sampled_stream(
+    rig: Rig, clock: Clock, sample: Callable[[FloatArray], Motion], block: int
+) -> TakeStream:
+    """Return a take as a stream, sampled block by block.
+
+    Args:
+        rig: The rig.
+        clock: Its frames.
+        sample: From time codes ``(F,)`` to the motion there.
+        block: Frames of a block.
+    """
+    return TakeStream(
+        rig,
+        clock.fps,
+        clock.start,
+        Fraction(1),
+        _blocks(clock, sample, block),
+        curve=sample,
+        count=clock.count,
+    )
+
+
+def _blocks(
+    clock: Clock, sample: Callable[[FloatArray], Motion], block: int
+) -> Iterator[Motion]:
+    times, previous = clock.times, None
+    for at in range(0, clock.count, block):
+        motion = sample(times[at : at + block])
+        rotations = motion.rotations
+        if len(rotations.animated):
+            if previous is not None:
+                signs = np.einsum("jc,jc->j", rotations.values[0], previous)
+                if (signs < 0).any():
+                    rotations.values[:, signs < 0] *= -1.0
+            previous = rotations.values[-1].copy()
+        yield motion
+
+
+def finish_stream(
+    stream: TakeStream,
+    format_name: str,
+    names: list[str],
+    index: int,
+    clip: Callable[[str], tuple[Clip, list[Fault]]],
+    native: object = None,
+) -> TakeStream:
+    """Return a stream with the keys of its take, and details about the file.
+
+    Args:
+        stream: The stream.
+        format_name: Of the file.
+        names: Of the file's takes.
+        index: Of the take; -1 for none.
+        clip: From a name to the clip with the keys of the take, and its notices.
+        native: The keys as the file has them; see `KeyedCurve`.
+    """
+    name = names[index] if index >= 0 else None
+    if name is not None:
+
+        def keys() -> Clip:
+            built, notices = clip(name)
+            return replace(built, notices=tuple(notices))
+
+        assert stream.curve is not None
+        stream.curve = KeyedCurve(stream.curve, keys, foreign=True, native=native)
+    stream.details = {
+        "format": format_name,
+        "units": unit_name(stream.rig.meters_per_unit),
+        "take": name,
+        "takes": names,
+    }
+    return stream

@@ -1,0 +1,123 @@
+"""The words that names are made of: those of the field, each in one meaning."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import animtool
+
+PACKAGE = Path(animtool.__file__).parent
+KERNELS = Path(__file__).parents[1] / "animtool" / "kernels"
+# Everyday words in whose place a name says what is meant. `turn` is one too, but for
+# agents of a crowd that turn.
+WORDS = """
+ahead alike anew apart aside beside blamed brought carried foreseen found given glance
+held lane lanes made meeting meetings moments newborn odd own parting patience place
+places seen share still thing things told turn turns usual wanted way ways whole woven
+"""
+EVERYDAY = set(WORDS.split())
+# Names that keep such a word, and the use that the field has for it.
+KEPT = {
+    "ahead": "key of scenes, how far ahead an agent aims on its path",
+    "apart": "key of the report of `loop` and of tables",
+    "found": "a count of the report of capture: markers that were found",
+    "held": "key of reports; frozen arrays of a state that is saved",
+    "held_mean": "key of the report of `retarget`",
+    "made": "field of a state that is saved",
+    "moments": "moments of inertia",
+    "own": "key of the report of `bake`",
+    "place": "key of scenes and of the pass `drift`",
+    "places": "field of a state that is saved",
+    "places_media": "public: an editor places media in a shot",
+    "seen": "key of the reports of capture",
+    "share": "key of map files and of the report of `loop`",
+    "still": "field of the table of readers, which plug-ins write; of a state",
+    "turns": "key of scenes, rotations over time; agents that turn",
+    "two_way": "two-way coupling, a key of scenes",
+    "usual": "key of scores: the largest value of a good result",
+    "ways": "key of scenes, the ways of diagonals",
+}
+# Classes that two packages or two modules call the same, and why.
+TWICE = {
+    "Capsule": "of a rig, and as a collider",
+    "Collider": "of a rig, and in a simulation",
+    "Mesh": "of a rig, and as a collider",
+}
+
+
+def words(name: str) -> list[str]:
+    """Return the words of an identifier in lower case."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
+
+
+def declared(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield each name that a module declares, and its line."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef() | ast.ClassDef():
+                yield node.name, node.lineno
+            case ast.arg():
+                yield node.arg, node.lineno
+            case ast.Name(ctx=ast.Store()):
+                yield node.id, node.lineno
+            case ast.Attribute(ctx=ast.Store()):
+                yield node.attr, node.lineno
+
+
+@cache
+def names() -> dict[str, list[str]]:
+    """Return the declared names with an everyday word, and where they are declared."""
+    result = defaultdict(list)
+    for path in sorted(PACKAGE.rglob("*.py")):
+        file = path.relative_to(PACKAGE)
+        if EVERYDAY & set(words(path.stem)):
+            result[path.stem].append(f"{file}")
+        for name, line in declared(ast.parse(path.read_text("utf-8"))):
+            if EVERYDAY & set(words(name)):
+                result[name].append(f"{file}:{line}")
+    return result
+
+
+def code_of(text: str) -> str:
+    """Return C++ without its comments and the contents of its strings."""
+    text = re.sub(r"//[^\n]*|/\*.*?\*/", "", text, flags=re.DOTALL)
+    return re.sub(r'"(?:[^"\\]|\\.)*"', '""', text)
+
+
+def test_names_are_made_of_the_words_of_the_field() -> None:
+    assert {name: where for name, where in names().items() if name not in KEPT} == {}
+
+
+def test_kernels_are_made_of_the_words_of_the_field() -> None:
+    declared_names = {
+        f"{path.relative_to(KERNELS)}: {name}"
+        for path in sorted(KERNELS.rglob("*.*"))
+        if path.suffix in {".h", ".cpp"}
+        for name in re.findall(r"[A-Za-z_]\w*", code_of(path.read_text("utf-8")))
+        if EVERYDAY & set(words(name)) and name not in KEPT
+    }
+    assert declared_names == set()
+
+
+def test_a_name_that_keeps_an_everyday_word_is_declared() -> None:
+    kernels = " ".join(
+        code_of(path.read_text("utf-8")) for path in KERNELS.rglob("*.h")
+    )
+    in_kernels = set(re.findall(r"[A-Za-z_]\w*", kernels))
+    assert [name for name in KEPT if name not in names().keys() | in_kernels] == []
+
+
+def test_a_class_has_a_name_of_one_meaning() -> None:
+    files = defaultdict(list)
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                files[node.name].append(str(path.relative_to(PACKAGE)))
+    twice = {name: where for name, where in files.items() if len(where) > 1}
+    assert {name: where for name, where in twice.items() if name not in TWICE} == {}
+    assert sorted(TWICE.keys() - twice.keys()) == []
