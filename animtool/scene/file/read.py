@@ -369,7 +369,7 @@ class _PassReader:
         if faults:
             return None
         if name == "simulate":
-            warn_of_sizes(document, at, given)
+            warn_of_sizes(document, at, converted)
         return ScenePass(pass_, options, entry_location(document, at), files)
 
     def _with_colliders(
