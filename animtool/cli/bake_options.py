@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     TIMECODE_OPTIONS,
     Command,
+    Count,
     bake_option,
     read_values,
     set_option,
@@ -90,7 +91,7 @@ SHOT_OPTIONS = (
     ),
     click.option(
         "--handles",
-        type=click.IntRange(0),
+        type=Count(0),
         metavar="N",
         help="Frames before and after the cut of a timeline, at its rate.  [default: "
         "as the timeline states, else 0]",

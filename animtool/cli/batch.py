@@ -23,6 +23,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
+    Count,
     Parsed,
     bake_option,
     common_options,
@@ -170,7 +171,7 @@ Examples:
 @click.option("--fail-fast", is_flag=True, help="Start nothing more after a failure.")
 @click.option(
     "--max-failures",
-    type=click.IntRange(1),
+    type=Count(1),
     metavar="N",
     help="Start nothing more after this many failures.",
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, stacked
+from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, Count, stacked
 
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
@@ -28,7 +28,7 @@ cut_options = stacked(
     ),
     click.option(
         "--handles",
-        type=click.IntRange(0),
+        type=Count(0),
         metavar="N",
         help="Frames before and after each cut of a timeline, at its rate.  "
         "[default: as the batch file or the timeline states, else 0]",

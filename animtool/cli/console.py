@@ -126,7 +126,8 @@ class Console:
             self._line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
-        """Write faults to stderr; errors even if quiet."""
+        """Write faults to stderr, with their source lines; errors even if quiet."""
+        sources = None
         for unworded in faults:
             fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
@@ -135,7 +136,14 @@ class Console:
                 shown = fault
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
-                self._write(entry, str(shown).replace(escaped(fault.code), code, 1))
+                text = str(shown).replace(escaped(fault.code), code, 1)
+                if fault.lines and not self.json_log:
+                    from animtool.core.source_lines import Sources, excerpt_lines
+
+                    sources = sources or Sources()
+                    lines = map(escaped, excerpt_lines(fault, sources))
+                    text = "\n".join([text, *lines])
+                self._write(entry, text)
 
     def report(self, form: str, record: object, template: Template) -> None:
         """Write a report, as JSON to stdout or as lines.

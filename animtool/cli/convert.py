@@ -31,7 +31,7 @@ from animtool.report.text import Template
 Examples:
   animtool convert walk.usdc walk.bvh
   animtool convert walk.bvh walk.clip.yaml --reduce 0.5mm
-  animtool convert shot.usda hero.bvh --prim-path /World/hero
+  animtool convert shot.usda hero.bvh --source-prim /World/hero
   animtool convert take.csv face.clip.yaml
   animtool convert walk.usdc walk.mot
   animtool convert ik.mot walk.bvh --rig hero.rig.yaml

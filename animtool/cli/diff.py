@@ -68,24 +68,26 @@ _POINTS = Template(
 
 def _choices(command: Command) -> Command:
     """Add source options for both files, and for either one."""
-    for name, metavar, what in (
-        ("take", "NAME", "The take to read from clip libraries in USD"),
-        ("prim-path", "PATH", "The character, where a file has several"),
+    for name, field, metavar, what in (
+        ("take", "take", "NAME", "The take to read from clip libraries in USD"),
+        ("source-prim", "prim_path", "PATH", "The character, where a file has several"),
     ):
         for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
             text = f"The same, for {file} only."
-            command = click.option(f"--{name}{side}", metavar=metavar, help=text)(
-                command
-            )
-        command = click.option(f"--{name}", metavar=metavar, help=f"{what}.")(command)
+            param = f"{field}_{side[-1]}"
+            option = click.option(f"--{name}{side}", param, metavar=metavar, help=text)
+            command = option(command)
+        option = click.option(f"--{name}", field, metavar=metavar, help=f"{what}.")
+        command = option(command)
     return command
 
 
 def _tolerance(
-    name: str, default: float, metavar: str, text: str
+    name: str, field: str, default: float, metavar: str, text: str
 ) -> Callable[[Command], Command]:
     return click.option(
         name,
+        field,
         type=TOLERANCE,
         default=default,
         show_default=True,
@@ -98,21 +100,24 @@ def _tolerance(
     epilog="""\b
 Examples:
   animtool diff walk.bvh walk.usdc
-  animtool diff old.usdc new.usdc --tol 0.1mm --tol-degrees .01
+  animtool diff old.usdc new.usdc --tolerance 0.1mm --angle-tolerance .01
   animtool diff walk.bvh library.usda --take-b walk"""
 )
 @click.argument("first", type=INPUT)
 @click.argument("second", type=INPUT)
 @click.option(
-    "--tol",
+    "--tolerance",
+    "tol",
     type=DISTANCE,
     default=1e-5,
     show_default=True,
     metavar="LENGTH",
     help="Distance to ignore, such as 1mm; a number alone is in metres.",
 )
-@_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation to ignore.")
-@_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight to ignore.")
+@_tolerance("--angle-tolerance", "tol_degrees", 1e-3, "DEGREES", "Rotation to ignore.")
+@_tolerance(
+    "--weight-tolerance", "tol_weight", 1e-5, "WEIGHT", "Shape weight to ignore."
+)
 @_choices
 @source_options
 @source_option("positions")
@@ -123,7 +128,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
     Weights of blend shapes are compared too, and every skeleton of USD files unless
-    --prim-path names one. In USD files without a character, points, curves, meshes
+    --source-prim names one. In USD files without a character, points, curves, meshes
     and instances are compared, by their ids. Exit code 1: they differ by more than
     the tolerances, or in their joints, moving shapes, prims, frames or rates.
     """

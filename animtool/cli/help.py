@@ -11,7 +11,7 @@ import click
 # Of options that several commands share, and of those of one; headings in this order.
 _GROUPS: dict[str, str] = {
     "Source": (
-        "take take-a take-b prim-path prim-path-a prim-path-b source-prim units "
+        "take take-a take-b source-prim source-prim-a source-prim-b units "
         "up source-fps positions rest strip-namespace clamp rig template "
         "cameras camera camera-name landmarks subject static remap dropped set "
         "scene variants vary exclude shot cut handles cut-start first-timecode "
@@ -24,15 +24,13 @@ _GROUPS: dict[str, str] = {
         "acceleration people gate min-angle moved shortest longest blend "
         "repeats first last"
     ),
-    "Picture": (
-        "frames size sheet light caption numbers show turntable findings open watch"
-    ),
+    "Picture": ("size sheet light caption numbers show turntable findings open watch"),
     "Checks": (
-        "select ignore severity profile exit-zero fix diff warn-above tol "
-        "tol-degrees tol-weight"
+        "select ignore severity profile exit-zero fix diff warn-above weight-tolerance "
+        "missed missed-degrees"
     ),
     "Output": (
-        "output as split rig-layer placement force-fit bones to-units to-up "
+        "output as split rig-layer prim-path placement force-fit bones to-units to-up "
         "root-motion sparse keep-curves reduce reduce-at physics write-map "
         "write-rig write-template keep-stopped until name overwrite "
         "skip-existing check"
@@ -52,21 +50,36 @@ _GROUPS: dict[str, str] = {
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
 # Groups of options that differ in one command.
 _ELSEWHERE = {
-    "bake": {"prim-path": "Output"},
-    "ik": {"prim-path": "Output", "pose": "Time"},
-    "retarget": {"prim-path": "Output"},
-    "solve": {"prim-path": "Output"},
-    "preview": {"camera": "Picture"},
+    "diff": {"tolerance": "Checks", "angle-tolerance": "Checks"},
+    "ik": {"pose": "Time"},
+    "preview": {"camera": "Picture", "range": "Picture"},
+    "retarget": {"rig": "Solve"},
     "job": {"chunk": "Run"},
+}
+_PRIM = {"--prim-path": "--source-prim"}
+# Options of the version before, by command, and their names now (CLI106).
+OLD_OPTIONS = {
+    "convert": _PRIM,
+    "diff": {
+        **_PRIM,
+        "--prim-path-a": "--source-prim-a",
+        "--prim-path-b": "--source-prim-b",
+        "--tol": "--tolerance",
+        "--tol-degrees": "--angle-tolerance",
+        "--tol-weight": "--weight-tolerance",
+    },
+    "ik": {"--tol": "--missed", "--tol-degrees": "--missed-degrees"},
+    "info": _PRIM,
+    "preview": {**_PRIM, "--frames": "--range"},
 }
 # The most common options of each command.
 _COMMON = {
     "bake": "output rig rig-layer fps range plan",
     "batch": "output scene set jobs dry-run items",
-    "convert": "reduce units up take prim-path overwrite",
-    "diff": "tol tol-degrees take prim-path units format",
-    "ik": "targets clip output pose rig-layer tol",
-    "info": "take prim-path set units up format",
+    "convert": "reduce units up take source-prim overwrite",
+    "diff": "tolerance angle-tolerance take source-prim units format",
+    "ik": "targets clip output pose rig-layer missed",
+    "info": "take source-prim set units up format",
     "job": "output cut chunk costs fps overwrite",
     "loop": "output repeats first last blend overwrite",
     "clean": "output spikes noise cutoff drift feet",
@@ -75,9 +88,9 @@ _COMMON = {
     "label": "output static subject units format overwrite",
     "solve": "template output rig calibrate static rig-layer",
     "triangulate": "cameras output units up people overwrite",
-    "preview": "output frames camera sheet watch take",
+    "preview": "output range camera sheet watch take",
     "report": "output budget range rig set format",
-    "retarget": "to output map rest rig-layer feet",
+    "retarget": "rig output map rest rig-layer feet",
     "validate": "select ignore profile strict fix format",
 }
 _MAX_SHORT = 40  # lines of the short help
@@ -90,6 +103,19 @@ class Command(click.Command):
         """Return the parameters, with ``-h`` and ``--help`` last."""
         del ctx
         return [*self.params, *_help_options()]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse arguments; options of the version before are noted (CLI106)."""
+        args, renamed = _with_new_names(args, OLD_OPTIONS.get(self.name or "", {}))
+        rest = super().parse_args(ctx, args)
+        if renamed and ctx.obj is not None:
+            from animtool.core.errors import Fault, Severity
+
+            ctx.obj.faults(
+                Fault("CLI106", f"{old} is now {new}", severity=Severity.NOTE)
+                for old, new in renamed.items()
+            )
+        return rest
 
     def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
         """Return the usage, arguments before options."""
@@ -138,6 +164,24 @@ class Command(click.Command):
             record = option.get_help_record(ctx)
             if isinstance(option, click.Option) and record is not None:
                 yield option, record
+
+
+def _with_new_names(
+    args: list[str], names: dict[str, str]
+) -> tuple[list[str], dict[str, str]]:
+    """Return arguments with new names of options, and those that were renamed.
+
+    >>> _with_new_names(["--tol=1", "--", "--tol"], {"--tol": "--missed"})
+    (['--missed=1', '--', '--tol'], {'--tol': '--missed'})
+    """
+    end = args.index("--") if "--" in args else len(args)
+    renamed, words = {}, []
+    for word in args[:end]:
+        option, equals, value = word.partition("=")
+        if option in names:
+            renamed[option] = names[option]
+        words.append(f"{names.get(option, option)}{equals}{value}")
+    return [*words, *args[end:]], renamed
 
 
 def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:

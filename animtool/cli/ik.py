@@ -73,7 +73,7 @@ Examples:
       --rig-layer hero.usda
   animtool ik hero.rig.yaml --targets feet.targets.yaml --clip edit.otio --shot sh010
       -o sh010.usdc
-  animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --tol 0.1mm
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --missed 0.1mm
   animtool ik hero.rig.yaml --targets reach.targets.yaml --table --plot reach.png
   animtool ik hero.rig.yaml --match --clip walk.bvh -o walk.targets.yaml"""
 )
@@ -137,14 +137,16 @@ Examples:
 )
 @plot_option
 @click.option(
-    "--tol",
+    "--missed",
+    "tol",
     type=LENGTH,
     metavar="LENGTH",
     help="Report a position as missed if it is farther off than this.  [default: "
     f"{MISSED}, or --tolerance if that is larger]",
 )
 @click.option(
-    "--tol-degrees",
+    "--missed-degrees",
+    "tol_degrees",
     type=TOLERANCE,
     metavar="DEGREES",
     help="Report an orientation, aim or pole as missed if it is farther off than "

@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import (
     INPUT,
+    Count,
     read_values,
     record_option,
     source_options,
@@ -52,7 +53,7 @@ Examples:
 )
 @click.option(
     "--people",
-    type=click.IntRange(1),
+    type=Count(1),
     metavar="N",
     help="For OpenPose keypoints, keep the N people seen most.  [default: all]",
 )

@@ -90,6 +90,21 @@ def names_of(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
+class Count(click.IntRange):
+    """A click type: a whole number from a least one up."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Any:
+        """Return the number."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            end = f" to {self.max}" if self.max is not None else " up"
+            words = f"{value!r} is not a whole number from {self.min}{end}."
+            self.fail(words, param, ctx)
+
+
 def _integer(text: str) -> int:
     try:
         value = int(text)
@@ -303,7 +318,7 @@ def declared(
     if option.kind == "switch":
         return click.option(flag, param, is_flag=True, help=text)
     if option.kind == "count":
-        kind: Any = click.IntRange(option.least)
+        kind: Any = Count(option.least)
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
@@ -396,7 +411,10 @@ rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
 # Of commands that write no character elsewhere.
 stage_option = click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+    "--source-prim",
+    "prim_path",
+    metavar="PATH",
+    help="The character, where a stage has several.",
 )
 
 
@@ -446,7 +464,7 @@ def source_options_record(
 TIMECODE_OPTIONS = (
     click.option(
         "--cut-start",
-        type=click.IntRange(-(10**9), 10**9),
+        type=Count(-(10**9), 10**9),
         metavar="FRAME",
         help="First frame of the cut of a timeline, after the handles.  [default: as "
         "the timeline states, else the handles begin at 1001]",

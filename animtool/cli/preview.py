@@ -35,8 +35,8 @@ Examples:
   animtool preview walk.bvh walk.usdc -o compared.html
   animtool preview hero.rig.yaml reach.targets.yaml
   animtool preview walk.clip.yaml --watch
-  animtool preview shot.usda --frames 1001-1100 -o shot.html
-  animtool preview walk.bvh -o walk.png --frames 1,20,40
+  animtool preview shot.usda --range 1001-1100 -o shot.html
+  animtool preview walk.bvh -o walk.png --range 1,20,40
   animtool preview hero.rig.yaml -o hero.webm --turntable"""
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)

@@ -132,6 +132,7 @@ Examples:
 )
 @click.argument("source", type=INPUT)
 @click.option(
+    "--rig",
     "--to",
     "rig",
     type=INPUT,

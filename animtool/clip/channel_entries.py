@@ -169,6 +169,8 @@ class ChannelReader:
         ]
         for location, name in wrong:
             hint = f"allowed: {', '.join(sorted(allowed))}"
+            if name == Interp.SPLINE:
+                hint = f"spline is for quaternions; for numbers, {hint}"
             message = f"{name} does not apply to {target!r}"
             self.document.add("CLIP009", location, message, hint)
         return not wrong

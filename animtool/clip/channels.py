@@ -75,7 +75,7 @@ local_rotation, scale
         if name not in names:
             props = rig.controls if group == "control" else rig.shapes
             hint = nearest(name, [prop.name for prop in props])
-            return Fault("CLIP002", f"{name!r} is no {group}", hint=hint)
+            return Fault("CLIP002", f"unknown {group} {name!r}", hint=hint)
         return group
     if group != "joint" or not name:
         hint = "write control/NAME, shape/NAME or joint/NAME.PART"
@@ -86,9 +86,7 @@ local_rotation, scale
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
-        hint = f"write a joint's name and one of .{', .'.join(KEYED_PARTS)}"
-        hint = nearest_part(name, KEYED_PARTS) or hint
-        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
+        return _part_fault(name, rig)
     kind = {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
         part, "rotation" if part.endswith("rotation") else "translation"
     )
@@ -103,6 +101,33 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
         message = f"a {rig_joint.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
     return kind
+
+
+def _part_fault(name: str, rig: Rig | None) -> Fault:
+    """Return the fault of a joint target without a known part."""
+    hint = f"write a joint's name and one of .{', .'.join(KEYED_PARTS)}"
+    hint = nearest_part(name, KEYED_PARTS) or hint
+    joint, _, part = name.rpartition(".")
+    if not joint or rig is None or joint not in rig.names or name in rig.names:
+        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
+    meant = _OTHER_PARTS.get(part.lower())
+    if meant is not None:
+        hint = f"the part is .{meant}"
+    return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
+
+
+# Parts of a joint in other tools.
+_OTHER_PARTS = {
+    "position": "translation",
+    "translate": "translation",
+    "location": "translation",
+    "pos": "translation",
+    "rotate": "rotation",
+    "rotation_euler": "rotation",
+    "orientation": "rotation",
+    "rot": "rotation",
+    "quaternion": "rotation",
+}
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:

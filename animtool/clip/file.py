@@ -13,6 +13,7 @@ from animtool.clip.channel_entries import ChannelReader
 from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
+from animtool.clip.suspicions import warn_of_numbers
 from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
@@ -187,6 +188,7 @@ class _ClipReader:
             self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
         self.document.check()
+        warn_of_numbers(self.document, channels, fps, self.units, self.rig)
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
         return Clip(name, fps, first, last, tuple(channels), notices)

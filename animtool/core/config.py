@@ -118,9 +118,23 @@ def _table(path: Path) -> dict[str, Any]:
         fault = replace(error.faults[0], code="CFG001")
         raise OptionError(fault) from error
     except ValueError as error:
-        raise OptionError(
-            Fault("CFG001", f"cannot be read: {error}", str(path))
-        ) from error
+        raise OptionError(_toml_fault(str(error), str(path))) from error
+
+
+def _toml_fault(problem: str, path: str) -> Fault:
+    """Return the fault of malformed TOML, from the parser's message."""
+    match = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", problem)
+    if match is None:
+        problem = problem.removesuffix(" (at end of document)")
+        return Fault("CFG001", f"invalid TOML: {_lowered(problem)}", path)
+    lines, column = (int(match[2]),), int(match[3])
+    return Fault(
+        "CFG001", f"invalid TOML: {_lowered(match[1])}", path, lines, column=column
+    )
+
+
+def _lowered(text: str) -> str:
+    return text[:1].lower() + text[1:]
 
 
 @lru_cache(maxsize=8)
@@ -148,8 +162,9 @@ def _config(path: Path, table: Any) -> Config:
         raise OptionError(Fault("CFG003", message, str(path)))
     roots = table.get("roots", [])
     if not isinstance(roots, list) or not all(isinstance(r, str) for r in roots):
-        message = f"roots is {roots!r}, not a list of folders"
-        raise OptionError(Fault("CFG003", message, str(path)))
+        message = f"roots is {excerpt(str(roots))}, not a list of folders"
+        hint = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
+        raise OptionError(Fault("CFG003", message, str(path), hint=hint))
     folders = (path.parent, *(path.parent / root for root in roots))
     validate = table.get("validate", {})
     if not isinstance(validate, dict):
@@ -174,7 +189,8 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
     values: dict[str, Any] = {}
     for name, value in table.items():
         if name not in names:
-            message, hint = f"unknown setting timeline.{name}", f"allowed: {names}"
+            message = f"unknown setting timeline.{name}"
+            hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
         shown = f"timeline.{name} is {excerpt(str(value))}, not "
         is_integer = isinstance(value, int) and not isinstance(value, bool)

@@ -92,7 +92,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     if near:
         return f"did you mean {near!r}?"
     if not known:
-        return "there is none"
+        return "none are defined"
     ordered = by_likeness(name, known)
     more = len(ordered) - MAX_ALLOWED
     rest = f" and {more} more" if more > 0 else ""

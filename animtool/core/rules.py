@@ -241,7 +241,12 @@ def find_rule(code: str) -> Rule:
         message = f"unknown code {code!r}"
         padded = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
         hint = nearest(padded, [padded] if padded in rules else sorted(rules))
-        if hint.startswith("allowed"):
+        family = re.match("[A-Z]*", name)[0]  # type: ignore[index]
+        among = sorted(known for known in rules if known.startswith(family))
+        if padded not in rules and family and among:
+            ends = f"{among[0]} to {among[-1]}"
+            hint = f"{family} codes are {ends}; animtool explain {family} lists them"
+        elif hint.startswith("allowed"):
             hint = "animtool explain lists them"
         raise OptionError(Fault("VAL005", message, hint=hint))
     return rules[name]

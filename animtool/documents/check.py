@@ -28,6 +28,7 @@ from animtool.documents.placeholders import (
     replaced,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
+from animtool.documents.yaml_values import flow_value
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -213,9 +214,10 @@ class _Faults:
         if self._of_another_kind(location):
             return
         message = f"unknown key {excerpt(str(key))}"
-        meant = next((k for k in OTHER_KEYS.get(str(key), ()) if k in names), None)
+        plain = str(key).replace("_", "").lower()
+        meant = next((k for k in OTHER_KEYS.get(plain, ()) if k in names), None)
         hint = f"the key is {meant!r}" if meant else nearest(str(key), names)
-        self.document.add("DOC020", location, message, hint)
+        self.document.add("DOC020", location, message, hint, at_key=True)
         meant = meant or similar(str(key), names)
         if meant and meant not in node:
             # Its names may be referenced, but whether it was meant is unknown.
@@ -232,7 +234,8 @@ class _Faults:
         self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
-        texts = dict.fromkeys(_words(fault) for fault in faults)
+        sizes = [fault for fault in faults if fault["type"] in _SIZES]
+        texts = dict.fromkeys(_words(fault) for fault in sizes or faults)
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
             written = similar(tag, map(str, faults[0]["input"]))
@@ -258,7 +261,8 @@ class _Faults:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
         if axis is not None and expected == {_KINDS["list_type"]}:
-            return f"write three numbers: {faults[0]['input']} is {axis}"
+            numbers = flow_value([round(number) for number in axis])
+            return f"write three numbers: {faults[0]['input']} is {numbers}"
         listed = expected & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
 
@@ -426,6 +430,8 @@ _KINDS = {
 }
 
 
+# Faults of lists that are of the right type: what else a union takes was not meant.
+_SIZES = {"too_short", "too_long"}
 # Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 
@@ -435,4 +441,6 @@ def _shown(value: Any) -> str:
         return "nothing"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, dict | list | tuple):
+        return excerpt(flow_value(value))[1:-1]
     return excerpt(str(value)).strip("'")

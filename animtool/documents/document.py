@@ -52,6 +52,12 @@ class Document:
         """Return line and column of a value, or of its nearest ancestor."""
         return self._marked().positions[self._index(location)]
 
+    def key_position(self, location: Location) -> tuple[int, int]:
+        """Return line and column of a key, which stands before its value."""
+        index = self._index(location)
+        is_key = index > self._index(location[:-1])
+        return self._marked().positions[index - is_key]
+
     def written(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
         return self._marked().plain.get(self._index(location))
@@ -134,15 +140,25 @@ class Document:
             last = i
 
     def add(
-        self, code: str, location: Location, message: str, hint: str | None = None
+        self,
+        code: str,
+        location: Location,
+        message: str,
+        hint: str | None = None,
+        *,
+        at_key: bool = False,
     ) -> None:
-        """Record a fault at a location, unless the value is a placeholder.
+        """Record a fault at a location, or its key, unless it is a placeholder.
 
         Raises:
             FormatError: Too many faults; checking stops.
         """
         if not self.is_placeholder(location):
-            self.faults.append(self.fault(code, location, message, hint))
+            fault = self.fault(code, location, message, hint)
+            if at_key:
+                line, column = self.key_position(location)
+                fault = replace(fault, lines=(line,), column=column)
+            self.faults.append(fault)
             if len(self.faults) >= MAX_COLLECTED:
                 self.check()
 

@@ -19,7 +19,7 @@ from typing import (
 )
 
 from annotated_types import Ge, Gt, Le, Len
-from pydantic import Field, create_model
+from pydantic import BeforeValidator, Field, create_model
 
 from animtool.core.options import (
     FileKind,
@@ -30,6 +30,7 @@ from animtool.core.options import (
     options_of,
 )
 from animtool.documents.check import FileModel, model_field
+from animtool.documents.other_words import AXES
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.
@@ -56,6 +57,18 @@ Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[Real], Len(2, 2)]
 Vector = Annotated[list[Real], Len(3, 3)]
+
+
+def _direction(value: Any) -> Any:
+    """Return the vector of the name of an axis; other values as they are."""
+    return AXES.get(value.upper(), value) if isinstance(value, str) else value
+
+
+# A vector, or the name of an axis such as Z or -X.
+_AxisName = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
+Direction = Annotated[
+    Vector, BeforeValidator(_direction, json_schema_input_type=Vector | _AxisName)
+]
 # w, x, y, z.
 Quaternion = Annotated[list[Real], Len(4, 4)]
 

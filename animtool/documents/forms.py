@@ -52,7 +52,7 @@ def form_hint(
         entry = entry[step]
     examples = info.examples or [None]
     example, rest = examples[0], location[depth:]
-    if listed and isinstance(entry, dict) and not rest:
+    if listed and isinstance(entry, dict) and not rest and not _meant(entry, example):
         example = [entry]
     forms = _forms(annotation_of(info))
     name = rest[0] if rest else entry
@@ -73,6 +73,10 @@ def form_hint(
     return f"{word} {text}" if len(text) <= MAX_FORM else None
 
 
+# Names of the ends of a range in other tools, the lower one first.
+_ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
+
+
 def _meant(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple):
@@ -80,6 +84,9 @@ def _meant(value: Any, example: Any) -> list[Any] | None:
     ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
     if ends is not None and len(example) == _TWO:
         return [float(one) if "." in one else int(one) for one in ends.groups()]
+    if isinstance(value, dict) and len(example) == _TWO:
+        named = [value.get(key) for key in _ENDS if key in value]
+        return named if len(named) == len(value) == _TWO else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A size along the one axis that the example has: gravity of 9.81 is downwards.
         along = [i for i, one in enumerate(example) if one]

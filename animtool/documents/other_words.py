@@ -4,7 +4,7 @@ from __future__ import annotations
 
 # Directions by axis name.
 AXES = {
-    f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
+    f"{sign}{name}": [(-1.0 if sign else 1.0) * (i == k) for i in range(3)]
     for k, name in enumerate("XYZ")
     for sign in ("", "-")
 }
@@ -27,12 +27,38 @@ OTHER_VALUES = {
     "stepped": "step",
     "loop": "cycle",
     "repeat": "cycle",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "centimeter": "cm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "inch": "in",
+    "inches": "in",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "y-up": "Y",
+    "z-up": "Z",
 }
+# In lower case, without underscores.
 OTHER_KEYS = {
+    "rotateorder": ("euler", "channels"),
+    "rotationorder": ("euler", "channels"),
+    "framerate": ("fps",),
+    "rate": ("fps",),
+    "integrator": ("solver",),
+    "timestep": ("step",),
+    "resolution": ("size",),
+    "translation": ("translate",),
+    "rotations": ("rotate",),
     "frame": ("t",),
     "time": ("t", "at"),
     "value": ("v",),
-    "look_at": ("aim",),
     "lookat": ("aim",),
     "start": ("range", "first"),
     "end": ("range", "last"),
@@ -43,6 +69,5 @@ OTHER_KEYS = {
     "bones": ("joints",),
     "controllers": ("controls",),
     "blendshapes": ("shapes",),
-    "blend_shapes": ("shapes",),
     "file": ("source",),
 }

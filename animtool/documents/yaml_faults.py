@@ -66,6 +66,15 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
     above = _above(lines, line)
+    bare = _bare_key(lines[above - 1]) if above else None
+    if bare is not None and (
+        "could not find expected ':'" in problem
+        or ("mapping values" in problem and _indent(here) > _indent(lines[above - 1]))
+    ):
+        column = lines[above - 1].index(bare) + 1
+        name, _, rest = bare.partition(" ")
+        hint = f"write '{name}: {rest.strip() or 'value'}'"
+        return YamlFault("a key has no colon", hint, above, column)
     if "mapping values are not allowed" in problem:
         if above and _indent(here) > _indent(lines[above - 1]):
             message = f"line {line} is indented further than line {above}"
@@ -75,10 +84,9 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _misaligned(lines, line, column)
-    for words, (message, hint) in _CLOSED.items():
-        if words in problem:
-            return YamlFault(message, hint, line, column)
-    return YamlFault(f"invalid YAML: {problem}", None, line, column)
+    known = next((fault for words, fault in _CLOSED.items() if words in problem), None)
+    message, advice = known or (f"invalid YAML: {problem}", None)
+    return YamlFault(message, advice, line, column)
 
 
 def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
@@ -101,6 +109,12 @@ def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
         message = f"this line starts in column {indent + 1}"
         message += f"; the keys above it start in column {near + 1}"
     return YamlFault(message, f"start it in column {near + 1}", line, indent + 1)
+
+
+def _bare_key(line: str) -> str | None:
+    """Return the text of a line that may lack a colon behind its first word."""
+    match = re.fullmatch(r"[ -]*([A-Za-z_][^:#]*?)\s*(#.*)?", line)
+    return match[1] if match else None
 
 
 def _above(lines: list[str], line: int) -> int:

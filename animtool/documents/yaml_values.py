@@ -20,7 +20,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_faults import yaml_fault
+from animtool.documents.yaml_faults import YamlFault, yaml_fault
 
 # Hand-written files nest five or six deep.
 DEEPEST = 50
@@ -118,7 +118,10 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         fault = yaml_fault(text, problem, *spot)
         hint = fault.hint
         if path.suffix.lower() not in SUFFIXES:
-            hint = f"write the name of a file that ends in {', '.join(SUFFIXES)}"
+            kind = f"a {path.suffix} file" if path.suffix else "this"
+            message = f"{kind} is not YAML or JSON"
+            fault = YamlFault(message, None, 1, 1)
+            hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
@@ -363,9 +366,9 @@ class _Open:
             for time, position in self.times
             for value in [self.value[f"\0{position}"]]
         ]
-        hint = f"write {TIMED}: {_flow(entries)}"
+        hint = f"write {TIMED}: {flow_value(entries)}"
         if len(hint) > LONGEST_HINT:
-            hint = f"write {TIMED}: {_flow(entries[:1])[:-1]}, …]"
+            hint = f"write {TIMED}: {flow_value(entries[:1])[:-1]}, …]"
         message = f"a key is {self.times[0][0]!r}, not text: {TIMED} must be a list"
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
@@ -390,17 +393,17 @@ def _cut(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
 
 
-def _flow(value: Any) -> str:
+def flow_value(value: Any) -> str:
     """Return a value as flow YAML without quotes.
 
-    >>> _flow([{"t": 1, "v": [0.5, None]}])
+    >>> flow_value([{"t": 1, "v": [0.5, None]}])
     '[{t: 1, v: [0.5, null]}]'
     """
     if isinstance(value, dict):
-        items = (f"{key}: {_flow(entry)}" for key, entry in value.items())
+        items = (f"{key}: {flow_value(entry)}" for key, entry in value.items())
         return f"{{{', '.join(items)}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_flow, value))}]"
+        return f"[{', '.join(map(flow_value, value))}]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return str(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+from animtool.core.arguments import argument
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError
 
@@ -32,7 +33,8 @@ def check_range(first: float | None, last: float | None) -> None:
     ]
     if ends != sorted(ends):
         message = f"the range from {first:g} to {last:g} is reversed"
-        hint = f"write first: {last:g}, last: {first:g}"
+        flags = argument("first", f"{last:g}"), argument("last", f"{first:g}")
+        hint = f"write {' and '.join(flags)}"
         raise frame_refusal(message, hint)
 
 

@@ -26,6 +26,7 @@ class PreviewOptions:
     prim_path: str | None = option(
         None,
         "text",
+        flag="source-prim",
         metavar="PATH",
         help="What to show of a USD file, or the character of a glTF or FBX with "
         "several.  [default: all of a USD file, the first character of others]",
@@ -40,7 +41,7 @@ class PreviewOptions:
     frame_range: FrameRange | None = option(
         None,
         "frames",
-        flag="frames",
+        flag="range",
         help="Frames to show, such as 1-240, 1-240x2 or 12; for a picture also "
         "1,20,40.  [default: all]",
     )

@@ -26,6 +26,7 @@ from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
+from animtool.rig.suspicions import warn_of_angles, warn_of_order
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
@@ -149,6 +150,8 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         colliders = parts.colliders(inherited.colliders)
         masses = parts.masses(inherited.masses)
         attached = parts.attach(meshes, inherited.attach)
+    warn_of_angles(document, model.joints, model.units.angle)
+    warn_of_order(document, model.joints)
     rig = Rig(
         model.name,
         joints.joints,

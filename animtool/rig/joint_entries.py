@@ -167,7 +167,7 @@ def _entries(
 
 
 def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
-    """Warn once of joint names that contain white space (RIG107)."""
+    """Warn once of joint names that contain white space (RIG109)."""
     spaced = [name for name in entries if any(map(str.isspace, name))]
     if not spaced:
         return
@@ -177,7 +177,7 @@ def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> N
     )
     hint = f"write {'_'.join(spaced[0].split())!r}: USD and expressions allow no spaces"
     location = ("joints", entries[spaced[0]].index, "name")
-    document.warn("RIG107", location, message, hint)
+    document.warn("RIG109", location, message, hint)
 
 
 def _parents_first(

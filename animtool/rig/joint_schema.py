@@ -9,7 +9,15 @@ from pydantic import Field
 
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, shared_key
+from animtool.documents.fields import (
+    Direction,
+    Name,
+    Pair,
+    Quaternion,
+    Real,
+    Vector,
+    shared_key,
+)
 from animtool.rig.skeleton import ChannelName
 
 
@@ -28,7 +36,7 @@ class BallLimitsModel(FileModel):
         [-20.0, 20.0],
         default=None,
     )
-    twist_axis: Vector = key(
+    twist_axis: Direction = key(
         "Direction in the joint's rest frame, usually along the bone; any length.",
         [1.0, 0.0, 0.0],
         default=[0.0, 1.0, 0.0],
@@ -84,8 +92,11 @@ class DrivenModel(FileModel):
 _TYPE = "Degrees of freedom."
 # The coordinate of a pin or prismatic joint.
 _Axis = Annotated[
-    Vector,
-    shared_key("Direction in the joint's rest frame; any length.", [0.0, -1.0, 0.0]),
+    Direction,
+    shared_key(
+        "Direction in the joint's rest frame, of any length, or X, Y, Z, -X, -Y, -Z.",
+        [0.0, -1.0, 0.0],
+    ),
 ]
 _Limits = Annotated[
     Pair | None,

@@ -12,7 +12,15 @@ from pydantic import Field
 
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Quaternion, Real, Vector
+from animtool.documents.fields import (
+    Direction,
+    IgnoreModel,
+    Name,
+    Pair,
+    Quaternion,
+    Real,
+    Vector,
+)
 from animtool.rig.joint_schema import (
     JOINED,
     DrivenModel,
@@ -64,7 +72,7 @@ class CapsuleModel(FileModel):
         0.3,
         default=0.0,
     )
-    axis: Vector = key(
+    axis: Direction = key(
         "Direction of the cylinder in the joint's frame; any length.",
         [1.0, 0.0, 0.0],
         default=[0.0, 1.0, 0.0],
@@ -190,7 +198,7 @@ class IkModel(FileModel):
         "position",
         default="pose",
     )
-    pole_dir: Vector | None = key(
+    pole_dir: Direction | None = key(
         "Direction of the middle of the chain, in the frame of the root's parent; "
         "any length. Default: open.",
         [0.0, 0.0, -1.0],

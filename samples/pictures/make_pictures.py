@@ -60,59 +60,59 @@ PICTURES = (
     Made(
         "samples/pictures/expressions.png",
         "bake samples/pictures/expressions.clip.yaml",
-        f"{PLAIN} --frames 1,2,3,4,5,6,7,8 --sheet 4x2 --size 220x260 "
+        f"{PLAIN} --range 1,2,3,4,5,6,7,8 --sheet 4x2 --size 220x260 "
         "--camera 0,0.03,0.62,0,0.19,0.02",
         (HEAD,),
     ),
     Made(
         "samples/pictures/lids.png",
         "bake samples/pictures/lids.clip.yaml",
-        f"{PLAIN} --frames 1,2,3,4,5,6,7,8 --sheet 4x2 --size 200x160 "
+        f"{PLAIN} --range 1,2,3,4,5,6,7,8 --sheet 4x2 --size 200x160 "
         "--camera 0,0,0.12,0.0315,0.217,0.08",
         (HEAD,),
     ),
     Made(
         "samples/pictures/correctives.png",
         "bake samples/pictures/correctives.clip.yaml",
-        f"{PLAIN} --frames 1,2 --sheet 4x1 --size 220x220 "
+        f"{PLAIN} --range 1,2 --sheet 4x1 --size 220x220 "
         "--camera 0,0,0.2,0,0.138,0.08 --camera 0.7,0.07,0.25,0,0.138,0.05",
         (HEAD,),
     ),
     Made(
         "samples/pictures/speech.png",
         "bake samples/speech/speech.clip.yaml",
-        "--show meshes --frames 3,20,34,46,53,67,76,101 --sheet 4x2 --size 200x230 "
+        "--show meshes --range 3,20,34,46,53,67,76,101 --sheet 4x2 --size 200x230 "
         "--camera 0,0.03,0.62,0,0.19,0.02",
         (HEAD,),
     ),
     Made(
         "samples/pictures/body.png",
         "bake samples/pictures/poses.clip.yaml",
-        f"{GROUND} --no-numbers --frames 1,2,3 --camera 25,6 --size 320x320",
+        f"{GROUND} --no-numbers --range 1,2,3 --camera 25,6 --size 320x320",
         (BIPED,),
     ),
     Made(
         "samples/pictures/cape.png",
         "bake samples/pictures/poses.clip.yaml",
-        f"{GROUND} --no-numbers --frames 1,2,4 --camera 150,10 --size 320x320",
+        f"{GROUND} --no-numbers --range 1,2,4 --camera 150,10 --size 320x320",
         (BIPED,),
     ),
     Made(
         "samples/pictures/strides.png",
         scene("cape"),
-        f"{GROUND} --frames 1,7,13,19 --camera side --camera 150,8 --size 280x280",
+        f"{GROUND} --range 1,7,13,19 --camera side --camera 150,8 --size 280x280",
         (BIPED,),
     ),
     Made(
         "samples/pictures/carry.png",
         scene("carry"),
-        f"{GROUND} --frames 1,36,48,68,108 --camera=-50,10 --size 260x260",
+        f"{GROUND} --range 1,36,48,68,108 --camera=-50,10 --size 260x260",
         ("samples/carry/prop.usda", BIPED),
     ),
     Made(
         "samples/pictures/weld.png",
         "ik rigs/arm/arm.rig.yaml --targets samples/weld/weld.targets.yaml",
-        "--show meshes,bones,grid,shadows --frames 100,200,290,360,430 --camera 35,15 "
+        "--show meshes,bones,grid,shadows --range 100,200,290,360,430 --camera 35,15 "
         "--size 260x220",
         ("samples/weld/pipes.usda",),
     ),
@@ -130,62 +130,62 @@ PICTURES = (
     Made(
         "samples/dominoes/dominoes.png",
         scene("dominoes"),
-        f"{GROUND} --frames 1,24,40,72 --sheet 2x2 --size 400x240 --camera 30,40",
+        f"{GROUND} --range 1,24,40,72 --sheet 2x2 --size 400x240 --camera 30,40",
     ),
     Made(
         "samples/galaxies/galaxies.png",
         scene("galaxies"),
-        "--show meshes --frames 1,36,56,80 --sheet 2x2 --size 400x300 --camera 23,52",
+        "--show meshes --range 1,36,56,80 --sheet 2x2 --size 400x300 --camera 23,52",
     ),
     Made(
         "samples/argon/argon.png",
         scene("argon"),
-        "--show meshes --frames 1,50,80,120 --sheet 4x1 --size 260x260 --camera 30,20",
+        "--show meshes --range 1,50,80,120 --sheet 4x1 --size 260x260 --camera 30,20",
     ),
     Made(
         "samples/swing/swing.png",
         scene("swing"),
-        f"{GROUND} --frames 1,7,13,21,29,40 --sheet 6x1 --size 170x200 --camera 20,8",
+        f"{GROUND} --range 1,7,13,21,29,40 --sheet 6x1 --size 170x200 --camera 20,8",
     ),
     Made(
         "samples/wingnut/wingnut.png",
         scene("wingnut"),
-        "--show meshes --frames 58,63,68,73,78,83,88,93 --sheet 4x2 --size 200x160 "
+        "--show meshes --range 58,63,68,73,78,83,88,93 --sheet 4x2 --size 200x160 "
         "--camera 0.5,0.3,0.5,0,0.29,0",
     ),
     Made(
         "samples/wrecking_ball/wrecking_ball.png",
         scene("wrecking_ball"),
-        f"{GROUND} --frames 1,24,30,40 --sheet 2x2 --size 400x300 --camera=-52,14",
+        f"{GROUND} --range 1,24,30,40 --sheet 2x2 --size 400x300 --camera=-52,14",
     ),
     Made(
         "samples/sheets/sheets.png",
         scene("sheets"),
-        f"{GROUND} --frames 96 --no-numbers --camera 15,14 --size 960x420",
+        f"{GROUND} --range 96 --no-numbers --camera 15,14 --size 960x420",
         ("samples/sheets/tables.usda",),
     ),
     Made(
         "samples/fall/fall.png",
         scene("fall"),
-        "--show meshes --frames 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
+        "--show meshes --range 1,20,26,32,38,44,52,92 --sheet 4x2 --size 240x200 "
         "--camera 1.35,0.12,6,0,0,0.2",
         ("samples/fall/stairs.usda", BIPED),
     ),
     Made(
         "samples/murmuration/murmuration.png",
         scene("murmuration"),
-        f"{GROUND} --frames 30,38,46 --size 300x260 --camera 60,5",
+        f"{GROUND} --range 30,38,46 --size 300x260 --camera 60,5",
         ("samples/murmuration/tower.usda",),
     ),
     Made(
         "samples/crowd/crowd.png",
         "bake samples/crowd/square.scene.yaml",
-        f"{GROUND} --frames 40,420 --size 640x400 --camera 0.5,0.36,30,0,0.5,0",
+        f"{GROUND} --range 40,420 --size 640x400 --camera 0.5,0.36,30,0,0.5,0",
     ),
     Made(
         "samples/dam/dam.png",
         scene("dam"),
-        f"{GROUND} --frames 8,14,22 --camera 25,18 --size 380x300",
+        f"{GROUND} --range 8,14,22 --camera 25,18 --size 380x300",
         ("samples/dam/pillar.usda",),
     ),
     Made(
@@ -206,20 +206,20 @@ PICTURES = (
     Made(
         "samples/robot/reach.png",
         "ik samples/robot/arm.urdf --targets samples/robot/reach.targets.yaml",
-        "--show meshes,grid,shadows --frames 1,13,25,37 --sheet 4x1 --size 320x300 "
+        "--show meshes,grid,shadows --range 1,13,25,37 --sheet 4x1 --size 320x300 "
         "--camera 0.9,0.25,2.0,0.25,0.5,0",
     ),
     Made(
         "samples/dance/dance.png",
         scene("dance"),
-        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--show meshes,shadows --range 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
         "--camera 0.3,0.08,3.5,0,0.92,0",
         ("samples/dance/dance.look.usda",),
     ),
     Made(
         "samples/dance/dance_cape.png",
         "samples/dance/cape.scene.yaml",
-        "--show meshes,shadows --frames 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
+        "--show meshes,shadows --range 5,13,21,29,37,45 --sheet 6x1 --size 250x330 "
         "--camera 3.4,0.08,3.5,0,0.92,0",
         (BIPED,),
     ),

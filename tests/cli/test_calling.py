@@ -39,7 +39,7 @@ def test_bake_calls_arguments_by_its_flags(
 
 
 def test_commands_call_one_argument_by_their_own_flags() -> None:
-    assert calling_of(info)(Argument("source.prim_path")) == "--prim-path"
+    assert calling_of(info)(Argument("source.prim_path")) == "--source-prim"
     assert calling_of(convert)(Argument("to_units")) is None
 
 

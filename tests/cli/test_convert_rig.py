@@ -307,7 +307,7 @@ def test_one_of_several_characters_by_its_prim(tmp_path: Path) -> None:
     for name in ("arm", "ball"):
         for suffix in ("rig.yaml", "usdc"):
             output = tmp_path / f"{name}_again.{suffix}"
-            options = ("--prim-path", f"/World/{name}")
+            options = ("--source-prim", f"/World/{name}")
             more = ("--physics",) if suffix == "usdc" else ()
             shown = tmp_path / "shot.usda"
             done = animtool("convert", shown, output, *options, *more)
@@ -327,7 +327,7 @@ def test_a_prim_without_a_character_is_refused(tmp_path: Path) -> None:
         (rig, "/ball", "CLI004", 2),
     ):
         output = tmp_path / "o.rig.yaml"
-        done = animtool("convert", source, output, "--prim-path", path)
+        done = animtool("convert", source, output, "--source-prim", path)
         assert (done.code, code in done.stderr) == (number, True), done.stderr
         assert not output.exists()
 

@@ -125,7 +125,7 @@ def test_strict_refuses_what_is_missed(place: Path) -> None:
     assert "IK101" in done.stderr
     assert "leg_r position: largest error 2" in done.stderr
     assert not (place / "far.usda").exists()
-    assert run(place, *given, "--tol", "3m", "--tol-degrees", "180").code == 0
+    assert run(place, *given, "--missed", "3m", "--missed-degrees", "180").code == 0
     found = run(place, *given, "--format", "json", "--overwrite")
     assert found.code == 4
     assert json.loads(found.stdout)["goals"][1]["missed"][0]["distance"] > 2
@@ -437,7 +437,7 @@ def test_defaults_are_those_of_the_record() -> None:
     assert f"default: {math.degrees(MISSED_ANGLE):g}," in said["tol_degrees"]
 
 
-@pytest.mark.parametrize("given", [("--tol", "1e-9mm"), ("--tolerance", "5mm")])
+@pytest.mark.parametrize("given", [("--missed", "1e-9mm"), ("--tolerance", "5mm")])
 def test_what_is_solved_to_is_never_a_miss(place: Path, given: tuple[str, str]) -> None:
     done = run(place, "-t", "reach.targets.yaml", *given, "--strict")
     assert done.code == 0, done.stderr

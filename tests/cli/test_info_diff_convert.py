@@ -57,7 +57,10 @@ def test_diff(takes: tuple[Path, Path]) -> None:
     assert found["rotation"]["joint"] == "Spine"
     assert found["rotation"]["code"] == 4
     assert found["rotation"]["value"] == pytest.approx(1.0, abs=1e-9)
-    assert animtool("diff", *takes, "--tol", "1", "--tol-degrees", "1.1").code == 0
+    assert (
+        animtool("diff", *takes, "--tolerance", "1", "--angle-tolerance", "1.1").code
+        == 0
+    )
     assert "different" in animtool("diff", *takes).stdout
 
 
@@ -76,7 +79,10 @@ def test_bvh_to_usd_to_bvh_to_usd(takes: tuple[Path, Path], tmp_path: Path) -> N
     a, b, c = tmp_path / "a.usdc", tmp_path / "b.bvh", tmp_path / "c.usdc"
     for source, output in ((takes[0], a), (a, b), (b, c)):
         assert animtool("convert", source, output).code == 0
-    assert animtool("diff", a, c, "--tol", "3e-8", "--tol-degrees", "2e-5").code == 0
+    assert (
+        animtool("diff", a, c, "--tolerance", "3e-8", "--angle-tolerance", "2e-5").code
+        == 0
+    )
     assert "JOINT Spine" in b.read_text()
     refused = animtool("convert", a, b)
     assert refused.code == 2
@@ -125,7 +131,7 @@ def test_diff_says_in_which_space_it_compares(
     other = tmp_path / "other.usda"
     arguments = ("--to-up", "Z", "--to-units", "m")
     assert animtool("bake", takes[0], "-o", other, *arguments).code == 0
-    done = animtool("diff", takes[0], other, "--tol", "0.001mm")
+    done = animtool("diff", takes[0], other, "--tolerance", "0.001mm")
     assert done.code == 0, done.stdout
     assert "Y up instead of Z up; compared with Y up" in done.stdout
     assert "lengths in cm instead of m; compared in metres" in done.stdout
@@ -141,7 +147,7 @@ def test_a_tolerance_may_have_a_unit(tmp_path: Path, tolerance: str, code: int) 
     one.write_text(small_bvh(rows))
     rows[2, 0] += 1.0  # cm
     two.write_text(small_bvh(rows))
-    assert animtool("diff", one, two, "--tol", tolerance).code == code
+    assert animtool("diff", one, two, "--tolerance", tolerance).code == code
 
 
 def test_what_a_usd_file_states_is_not_stated_again(takes: tuple[Path, Path]) -> None:
@@ -167,8 +173,8 @@ def test_diff_compares_shape_weights(faces: tuple[Path, Path], tmp_path: Path) -
         done = animtool("diff", *pair)
         assert done.code == 1
         assert "shape 'smile', time code 9" in done.stdout
-    assert animtool("diff", faces[0], one, "--tol", "1e-4").code == 0
-    done = animtool("diff", one, two, "--format", "json", "--tol-weight", "1.2")
+    assert animtool("diff", faces[0], one, "--tolerance", "1e-4").code == 0
+    done = animtool("diff", one, two, "--format", "json", "--weight-tolerance", "1.2")
     assert done.code == 0
     weight = json.loads(done.stdout)["weight"]
     assert weight["value"] == pytest.approx(1.1, rel=1e-6)
@@ -210,22 +216,25 @@ def test_diff_chooses_takes_and_characters(
     stage = Usd.Stage.Open(str(shot))
     stage.DefinePrim("/World/b").GetReferences().AddInternalReference("/World/a")
     stage.Save()
-    tolerances = ("--tol", "1e-4")
+    tolerances = ("--tolerance", "1e-4")
     assert animtool("diff", takes[1], library, "--take", "two", *tolerances).code == 0
     assert animtool("diff", takes[0], library, "--take", "two", *tolerances).code == 1
     both = ("--take-a", "one", "--take-b", "two")
     assert animtool("diff", library, library, *both, *tolerances).code == 1
-    assert animtool("diff", library, library, "--take", "two", "--tol", "0").code == 0
+    assert (
+        animtool("diff", library, library, "--take", "two", "--tolerance", "0").code
+        == 0
+    )
     done = animtool("diff", library, shot)
     assert (done.code, done.stderr) == (1, "")
     assert "1 skeleton is not in the first: /World/b" in done.stdout
     done = animtool("diff", takes[1], shot)
     assert "USD107" in done.stderr
-    assert "--prim-path" in done.stderr
-    done = animtool("diff", library, shot, "--prim-path-b", "/World/b")
+    assert "--source-prim" in done.stderr
+    done = animtool("diff", library, shot, "--source-prim-b", "/World/b")
     assert (done.code, done.stderr) == (0, "")
-    assert animtool("diff", shot, shot, "--prim-path", "/World/b").stderr == ""
-    assert animtool("diff", takes[0], shot, "--prim-path-a", "/x").code == 2
+    assert animtool("diff", shot, shot, "--source-prim", "/World/b").stderr == ""
+    assert animtool("diff", takes[0], shot, "--source-prim-a", "/x").code == 2
 
 
 def test_the_default_tolerance_of_weights_is_that_of_the_library() -> None:
@@ -233,7 +242,9 @@ def test_the_default_tolerance_of_weights_is_that_of_the_library() -> None:
     assert option.default == WEIGHT_TOLERANCE
 
 
-@pytest.mark.parametrize("option", ["--tol", "--tol-degrees", "--tol-weight"])
+@pytest.mark.parametrize(
+    "option", ["--tolerance", "--angle-tolerance", "--weight-tolerance"]
+)
 @pytest.mark.parametrize("value", ["nan", "-1", "wide"])
 def test_a_tolerance_that_is_none_is_refused(
     takes: tuple[Path, Path], option: str, value: str

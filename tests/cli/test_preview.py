@@ -78,7 +78,7 @@ def test_a_page_is_written_once(walk: Path, tmp_path: Path, opened: list[str]) -
 def test_what_makes_no_sense_is_usage(walk: Path, tmp_path: Path) -> None:
     assert animtool("preview").code == 2
     assert animtool("preview", walk, "--watch", "-o", tmp_path / "o.html").code == 2
-    assert animtool("preview", walk, "--frames", "9-1").code == 2
+    assert animtool("preview", walk, "--range", "9-1").code == 2
     assert animtool("preview", tmp_path / "none.bvh", "--no-open").code == 3
 
 

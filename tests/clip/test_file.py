@@ -118,7 +118,7 @@ PLANTED = [
     ("- {target: joint/elbow_l, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "slide"),
     ("- {target: joint/elbw_l.angle, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'elbow_l'"),
     ("- {target: control/grim, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'grin'"),
-    ("- {target: shape/smile, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "there is none"),
+    ("- {target: shape/smile, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "none are defined"),
     ("- {target: joint/hips.angle, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "translation"),
     ("- {target: joint/chest.translation, keys: [{t: 0, v: [0, 0, 0]}]}",
      "CLIP003", 5, "a ball joint"),

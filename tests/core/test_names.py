@@ -9,7 +9,7 @@ from animtool.core.names import check_unused, nearest
 
 
 def test_nearest() -> None:
-    assert nearest("x", []) == "there is none"
+    assert nearest("x", []) == "none are defined"
     names = [f"n{i}" for i in range(20)]
     assert nearest("zzz", names) == f"allowed: {', '.join(names)}"
     many = nearest("zzz", [f"n{i}" for i in range(300)])

@@ -11,13 +11,13 @@ from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError
 from animtool.core.names import distinct, similar
+from animtool.core.source_lines import cut
 from animtool.documents.document import read_document
 from animtool.documents.yaml_values import MAX_MARKS
 from animtool.formats.bvh.read import read_bvh
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file.read import load_scene
-from animtool.validation.formats.plain import cut
 
 RIG = "rig: animtool/1\nname: a\njoints:\n"
 PIN = RIG + "- {name: p, type: pin, axis: [1, 0, 0]}\ncontrols:\n"

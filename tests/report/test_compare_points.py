@@ -111,7 +111,7 @@ def test_points_are_matched_by_their_ids(baked: Path) -> None:
     }  # fmt: skip
     assert found["orientations"]["value"] == 0
     assert "point 7, time code 5" in animtool("diff", baked, moved).stdout
-    assert animtool("diff", baked, moved, "--tol", "0.6").code == 0
+    assert animtool("diff", baked, moved, "--tolerance", "0.6").code == 0
 
 
 def test_orientations_differ_by_an_angle(baked: Path) -> None:

@@ -38,7 +38,7 @@ def test_it_is_the_arm_of_the_rigs(root: Path) -> None:
 def test_the_tool_follows_its_path(root: Path, tmp_path: Path) -> None:
     arm, made = root / "samples/robot/arm.urdf", tmp_path / "reach.usda"
     targets = root / "samples/robot/reach.targets.yaml"
-    done = animtool("ik", arm, "--targets", targets, "-o", made, "--tol", "0.01mm")
+    done = animtool("ik", arm, "--targets", targets, "-o", made, "--missed", "0.01mm")
     assert done.code == 0, done.stderr
     take = open_source(made).collect()
     assert take.motion.frames == 73

@@ -74,6 +74,13 @@ targets: animtool/1
 goals:
 - {effector: arm_l, position: [0.4, 1.4, 0.2]}
 """
+MOVING = """\
+targets: animtool/1
+fps: 24
+goals:
+- effector: arm_l
+  position: {keys: [{t: 1, v: [0.4, 1.4, 0.2]}, {t: 24, v: [0.4, 1.5, 0.2]}]}
+"""
 TURN = """\
 targets: animtool/1
 goals:
@@ -199,6 +206,7 @@ FILES = {
     "wave.clip.yaml": WAVE,
     "curl.clip.yaml": CURL,
     "reach.targets.yaml": REACH,
+    "moving.targets.yaml": MOVING,
     "turn.targets.yaml": TURN,
     "other.scene.yaml": OTHER,
     "solved.scene.yaml": SOLVED,

@@ -45,6 +45,7 @@ from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_colliders, check_links
+from animtool.scene.systems.suspicions import warn_of_sizes
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import AROUND
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -367,6 +368,8 @@ class _PassReader:
             referred(document, at, str(written), self.output_roots, written=True)
         if faults:
             return None
+        if name == "simulate":
+            warn_of_sizes(document, at, converted)
         return ScenePass(pass_, options, entry_location(document, at), files)
 
     def _with_colliders(

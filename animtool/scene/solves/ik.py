@@ -183,6 +183,7 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     if job.start is None:
         clock = tracks.clock
         if job.pose and job.frame is not None:
+            notices += _outside_targets(job, clock)
             clock = replace(clock, start=job.frame, count=1)
             tracks = tracks.placed(tracks.clock)
         take = rest_take(rig, clock)
@@ -191,6 +192,19 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     notices += take.notices
     only = frame_index(take, job.frame, job.start) if job.pose else None
     return IkContext(tracks, take, False, only, notices)
+
+
+def _outside_targets(job: IkJob, clock: Clock) -> list[Fault]:
+    """Return the warning of a pose outside the frames of the targets (TGT107)."""
+    assert job.frame is not None
+    last = clock.start + clock.step * (clock.count - 1)
+    if clock.count == 1 or clock.start <= job.frame <= last:
+        return []
+    message = (
+        f"frame {float(job.frame):g} is outside the targets, which run from frame "
+        f"{float(clock.start):g} to {float(last):g}; their nearest values are used"
+    )
+    return [Fault("TGT107", message, str(job.targets), severity=Severity.WARNING)]
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:

@@ -30,6 +30,7 @@ from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
+from animtool.scene.systems.suspicions import warn_of_sizes
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
     AROUND,
@@ -375,6 +376,9 @@ def read_spec(
     outer |= outside.parts(at, spec, AROUND[1:])
     parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
     reader.note_ranges(at, spec)
+    if "stretch" in type(spec).model_fields:
+        sizes = {"radius", "stretch", "self_contact"}
+        warn_of_sizes(document, at, spec.model_dump(include=sizes))
     record, faults = spec.build_record(parts)
     for fault in faults:
         at_key = (*at, *location_of(fault.where or ""))

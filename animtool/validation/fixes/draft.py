@@ -65,7 +65,7 @@ class FixStep:
 
 # Fixes of documents by code; USD layers have a separate table.
 FIXES = {
-    "RIG107": "animtool.validation.fixes.names:allowed",
+    "RIG109": "animtool.validation.fixes.names:allowed",
     "RIG210": "animtool.validation.fixes.texts:summed",
     "RIG219": "animtool.validation.fixes.names:distinct",
     "RIG221": "animtool.validation.fixes.names:allowed",

@@ -9,11 +9,8 @@ References:
 
 from __future__ import annotations
 
-import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import field
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TypeAlias
 
 from animtool.core.arguments import (
@@ -24,65 +21,14 @@ from animtool.core.arguments import (
     marked,
     worded,
 )
-from animtool.core.errors import Fault, FormatError, Severity, counted
-from animtool.core.files.reading import read_input
+from animtool.core.errors import Fault, Severity, counted
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
+from animtool.core.source_lines import Sources, excerpt_lines
 from animtool.core.values import plain_value
 from animtool.report.text import Each, Template
 from animtool.validation.run import Report
-
-# What YAML takes for the end of a line.
-_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-# Longer files are arrays, of which no one reads a line.
-MAX_BYTES = 4_000_000
-WIDTH = 96
-# Fraction of a cut line before the fault's column.
-BEFORE = 32
-
-
-@dataclass(slots=True)
-class Sources:
-    """Source lines of files; the last file is cached."""
-
-    path: str | None = None  # the file that is kept
-    lines: list[str] = field(default_factory=list)  # of it
-
-    def line(self, path: str, number: int) -> str | None:
-        """Return a 1-based line of a file; None where it cannot be read."""
-        if path != self.path:
-            self.path, self.lines = path, _lines(Path(path))
-        return self.lines[number - 1] if 0 < number <= len(self.lines) else None
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        data = read_input(path, MAX_BYTES, recorded=False)
-        return _ENDS.split(data.decode("utf-8-sig"))
-    except (FormatError, UnicodeDecodeError):
-        return []
-
-
-def cut(line: str, column: int) -> Iterator[str]:
-    """Yield a source line, and a line with a caret below a 1-based column.
-
-    >>> list(cut("joints: []", 9))
-    ['joints: []', '        ^']
-    """
-    shown = line.rstrip()
-    start = 0
-    if len(shown) > WIDTH:
-        start = max(0, min(column - 1 - BEFORE, len(shown) - WIDTH))
-    part = shown[start : start + WIDTH]
-    part = "".join(c if c.isprintable() else " " for c in part)
-    if start:
-        part = "\N{HORIZONTAL ELLIPSIS}" + part[1:]
-    if start + WIDTH < len(shown):
-        part = part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
-    yield part
-    yield " " * (column - 1 - start) + "^"
-
 
 _Kind: TypeAlias = tuple[str | None, str, Severity]
 
@@ -146,7 +92,7 @@ def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
     for fault in report.findings:
         kind = _kind(fault)
         if repeats or fault.lines:
-            shown.append(ShownFinding(fault, excerpt=_excerpt(fault, sources)))
+            shown.append(ShownFinding(fault, excerpt=excerpt_lines(fault, sources)))
         elif first.setdefault(kind, fault) is fault:
             shown.append(ShownFinding(fault, counts[kind] - 1))
     return shown
@@ -164,19 +110,6 @@ def summary(report: Report) -> str:
     '0 files: nothing found'
     """
     return marked(SUMMARY.text(report)[0])
-
-
-def _excerpt(fault: Fault, sources: Sources) -> tuple[str, ...]:
-    """Return the source line of a finding, and a caret line."""
-    if fault.path is None or not fault.lines:
-        return ()
-    number = fault.lines[0]
-    line = sources.line(fault.path, number)
-    if line is None or not line.strip():
-        return ()
-    text, caret = cut(line, fault.column or len(line) - len(line.lstrip()) + 1)
-    margin = f"{number:>5} | "
-    return margin + text, " " * (len(margin) - 2) + "| " + caret
 
 
 _LEVELS = {

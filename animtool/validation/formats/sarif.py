@@ -18,7 +18,7 @@ from urllib.parse import quote
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import json_printed
 from animtool.core.rules import Rule, all_rules, page_text
-from animtool.validation.formats.plain import Sources
+from animtool.core.source_lines import Sources
 from animtool.validation.run import Report
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"

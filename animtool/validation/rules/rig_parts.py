@@ -45,7 +45,7 @@ def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
         return
     for key in GROUPS:
         names = [name for name in names_in(rig, key) if legal(name) != name]
-        if key == "joints":  # RIG107 warns of these
+        if key == "joints":  # RIG109 warns of these
             names = [name for name in names if not any(map(str.isspace, name))]
         if names:
             one = len(names) == 1

@@ -379,11 +379,11 @@ def test_keys_off_the_frame_late_keys_and_idle_joints_are_found(
 def test_one_of_several_characters_is_shown_and_compared(tmp_path: Path) -> None:
     path = write_small(tmp_path / "two.glb", "skins")
     page = tmp_path / "page.html"
-    done = animtool("preview", path, "--prim-path", "/hips_2", "-o", page)
+    done = animtool("preview", path, "--source-prim", "/hips_2", "-o", page)
     assert done.code == 0
     assert "GLT109" not in done.stderr
     done = animtool(
-        "diff", path, path, "--prim-path-a", "/hips_2", "--prim-path-b", "/hips"
+        "diff", path, path, "--source-prim-a", "/hips_2", "--source-prim-b", "/hips"
     )
     assert done.code == 1
 

@@ -230,7 +230,7 @@ def test_the_command_says_what_it_wrote(walk: Path, tmp_path: Path) -> None:
     import json
 
     path = tmp_path / "walk.png"
-    asked = ("--frames", "1,20", "--size", "64x48", "--format", "json")
+    asked = ("--range", "1,20", "--size", "64x48", "--format", "json")
     done = animtool("preview", walk, "-o", path, *asked)
     report = json.loads(done.stdout)
     assert (done.code, report["bytes"]) == (0, path.stat().st_size)
@@ -238,5 +238,5 @@ def test_the_command_says_what_it_wrote(walk: Path, tmp_path: Path) -> None:
     assert (report["width"], report["height"]) == (2 * 64 + GAP, 48)
     assert animtool("preview", walk, "-o", path).code == 2
     assert animtool("preview", walk, "--size", "64x48", "--no-open").code == 2
-    listed = animtool("preview", walk, "-o", tmp_path / "a.html", "--frames", "1,2")
+    listed = animtool("preview", walk, "-o", tmp_path / "a.html", "--range", "1,2")
     assert "PRV006" in listed.stderr

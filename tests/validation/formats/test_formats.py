@@ -19,8 +19,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import escaped
 from animtool.core.rules import builtin_rules
+from animtool.core.source_lines import cut
 from animtool.validation.formats import FORMATS, written
-from animtool.validation.formats.plain import cut
 from animtool.validation.run import Report
 
 RIG = "rig: animtool/1\nname: é\njoints:\n- {name: knee}\n"

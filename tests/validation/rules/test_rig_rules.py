@@ -196,7 +196,7 @@ def test_names_with_spaces_are_one_warning(tmp_path: Path) -> None:
         "- {name: hand, type: fixed, parent: wri st}\n"
     )
     path.write_text(HEAD + joints, "utf-8")
-    (fault,) = [f for f in validate(path) if f.code in {"RIG107", "RIG221"}]
-    assert (fault.code, fault.severity) == ("RIG107", "warning")
+    (fault,) = [f for f in validate(path) if f.code in {"RIG109", "RIG221"}]
+    assert (fault.code, fault.severity) == ("RIG109", "warning")
     assert fault.message == "2 of 3 joint names contain a space: 'lower arm'"
     assert "lower_arm" in str(fault.hint)

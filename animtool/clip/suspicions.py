@@ -1,0 +1,203 @@
+"""Warnings about clip files whose numbers look like another unit or order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import counted
+from animtool.core.quantities import length_text
+from animtool.documents.document import Document, Location
+from animtool.rig.joints import KEYED_PARTS, split_part
+from animtool.rig.kinematics import rest_size
+from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import (
+    HALF_TURN,
+    HALF_TURN_Z,
+    HINGES,
+    MAX_DEGREES,
+    WHOLE_TURN,
+    is_multiple,
+    warn_of_quaternion,
+)
+
+# Channels that move by less are noise in any unit [file's angle].
+MIN_SPAN = 0.3
+# A character with this many of them moves by more than `HALF_TURN` degrees somewhere.
+MIN_CHANNELS = 5
+# Largest angle of some joint, if a character moves in radians [rad].
+MIN_LARGEST = 1.0
+# Fraction of keys at multiples of 15 degrees in radians: others are there by chance.
+MIN_EXACT = 0.2
+# A root that travels less than this fraction of the rig does not leave its spot.
+MAX_TRAVEL = 0.05
+# Travel in metres that is plausible, in sizes of the rig.
+TRAVEL = (0.2, 20.0)
+# Rotation of a limb when a character travels [rad].
+MIN_STRIDE = math.radians(15)
+# Sizes of characters [m], and a speed that not even their falls reach [m/s].
+SIZES, MAX_SPEED = (0.3, 4.0), 50.0
+# Time over which a speed is measured; faster is a teleport [s].
+MIN_TIME = 0.25
+SMALLER = {1.0: "cm", 0.01: "mm"}
+
+
+def warn_of_numbers(
+    document: Document,
+    channels: Sequence[ClipChannel],
+    fps: Fraction,
+    units: ClipUnits,
+    rig: Rig | None,
+) -> None:
+    """Warn of quaternions, angles, lengths and speeds that look mistaken."""
+    _warn_of_order(document, channels)
+    _warn_of_angles(document, channels, units)
+    if rig is not None:
+        _warn_of_metres(document, channels, units, rig)
+        _warn_of_speed(document, channels, fps, units, rig)
+
+
+def _warn_of_speed(
+    document: Document,
+    channels: Sequence[ClipChannel],
+    fps: Fraction,
+    units: ClipUnits,
+    rig: Rig,
+) -> None:
+    """Warn of characters that are faster than any fall (CLIP109)."""
+    size = rest_size(rig)
+    body = any(HINGES.search(name) for name in rig.names)
+    if not (body and SIZES[0] <= size <= SIZES[1]):
+        return
+    for i, channel in _translations(channels, rig):
+        steps = np.diff(channel.times) / float(fps)
+        lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
+        speeds = np.where(steps >= MIN_TIME, lengths / np.maximum(steps, 1e-9), 0.0)
+        if not len(speeds) or speeds.max() <= MAX_SPEED:
+            continue
+        k = int(speeds.argmax())
+        message = (
+            f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
+            f"({speeds[k]:.3g} m/s), and the rig is {length_text(size)} tall"
+        )
+        unit = SMALLER.get(units.length)
+        hint = "check the keys and fps"
+        if unit is not None:
+            hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
+        document.warn("CLIP109", (*_at(i, k + 1), "v"), message, hint)
+        return
+
+
+def _at(channel: int, key: int) -> Location:
+    return ("channels", channel, "keys", key)
+
+
+def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
+    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (CLIP106)."""
+    rows = [(i, c.values) for i, c in enumerate(channels) if c.values.shape[1] == 4]
+    if any((abs(values[:, 3]) > abs(values[:, 2])).any() for _, values in rows):
+        return
+    for i, values in rows:
+        keys = document.value["channels"][i]["keys"]
+        for k in np.flatnonzero(abs(values[:, 2]) == 1.0):
+            if keys[k]["v"] == HALF_TURN_Z:
+                warn_of_quaternion(document, "CLIP106", (*_at(i, int(k)), "v"))
+                return
+
+
+def _angles(channels: Sequence[ClipChannel]) -> Iterator[tuple[int, FloatArray]]:
+    for i, channel in enumerate(channels):
+        is_pin = split_part(channel.target, KEYED_PARTS)[1] == "angle"
+        if channel.euler or (channel.target.startswith("joint/") and is_pin):
+            yield i, channel.values
+
+
+def _warn_of_angles(
+    document: Document, channels: Sequence[ClipChannel], units: ClipUnits
+) -> None:
+    """Warn of keys in radians where degrees are declared, and vice versa (CLIP107)."""
+    angles = [(i, values / units.angle) for i, values in _angles(channels)]
+    angles = [(i, values) for i, values in angles if values.any()]
+    if not angles:
+        return
+    in_degrees = units.angle != 1.0
+    check = _in_radians if in_degrees else _in_degrees
+    if not check([(channels[i].target, values) for i, values in angles]):
+        return
+    i, values = max(angles, key=lambda pair: np.abs(pair[1]).max())
+    k = int(np.abs(values).max(axis=1).argmax())
+    largest = values[k][np.abs(values[k]).argmax()]
+    declared, meant = ("deg", "rad") if in_degrees else ("rad", "deg")
+    words = {"deg": "degrees", "rad": "radians"}
+    factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
+    message = (
+        f"rotation keys of {counted(len(angles), 'channel')} look like {words[meant]}, "
+        f"but the angle unit is {declared}: the largest is {largest:.4g}"
+    )
+    hint = (
+        f"write 'units: {{angle: {meant}}}', or this key in {words[declared]}: "
+        f"{largest * factor:.4g}"
+    )
+    document.warn("CLIP107", (*_at(i, k), "v"), message, hint)
+
+
+def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
+    values = np.concatenate([values.ravel() for _, values in angles])
+    values = values[values != 0.0]
+    largest = np.abs(values).max()
+    exact = sum(is_multiple(float(value)) for value in values)
+    if largest <= WHOLE_TURN and exact >= MIN_EXACT * len(values):
+        return True
+    if not MIN_LARGEST <= largest <= HALF_TURN:
+        return False
+    moving = [name for name, rows in angles if np.ptp(rows, axis=0).max() > MIN_SPAN]
+    return len(moving) >= MIN_CHANNELS and any(map(HINGES.search, moving))
+
+
+def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:
+    values = np.concatenate([values.ravel() for _, values in angles])
+    values = values[values != 0.0]
+    whole = np.mean(values == np.round(values))
+    return bool(WHOLE_TURN < np.abs(values).max() <= MAX_DEGREES and whole > 0.5)
+
+
+def _translations(
+    channels: Sequence[ClipChannel], rig: Rig
+) -> Iterator[tuple[int, ClipChannel]]:
+    """Yield the translation channels of roots."""
+    roots = {rig.names[j] for j in rig.roots}
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part in {"translation", "local_translation"} and name in roots:
+            yield i, channel
+
+
+def _warn_of_metres(
+    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
+) -> None:
+    """Warn of a root that seems to travel in metres in a cm or mm clip (CLIP108)."""
+    size = rest_size(rig)
+    if units.length >= 1.0 or size < SIZES[0]:
+        return
+    strides = [np.ptp(v, axis=0).max() for _, v in _angles(channels)]
+    if max(strides, default=0.0) < MIN_STRIDE:
+        return
+    for i, channel in _translations(channels, rig):
+        reach = float(np.linalg.norm(channel.values, axis=1).max())
+        net = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
+        in_metres = reach / units.length
+        low, high = (factor * size for factor in TRAVEL)
+        if reach > MAX_TRAVEL * size or not low <= in_metres <= high or net < reach / 2:
+            continue
+        message = (
+            f"{channel.target!r} moves by {length_text(net)} while limbs rotate by "
+            f"{math.degrees(max(strides)):.0f}°; the rig is {length_text(size)} tall"
+        )
+        hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
+        document.warn("CLIP108", (*_at(i, len(channel.times) - 1), "v"), message, hint)
+        return

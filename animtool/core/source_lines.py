@@ -1,0 +1,75 @@
+"""Source lines of faults, with a caret below the column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import field
+from pathlib import Path
+
+from animtool.core.errors import Fault, FormatError
+from animtool.core.files.reading import read_input
+from animtool.core.record import dataclass
+
+# What YAML takes for the end of a line.
+_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
+# Longer files are arrays, of which no one reads a line.
+MAX_BYTES = 4_000_000
+WIDTH = 96
+# Fraction of a cut line before the fault's column.
+BEFORE = 32
+
+
+@dataclass(slots=True)
+class Sources:
+    """Source lines of files; the last file is cached."""
+
+    path: str | None = None  # the file that is kept
+    lines: list[str] = field(default_factory=list)  # of it
+
+    def line(self, path: str, number: int) -> str | None:
+        """Return a 1-based line of a file; None where it cannot be read."""
+        if path != self.path:
+            self.path, self.lines = path, _lines(Path(path))
+        return self.lines[number - 1] if 0 < number <= len(self.lines) else None
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        data = read_input(path, MAX_BYTES, recorded=False)
+        return _ENDS.split(data.decode("utf-8-sig"))
+    except (FormatError, UnicodeDecodeError):
+        return []
+
+
+def cut(line: str, column: int) -> Iterator[str]:
+    """Yield a source line, and a line with a caret below a 1-based column.
+
+    >>> list(cut("joints: []", 9))
+    ['joints: []', '        ^']
+    """
+    shown = line.rstrip()
+    start = 0
+    if len(shown) > WIDTH:
+        start = max(0, min(column - 1 - BEFORE, len(shown) - WIDTH))
+    part = shown[start : start + WIDTH]
+    part = "".join(c if c.isprintable() else " " for c in part)
+    if start:
+        part = "\N{HORIZONTAL ELLIPSIS}" + part[1:]
+    if start + WIDTH < len(shown):
+        part = part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
+    yield part
+    yield " " * (column - 1 - start) + "^"
+
+
+def excerpt_lines(fault: Fault, sources: Sources) -> tuple[str, ...]:
+    """Return the source line of a fault, and a caret line; empty without a line."""
+    if fault.path is None or not fault.lines:
+        return ()
+    number = fault.lines[0]
+    line = sources.line(fault.path, number)
+    if line is None or not line.strip():
+        return ()
+    text, caret = cut(line, fault.column or len(line) - len(line.lstrip()) + 1)
+    margin = f"{number:>5} | "
+    return margin + text, " " * (len(margin) - 2) + "| " + caret

@@ -1,0 +1,138 @@
+"""Warnings about rig files whose numbers look like another unit or order."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from animtool.core.errors import counted
+from animtool.documents.document import Document, Location
+from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
+
+# Half a turn in radians, rounded up: the largest limit of most joints [rad].
+HALF_TURN = 3.2
+# Limits this small are tight in any unit, such as those of a spine [file's angle].
+SMALL = 0.3
+# Joints whose limits are all within half a turn of radians: one or two may be stiff.
+MIN_JOINTS = 3
+# Joints that bend by far more than this on every creature [deg].
+HINGES = re.compile("knee|elbow", re.IGNORECASE)
+MIN_HINGE = 2 * HALF_TURN
+# Multiples of 15 degrees in radians, at three decimals at least.
+STEP, ROUNDING = math.radians(15), 6e-4
+# Limits in radians reach beyond a whole turn where something winds up [rad].
+WHOLE_TURN, MAX_DEGREES = 6.4, 360.0
+HALF_TURN_Z = [0.0, 0.0, 0.0, 1.0]
+
+
+class _Limit(NamedTuple):
+    location: Location
+    joint: str
+    values: list[float]
+
+    @property
+    def largest(self) -> float:
+        return max(map(abs, self.values))
+
+    def text(self, factor: float = 1.0) -> str:
+        numbers = ", ".join(f"{value * factor:.4g}" for value in self.values)
+        return numbers if len(self.values) == 1 else f"[{numbers}]"
+
+
+def warn_of_angles(
+    document: Document, joints: Sequence[JointModel], angle: str
+) -> None:
+    """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
+    limits = [limit for limit in _limits(joints) if limit.largest > 0]
+    meant = "rad" if angle == "deg" else "deg"
+    found = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
+    if not found:
+        return
+    worst = max(found, key=lambda limit: limit.largest)
+    factor = math.degrees(1.0) if angle == "deg" else math.radians(1.0)
+    names = {limit.joint for limit in found}
+    unit = {"deg": "degrees", "rad": "radians"}
+    message = (
+        f"the limits of {counted(len(names), 'joint')} look like {unit[meant]}, but "
+        f"units.angle is {angle}: {worst.joint!r} has {worst.text()}"
+    )
+    hint = (
+        f"write 'angle: {meant}' under units, or this limit in {unit[angle]}: "
+        f"{worst.text(factor)}"
+    )
+    document.warn("RIG107", worst.location, message, hint)
+
+
+def is_multiple(value: float) -> bool:
+    """Return whether a number is a multiple of 15 degrees in radians.
+
+    >>> is_multiple(1.5708), is_multiple(0.7854), is_multiple(1.5)
+    (True, True, False)
+    """
+    near = round(value / STEP)
+    return near != 0 and abs(value - near * STEP) < ROUNDING
+
+
+def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
+    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (RIG108)."""
+    rotations = [joint.rotate for joint in joints if "rotate" in joint.model_fields_set]
+    if any(abs(w) > abs(z) for w, _, _, z in rotations):
+        return
+    for i, joint in enumerate(joints):
+        if joint.rotate == HALF_TURN_Z:
+            warn_of_quaternion(document, "RIG108", ("joints", i, "rotate"))
+            return
+
+
+def warn_of_quaternion(document: Document, code: str, location: Location) -> None:
+    """Warn of [0, 0, 0, 1] at a location."""
+    message = (
+        "[0, 0, 0, 1] is half a turn about z: quaternions are [w, x, y, z], w first"
+    )
+    hint = "no rotation is [1, 0, 0, 0]; write [0, 0, 0, -1] if half a turn is meant"
+    document.warn(code, location, message, hint)
+
+
+def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
+    for i, joint in enumerate(joints):
+        at: Location = ("joints", i, "limits")
+        if isinstance(joint, PinJointModel) and joint.limits is not None:
+            yield _Limit(at, joint.name, joint.limits)
+        if isinstance(joint, BallJointModel) and joint.limits is not None:
+            swing, twist = joint.limits.swing, joint.limits.twist
+            if swing is not None:
+                both = swing if isinstance(swing, list) else [swing]
+                yield _Limit((*at, "swing"), joint.name, both)
+            if isinstance(twist, list):
+                yield _Limit((*at, "twist"), joint.name, twist)
+
+
+def _in_radians(limits: list[_Limit]) -> list[_Limit]:
+    if any(limit.largest > HALF_TURN for limit in limits):
+        return [
+            limit
+            for limit in limits
+            if (
+                HINGES.search(limit.joint)
+                and len(limit.values) == 2
+                and 0 < limit.values[1] - limit.values[0] < MIN_HINGE
+                and limit.largest <= HALF_TURN
+            )
+        ]
+    joints = {limit.joint for limit in limits}
+    largest = max((limit.largest for limit in limits), default=0.0)
+    exact = any(is_multiple(value) for limit in limits for value in limit.values)
+    hinge = any(HINGES.search(limit.joint) for limit in limits)
+    plausible = len(joints) < MIN_JOINTS and not exact and not hinge
+    return [] if plausible or largest < SMALL else limits
+
+
+def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
+    return [
+        limit
+        for limit in limits
+        if WHOLE_TURN < limit.largest <= MAX_DEGREES
+        and all(value.is_integer() for value in limit.values)
+    ]
