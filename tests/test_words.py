@@ -25,9 +25,12 @@ EVERYDAY = set(WORDS.split())
 KEPT = {
     "ahead": "key of scenes, how far ahead an agent aims on its path",
     "apart": "key of the report of `loop` and of tables",
-    "found": "a count of the report of capture: markers that were found",
     "held": "key of reports; frozen arrays of a state that is saved",
     "held_mean": "key of the report of `retarget`",
+    "LANES": "SIMD lanes",
+    "lane": "SIMD lane; a lane of people who walk",
+    "lane_cost": "cost of a lane of people who walk",
+    "lanes": "SIMD lanes",
     "made": "field of a state that is saved",
     "moments": "moments of inertia",
     "own": "key of the report of `bake`",

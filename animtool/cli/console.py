@@ -126,7 +126,10 @@ class Console:
             self._line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
-        """Write faults to stderr, with their source lines; errors even if quiet."""
+        """Write faults to stderr; errors even if quiet.
+
+        One at a column is followed by its source line and a caret.
+        """
         sources = None
         for unworded in faults:
             fault = unworded.worded(self.calling)
@@ -137,7 +140,7 @@ class Console:
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
                 text = str(shown).replace(escaped(fault.code), code, 1)
-                if fault.lines and not self.json_log:
+                if fault.column and not self.json_log:
                     from animtool.core.source_lines import Sources, excerpt_lines
 
                     sources = sources or Sources()

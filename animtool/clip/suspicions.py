@@ -17,18 +17,18 @@ from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
-    HALF_TURN,
-    HALF_TURN_Z,
+    FULL_CIRCLE,
+    HALF_CIRCLE,
+    HALF_CIRCLE_Z,
     HINGES,
     MAX_DEGREES,
-    WHOLE_TURN,
     is_multiple,
     warn_of_quaternion,
 )
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
-# A character with this many of them moves by more than `HALF_TURN` degrees somewhere.
+# A character with this many of them moves by more than `HALF_CIRCLE` degrees somewhere.
 MIN_CHANNELS = 5
 # Largest angle of some joint, if a character moves in radians [rad].
 MIN_LARGEST = 1.0
@@ -105,7 +105,7 @@ def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
     for i, values in rows:
         keys = document.value["channels"][i]["keys"]
         for k in np.flatnonzero(abs(values[:, 2]) == 1.0):
-            if keys[k]["v"] == HALF_TURN_Z:
+            if keys[k]["v"] == HALF_CIRCLE_Z:
                 warn_of_quaternion(document, "CLIP106", (*_at(i, int(k)), "v"))
                 return
 
@@ -151,9 +151,9 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     values = values[values != 0.0]
     largest = np.abs(values).max()
     exact = sum(is_multiple(float(value)) for value in values)
-    if largest <= WHOLE_TURN and exact >= MIN_EXACT * len(values):
+    if largest <= FULL_CIRCLE and exact >= MIN_EXACT * len(values):
         return True
-    if not MIN_LARGEST <= largest <= HALF_TURN:
+    if not MIN_LARGEST <= largest <= HALF_CIRCLE:
         return False
     moving = [name for name, rows in angles if np.ptp(rows, axis=0).max() > MIN_SPAN]
     return len(moving) >= MIN_CHANNELS and any(map(HINGES.search, moving))
@@ -162,8 +162,8 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
 def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
-    whole = np.mean(values == np.round(values))
-    return bool(WHOLE_TURN < np.abs(values).max() <= MAX_DEGREES and whole > 0.5)
+    integers = np.mean(values == np.round(values))
+    return bool(FULL_CIRCLE < np.abs(values).max() <= MAX_DEGREES and integers > 0.5)
 
 
 def _translations(

@@ -12,19 +12,19 @@ from animtool.documents.document import Document, Location
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
 
 # Half a turn in radians, rounded up: the largest limit of most joints [rad].
-HALF_TURN = 3.2
+HALF_CIRCLE = 3.2
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
 SMALL = 0.3
 # Joints whose limits are all within half a turn of radians: one or two may be stiff.
 MIN_JOINTS = 3
 # Joints that bend by far more than this on every creature [deg].
 HINGES = re.compile("knee|elbow", re.IGNORECASE)
-MIN_HINGE = 2 * HALF_TURN
+MIN_HINGE = 2 * HALF_CIRCLE
 # Multiples of 15 degrees in radians, at three decimals at least.
 STEP, ROUNDING = math.radians(15), 6e-4
 # Limits in radians reach beyond a whole turn where something winds up [rad].
-WHOLE_TURN, MAX_DEGREES = 6.4, 360.0
-HALF_TURN_Z = [0.0, 0.0, 0.0, 1.0]
+FULL_CIRCLE, MAX_DEGREES = 6.4, 360.0
+HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 
 
 class _Limit(NamedTuple):
@@ -81,7 +81,7 @@ def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
     if any(abs(w) > abs(z) for w, _, _, z in rotations):
         return
     for i, joint in enumerate(joints):
-        if joint.rotate == HALF_TURN_Z:
+        if joint.rotate == HALF_CIRCLE_Z:
             warn_of_quaternion(document, "RIG108", ("joints", i, "rotate"))
             return
 
@@ -110,7 +110,7 @@ def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
 
 
 def _in_radians(limits: list[_Limit]) -> list[_Limit]:
-    if any(limit.largest > HALF_TURN for limit in limits):
+    if any(limit.largest > HALF_CIRCLE for limit in limits):
         return [
             limit
             for limit in limits
@@ -118,7 +118,7 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
                 HINGES.search(limit.joint)
                 and len(limit.values) == 2
                 and 0 < limit.values[1] - limit.values[0] < MIN_HINGE
-                and limit.largest <= HALF_TURN
+                and limit.largest <= HALF_CIRCLE
             )
         ]
     joints = {limit.joint for limit in limits}
@@ -133,6 +133,6 @@ def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
     return [
         limit
         for limit in limits
-        if WHOLE_TURN < limit.largest <= MAX_DEGREES
+        if FULL_CIRCLE < limit.largest <= MAX_DEGREES
         and all(value.is_integer() for value in limit.values)
     ]

@@ -270,7 +270,7 @@ def test_ten_mixed_faults_are_printed(tmp_path: Path) -> None:
     path.write_text(MIXED)
     done = animtool("bake", path, "-o", tmp_path / "shot.usda")
     assert done.code == 3
-    said = [line.removeprefix(f"{path}:").split() for line in done.stderr.splitlines()]
+    said = [line.removeprefix(f"{path}:").split() for line in done.fault_lines]
     assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == MIXED_FAULTS
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "hero.rig.yaml",
@@ -283,7 +283,7 @@ def test_faults_of_a_clip_and_its_rig_in_one_go(tmp_path: Path) -> None:
     path = write_clip(tmp_path, PIN + "  - {t: 0, v: x}\n  - {t: 0, v: 1}\n")
     done = animtool("bake", path, "-o", tmp_path / "shot.usda")
     assert done.code == 3
-    said = [line.split()[:2] for line in done.stderr.splitlines()]
+    said = [line.split()[:2] for line in done.fault_lines]
     assert [(at.split(":")[0], code) for at, code in said] == [
         (str(path), "DOC022"),
         (str(path), "CLIP004"),

@@ -493,7 +493,7 @@ def test_ten_mixed_faults_are_printed(yard: Path) -> None:
     )
     done = animtool("bake", clip, "-o", yard / "swing.usda")
     assert done.code == 3
-    lines = done.stderr.splitlines()
+    lines = done.fault_lines
     own = [line for line in lines if line.startswith(str(clip))]
     assert [line.split()[1] for line in own] == ["CLIP004", "DOC022"]
     rest = [line for line in lines if line not in own]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -27,6 +28,12 @@ class Done:
     stderr: str
     # Of its process, and of those that it waited for; of `Killable` alone [MB].
     peak_mb: float = field(default=0.0, compare=False)
+
+    @property
+    def fault_lines(self) -> list[str]:
+        """Lines of stderr without the source lines and carets below faults."""
+        lines = self.stderr.splitlines()
+        return [line for line in lines if not re.match(r" *\d* +\| ", line)]
 
 
 def animtool(*arguments: object, cwd: Path | None = None) -> Done:

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from animtool.maths import so3
-from animtool.retarget.feet import Foot, FootStances
+from animtool.retarget.feet import Foot, FootContacts
 
 
-def foot(frames: int, stands: FootStances | None = None, **keys: Any) -> Foot:
+def foot(frames: int, stands: FootContacts | None = None, **keys: Any) -> Foot:
     """Return a foot without a toe, 0.9 m below its hip, that stands all the time."""
     all_of_it = np.ones(frames, np.bool_)
     given: dict[str, Any] = {
-        "contacts": stands or FootStances(all_of_it, all_of_it, 0.08),
+        "contacts": stands or FootContacts(all_of_it, all_of_it, 0.08),
         "hip": np.zeros((frames, 3)),
         "ankle": np.tile([0.1, -0.9, 0.0], (frames, 1)),
         "toe": None,

@@ -296,9 +296,9 @@ class Settling {
     const double speed = length(along), rest = pinned - length(free);
     const double fraction = rest > 0 && speed + rest > 0 ? speed / (speed + rest) : 1.0;
     const Pose end = pose_at(c, path_.left);
-    const Vec carried = end.to_world(pose.to_local(point));
-    const Vec goal = carried + (along + slid) * (left * fraction / 2);
-    const Vec velocity = surface_velocity(c, carried, end) + slid;
+    const Vec transported = end.to_world(pose.to_local(point));
+    const Vec goal = transported + (along + slid) * (left * fraction / 2);
+    const Vec velocity = surface_velocity(c, transported, end) + slid;
     const Vec heading = left > 0 ? (goal - point) * (1 / left) : Vec{};
     path_ = {point, heading, velocity, {}, path_.clock + s, left};
     contact_ = {index, Touch::RESTS, normal};

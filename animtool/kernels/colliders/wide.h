@@ -67,15 +67,15 @@ unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, cons
   const N goal = chosen(deep, slow, depth);
   const N out = goal - hit.distance;
   const N pushed = below(N(TOUCH), out);
-  const V carried =
+  const V transported =
       V::spread(rod.travel) + cross(V::spread(rod.rotation), to - V::spread(rod.origin));
-  const V location = to + hit.normal * out, shift = location - from - carried;
+  const V location = to + hit.normal * out, shift = location - from - transported;
   const V slip = shift - hit.normal * dot(shift, hit.normal);
   const N most = root(dot(slip, slip)), pinned = out * rod.friction;
   // What friction holds does not slip at all.
   const N fraction = chosen(below(pinned, most), pinned * inverse(most), N(1.0));
   to = chosen(pushed, location - slip * fraction, to);
-  const N gained = dot(to - unmoved - carried, hit.normal);
+  const N gained = dot(to - unmoved - transported, hit.normal);
   const V relative = chosen(below(N(0.0), gained), unmoved + hit.normal * gained, unmoved);
   unmoved = chosen(pushed, chosen(deep, relative, unmoved), unmoved);
   return bits(pushed);

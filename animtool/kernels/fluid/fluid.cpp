@@ -392,7 +392,7 @@ class Steps {
   }
 
   // Displacement of a point of a collider in the substep.
-  Vec carried(std::size_t c, Vec point) const {
+  Vec transported(std::size_t c, Vec point) const {
     return point - old_poses_[c].to_world(poses_[c].to_local(point));
   }
 
@@ -443,7 +443,7 @@ class Steps {
       const bool touches = sample.distance < 0;
       if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
       deepest = std::max(deepest, -sample.distance);
-      const Vec surface = carried(c, x) * rate;
+      const Vec surface = transported(c, x) * rate;
       const double into = dot(v - surface, sample.normal);
       if (touches) {
         x = x - sample.normal * sample.distance;

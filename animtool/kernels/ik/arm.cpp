@@ -23,7 +23,7 @@ namespace animtool::ik {
 
 namespace {
 
-// How far axes may be from meeting or being parallel [rad], shares of the length.
+// How far axes may be from crossing or being parallel [rad], shares of the length.
 constexpr double ARM_NEARLY = 1e-3;
 // Vectors shorter than this have no direction.
 constexpr double ARM_OPEN = 1e-10;
@@ -112,8 +112,8 @@ void angles_to_common(const Triple& first, const Triple& p, const Triple& second
   if (left < -slack) return;
   const double height = std::sqrt(std::max(left, 0.0) / sine);
   for (const double sign : {1.0, -1.0}) {
-    const Triple meeting = plus(flat, times(sign * height, normal));
-    use(angle_between(first, p, meeting, open_first), angle_between(second, q, meeting, open_second));
+    const Triple crossing = plus(flat, times(sign * height, normal));
+    use(angle_between(first, p, crossing, open_first), angle_between(second, q, crossing, open_second));
   }
 }
 
@@ -125,7 +125,7 @@ struct Line {
 double out_of_parallel(const Line& a, const Line& b) { return size(crossed(a.axis, b.axis)); }
 
 // The point of line a nearest to line b, and their distance.
-double meeting(const Line& a, const Line& b, Triple& point) {
+double crossing(const Line& a, const Line& b, Triple& point) {
   const Triple between = minus(b.at, a.at);
   const double mixed = inner(a.axis, b.axis), sine = 1 - mixed * mixed;
   if (sine < ARM_NEARLY) return HUGE_VAL;
@@ -172,11 +172,11 @@ Approach approach_of(Anatomy& arm) {
   const Line* lines = arm.lines;
   if (out_of_parallel(lines[0], lines[1]) > ARM_NEARLY) {
     if (out_of_parallel(lines[1], lines[2]) < ARM_NEARLY) return Approach::LATER_PARALLEL;
-    if (meeting(lines[0], lines[1], arm.joint) < ARM_NEARLY) return Approach::EARLIER_MEET;
+    if (crossing(lines[0], lines[1], arm.joint) < ARM_NEARLY) return Approach::EARLIER_MEET;
   } else if (out_of_parallel(lines[1], lines[2]) > ARM_NEARLY) {
     return Approach::EARLIER_PARALLEL;
   }
-  return meeting(lines[1], lines[2], arm.joint) < ARM_NEARLY ? Approach::LATER_MEET : Approach::NONE;
+  return crossing(lines[1], lines[2], arm.joint) < ARM_NEARLY ? Approach::LATER_MEET : Approach::NONE;
 }
 
 Anatomy look(const Task& task) {
@@ -192,7 +192,7 @@ Anatomy look(const Task& task) {
   std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.unrotated);
   rotate(arm.unrotated, task.goals[0].offset, arm.tip.data());
   arm.tip = plus(arm.tip, arm.lines[ARM_PINS - 1].at);
-  if (!(meeting(arm.lines[4], arm.lines[5], arm.wrist) < ARM_NEARLY)) return arm;
+  if (!(crossing(arm.lines[4], arm.lines[5], arm.wrist) < ARM_NEARLY)) return arm;
   const Line* lines = arm.lines;
   if (out_of_parallel(lines[1], lines[2]) < ARM_NEARLY &&
       out_of_parallel(lines[2], lines[3]) < ARM_NEARLY &&

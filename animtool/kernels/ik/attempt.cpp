@@ -46,7 +46,7 @@ Descent::End Descent::descend(double damping, bool thorough) {
       slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
       std::swap(now_, next_);
     }
-    if (since % PATIENCE == PATIENCE - 1) {
+    if (since % MAX_STALLED == MAX_STALLED - 1) {
       if (!thorough && now_.cost > PROGRESS * marked) return End::SLOW;
       marked = now_.cost;
     }

@@ -188,7 +188,7 @@ class Descent : public Attempt {
   // Bounds of the damping of all descents.
   static constexpr double LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
   // Over so many steps a descent has to bring the cost down to this share.
-  static constexpr int PATIENCE = 6;
+  static constexpr int MAX_STALLED = 6;
   static constexpr double PROGRESS = 0.3;
   // Above this cost the whole Hessian is worth its price: goals are a length away.
   static constexpr double FAR = 0.5;

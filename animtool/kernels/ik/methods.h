@@ -38,7 +38,7 @@ class Method : public Solver, public Attempt {
 
  private:
   // Over so many steps the cost has to come down to this share.
-  static constexpr int PATIENCE = 50;
+  static constexpr int MAX_STALLED = 50;
   static constexpr double PROGRESS = 0.999;
 
   Status walk() {
@@ -50,7 +50,7 @@ class Method : public Solver, public Attempt {
       if (spent()) return Status::BUDGET;
       ++outcome_.iterations;
       bool onward = advance();
-      if (since % PATIENCE == 0) {
+      if (since % MAX_STALLED == 0) {
         onward = onward && std::min(now_.cost, best_.cost) <= PROGRESS * marked;
         marked = std::min(now_.cost, best_.cost);
       }

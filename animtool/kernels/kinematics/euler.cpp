@@ -42,11 +42,11 @@ void half_sine_cosine(const double* degrees, double* sine, double* cosine, std::
     c = c * x2 - 0.5;
     c = c * x2 + 1.0;
     // Odd quarter turns: (s, c) becomes (c, -s). Bit masks, so that the loop vectorises.
-    const auto odd_mask = std::uint64_t{0} - (std::bit_cast<std::uint64_t>(shifted) & 1);
+    const auto parity_mask = std::uint64_t{0} - (std::bit_cast<std::uint64_t>(shifted) & 1);
     const auto sb = std::bit_cast<std::uint64_t>(s), cb = std::bit_cast<std::uint64_t>(c);
     const auto minus_sb = sb ^ (std::uint64_t{1} << 63);
-    sine[i] = std::bit_cast<double>((sb & ~odd_mask) | (cb & odd_mask));
-    cosine[i] = std::bit_cast<double>((cb & ~odd_mask) | (minus_sb & odd_mask));
+    sine[i] = std::bit_cast<double>((sb & ~parity_mask) | (cb & parity_mask));
+    cosine[i] = std::bit_cast<double>((cb & ~parity_mask) | (minus_sb & parity_mask));
   }
 }
 

@@ -104,10 +104,10 @@ struct GravityLoops {
         const F fifth = squared * squared * inverse;
         const F across = (qx * x + qy * y + qz * z) * squared, trace = xx + yy + zz;
         const F pull = mass * squared + fifth * (7.5f * across - 1.5f * trace);
-        const F aside = 3.0f * fifth;
-        part.x = part.x + (pull * x - aside * qx);
-        part.y = part.y + (pull * y - aside * qy);
-        part.z = part.z + (pull * z - aside * qz);
+        const F outward = 3.0f * fifth;
+        part.x = part.x + (pull * x - outward * qx);
+        part.y = part.y + (pull * y - outward * qy);
+        part.z = part.z + (pull * z - outward * qz);
         part.potential = part.potential + mass +
                          squared * inverse * (1.5f * across - 0.5f * trace);
       }

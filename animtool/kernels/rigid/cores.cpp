@@ -281,7 +281,7 @@ void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, d
 }
 
 // The separating axis of two boxes, of 15 candidates, from their half extents.
-Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack) {
+Axis separating_boxes(const Placed& a, const Placed& b, double reach, double slack) {
   const Vec off = b.centre - a.centre;
   Vec axes_a[3], far[3];
   double half[3], other[3], cosines[3][3], size[3][3], at[3], along_b[3];
@@ -394,7 +394,7 @@ void Core::find_box() {
 Axis separating_axis(const Placed& a, const Placed& b, double reach) {
   const double size = std::min(a.core->reach, b.core->reach);
   const double slack = PREFER * size;
-  if (a.core->box && b.core->box) return parting_boxes(a, b, reach, slack);
+  if (a.core->box && b.core->box) return separating_boxes(a, b, reach, slack);
   Axis best;
   look_at_faces(a, b, true, 0, reach, best);
   if (best.gap > reach) return best;

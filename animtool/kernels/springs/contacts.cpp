@@ -102,7 +102,7 @@ double StepCollider::thickness(double radius) const {
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
   // A moving mesh is tested at the end of the step, in a frame that moves with it.
-  const Vec carried = surface >= 0 ? load(rod.travel) : Vec{}, start = from + carried;
+  const Vec transported = surface >= 0 ? load(rod.travel) : Vec{}, start = from + transported;
   if (!(length(to - start) > thickness(radius))) return false;
   // Particles that start inside are moved out at the depenetration speed.
   if (before(from, radius).distance < -collide::INSIDE) return false;
@@ -413,7 +413,7 @@ SpringContacts::PatchHit SpringContacts::look(std::size_t index, std::size_t n, 
   return {{side * hit.sample.distance - kept, out}, hit.triangle};
 }
 
-Vec SpringContacts::carried(const StepCollider& c, const PatchHit& hit, bool end,
+Vec SpringContacts::transported(const StepCollider& c, const PatchHit& hit, bool end,
                             Vec point) const {
   if (c.surface < 0)
     return c.collider.motion.displacement(point, end ? c.end : c.begin);
@@ -482,7 +482,7 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
   const PatchHit hit = look(index, n, false, from);
   // Particles that start inside are moved out at the depenetration speed.
   if (hit.sample.distance > most || hit.sample.distance < -collide::INSIDE) return false;
-  const Vec gone = carried(c, hit, false, from);
+  const Vec gone = transported(c, hit, false, from);
   if (!(length(to - from - gone) > c.thickness(radius))) return false;
   if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
   // It is seen from what of the surface is nearest: the rest of that stands as at the end.
@@ -513,7 +513,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
   const Sample& hit = view.sample;
   nearest_ = std::min(nearest_, hit.distance - allowed);
   if (!(hit.distance < allowed - collide::TOUCH)) return false;
-  const Vec shift = carried(c, view, true, to);
+  const Vec shift = transported(c, view, true, to);
   if (v) {
     const Vec surface = shift * (1 / h_), speed = load(v) - surface;
     const double into = dot(speed, hit.normal);

@@ -133,7 +133,7 @@ class SpringContacts {
   PatchHit look(std::size_t c, std::size_t n, bool end, collide::Vec point);
   collide::Mesh mesh_at(const StepCollider& c, bool end) const;
   // How what is found there goes in the step.
-  collide::Vec carried(const StepCollider& c, const PatchHit& hit, bool end,
+  collide::Vec transported(const StepCollider& c, const PatchHit& hit, bool end,
                        collide::Vec point) const;
   // Takes note of what a collider does to a particle there.
   void note_push(std::size_t c, double mass, collide::Vec point, collide::Vec change);

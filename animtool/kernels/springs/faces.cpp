@@ -163,7 +163,7 @@ bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
   if (!parts.any()) return false;
   if (!mark(parts, c, near, rows)) return false;
   begun_ = from_, ended_ = to_;
-  Parting parting(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_, to_,
+  Separation separation(c.collider.friction, c.collider.depenetration * h, inverse_masses_, from_, to_,
                   true);
   bool parted = false;
   for (int look = 0; look < LOOKS; ++look) {
@@ -171,12 +171,12 @@ bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
     if (edges_.empty() && corners_.empty()) break;
     parted = true;
     int rounds = 1;
-    while (part(parting) && rounds < ROUNDS) ++rounds;
+    while (part(separation) && rounds < ROUNDS) ++rounds;
     // What was moved but little meets nothing else.
     if (rounds == 1) break;
   }
   if (parted) {
-    parting.end();
+    separation.end();
     write(c, h, rows);
     parted = !moved.empty();
   }
@@ -350,10 +350,10 @@ void FaceContacts::meet_four(const FourParticles& who, double kept) {
   (std::is_same_v<Shape, shapes::EdgePair> ? edges_ : corners_).push_back(hit);
 }
 
-bool FaceContacts::part(Parting& parting) const {
+bool FaceContacts::part(Separation& separation) const {
   bool any = false;
-  for (const LayerHit& hit : corners_) any |= parting.part<shapes::CornerPair>(hit);
-  for (const LayerHit& hit : edges_) any |= parting.part<shapes::EdgePair>(hit);
+  for (const LayerHit& hit : corners_) any |= separation.part<shapes::CornerPair>(hit);
+  for (const LayerHit& hit : edges_) any |= separation.part<shapes::EdgePair>(hit);
   return any;
 }
 

@@ -11,7 +11,7 @@
 
 #include "colliders/colliders.h"
 #include "springs/network.h"
-#include "springs/parting.h"
+#include "springs/separation.h"
 
 namespace animtool {
 
@@ -75,7 +75,7 @@ class FaceContacts {
   void meet(const FineParts& parts, const Element& one, std::int32_t part);
   template <class Shape>
   void meet_four(const FourParticles& who, double kept);
-  bool part(Parting& parting) const;
+  bool part(Separation& separation) const;
   void write(const StepCollider& c, double h, StepRows& rows);
 
   const SpringNetwork& network_;

@@ -158,10 +158,10 @@ void SelfContacts::separate(double h, std::vector<double>& before, std::vector<d
   corners_.find(*layers_, before, x, most_, more, tangles);
   edges_.find(*layers_, before, x, most_, more, tangles);
   if (!corners_.any() && !edges_.any()) return;
-  Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
-  corners_.part(*layers_, parting);
-  edges_.part(*layers_, parting);
-  parting.end();
+  Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x);
+  corners_.part(*layers_, separation);
+  edges_.part(*layers_, separation);
+  separation.end();
 }
 
 bool SelfContacts::passes(double h, const std::vector<double>& from,
@@ -182,11 +182,11 @@ bool SelfContacts::passes(double h, const std::vector<double>& from,
 
 void SelfContacts::part_passed(double h, std::vector<double>& before,
                                std::vector<double>& x) const {
-  Parting parting(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
+  Separation separation(layers_->friction, layers_->speed * h, network_.inverse_masses, before, x,
                   true);
-  for (const LayerHit& hit : passed_corners_) parting.part<TrianglesAndCorners::Shape>(hit);
-  for (const LayerHit& hit : passed_edges_) parting.part<EdgesAndEdges::Shape>(hit);
-  parting.end();
+  for (const LayerHit& hit : passed_corners_) separation.part<TrianglesAndCorners::Shape>(hit);
+  for (const LayerHit& hit : passed_edges_) separation.part<EdgesAndEdges::Shape>(hit);
+  separation.end();
 }
 
 void SelfContacts::note_passed() {

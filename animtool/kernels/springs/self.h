@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "springs/drift.h"
-#include "springs/meetings.h"
+#include "springs/layer_contacts.h"
 #include "springs/zones.h"
 
 namespace animtool {
@@ -24,7 +24,7 @@ using SelfThrough = std::tuple<std::int64_t, std::int64_t, double>;
 // edges if their interiors are closest.
 class SelfContacts {
   // Rounds of resolving piercing in a step, and of all rounds.
-  static constexpr int PARTING_ROUNDS = 6, MOST_ROUNDS = 40;
+  static constexpr int SEPARATION_ROUNDS = 6, MOST_ROUNDS = 40;
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
@@ -86,8 +86,8 @@ class SelfContacts {
 
   const SpringLayers* layers_;
   const SpringNetwork& network_;
-  Meetings<TrianglesAndCorners> corners_;
-  Meetings<EdgesAndEdges> edges_;
+  LayerContacts<TrianglesAndCorners> corners_;
+  LayerContacts<EdgesAndEdges> edges_;
   std::optional<Tangles> tangles_;
   std::optional<ImpactZones> zones_;
   std::vector<LayerHit> passed_corners_, passed_edges_;
@@ -113,12 +113,12 @@ void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
   edges_.drop_those_back(*layers_, x);
   for (int round = 0; passes(h, from, x, moved); ++round) {
     if (round == MOST_ROUNDS) return note_passed();
-    if (round < PARTING_ROUNDS) {
+    if (round < SEPARATION_ROUNDS) {
       part_passed(h, before, x);
       settle();
       continue;
     }
-    if (round == PARTING_ROUNDS) zones_->clear();
+    if (round == SEPARATION_ROUNDS) zones_->clear();
     zones_->join(passed_corners_);
     zones_->join(passed_edges_);
     zones_->move(from, before, x);

@@ -161,7 +161,7 @@ class Bundles {
         out_(out),
         rows_(6 * width()),
         goals_((plan.cells + 1) * width()),
-        meetings_(plan.points * (plan.colliders + 2)),
+        contact_shifts_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
         touched_(plan.cells * plan.substeps) {}
 
@@ -192,7 +192,7 @@ class Bundles {
     built.unmoved = built.matrix + width();
     built.rests = strands_.rests(index);
     built.folds = strands_.folds(index);
-    built.shift = meetings_.data();
+    built.shift = contact_shifts_.data();
     built.due = built.shift + plan_.points;
     built.dues = built.due + plan_.points;
     built.near = near_.data();
@@ -232,7 +232,7 @@ class Bundles {
   const MovingColliders& colliders_;
   const double *targets_, *state_;
   double* out_;
-  std::vector<double> rows_, goals_, meetings_;
+  std::vector<double> rows_, goals_, contact_shifts_;
   std::vector<std::size_t> near_;
   std::vector<std::int64_t> touched_;
 };

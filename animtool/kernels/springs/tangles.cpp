@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "springs/grid.h"
-#include "springs/parting.h"
+#include "springs/separation.h"
 
 namespace animtool {
 

@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "springs/parting.h"
+#include "springs/separation.h"
 
 namespace animtool {
 

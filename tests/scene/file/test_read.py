@@ -184,7 +184,7 @@ def test_ten_mixed_faults_in_one_go(shot: Path) -> None:
     shot.write_text(MIXED, "utf-8")
     done = animtool("bake", shot)
     assert done.code == 3
-    said = [line.removeprefix(f"{shot}:").split() for line in done.stderr.splitlines()]
+    said = [line.removeprefix(f"{shot}:").split() for line in done.fault_lines]
     assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == MIXED_FAULTS
     assert sorted(p.name for p in shot.parent.iterdir()) == [
         "shot.scene.yaml",
@@ -217,7 +217,7 @@ def test_options_are_checked_before_there_is_a_take(shot: Path) -> None:
     shot.write_text(MANY, "utf-8")
     done = animtool("bake", shot, "-o", shot.parent / "o.usda")
     assert done.code == 3
-    said = [line.removeprefix(f"{shot}:").split() for line in done.stderr.splitlines()]
+    said = [line.removeprefix(f"{shot}:").split() for line in done.fault_lines]
     assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == [
         ("SCN013", 4),
         ("SCN016", 5),

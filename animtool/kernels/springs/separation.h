@@ -28,11 +28,11 @@ struct LayerHit {
 
 // One step. Momentum is conserved. Where parts only return to the kept distance, the previous
 // positions move too, so that no velocity is added.
-class Parting {
+class Separation {
  public:
   // Back: how far those that are too near come apart in the step without speed. At ends:
   // whether edges that went through each other are parted where they are nearest at an end.
-  Parting(double friction, double back, const std::vector<double>& inverse_masses,
+  Separation(double friction, double back, const std::vector<double>& inverse_masses,
           std::vector<double>& before, std::vector<double>& x, bool at_ends = false)
       : friction_(friction),
         back_(back),
@@ -63,7 +63,7 @@ class Parting {
 };
 
 template <class Shape>
-bool Parting::part(const LayerHit& hit) {
+bool Separation::part(const LayerHit& hit) {
   const Shape now(hit.who.data(), x_.data());
   const shapes::Nearest near = now.nearest();
   if (!near.inside && !(at_ends_ && hit.side)) return false;
@@ -87,7 +87,7 @@ bool Parting::part(const LayerHit& hit) {
   return pressed + back > hit.least * NEARLY;
 }
 
-inline void Parting::move(const LayerHit& hit, const double* fraction, collide::Vec out,
+inline void Separation::move(const LayerHit& hit, const double* fraction, collide::Vec out,
                           double pressed, double back) {
   if (back > 0 && !shifts_) shifted_ = before_, shifts_ = true;
   std::vector<double>& was = shifts_ ? shifted_ : before_;

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "springs/parting.h"
+#include "springs/separation.h"
 #include "springs/tangles.h"
 
 namespace animtool {
@@ -22,7 +22,7 @@ struct Passage {
 // Kind: TrianglesAndCorners or EdgesAndEdges. Neighbour lists only save time: contacts of a
 // step do not depend on when the lists were built.
 template <class Kind>
-class Meetings {
+class LayerContacts {
  public:
   using Shape = typename Kind::Shape;
 
@@ -44,7 +44,7 @@ class Meetings {
             const std::vector<double>& x, double most, double more, const Tangles* tangles);
   void forget() { hits_.clear(); }
   bool any() const { return !hits_.empty(); }
-  void part(const SpringLayers& layers, Parting& parting) const;
+  void part(const SpringLayers& layers, Separation& separation) const;
   // Adds who of those that are picked, and have a particle that is marked, went through on
   // the way from where the step began.
   void note_passed(const SpringLayers& layers, const std::vector<double>& from,
@@ -72,7 +72,7 @@ class Meetings {
 };
 
 template <class Kind>
-void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
+void LayerContacts<Kind>::pick(const SpringLayers& layers, const std::vector<double>& x,
                           const std::vector<double>& went, double reach) {
   const auto most = [&](const std::int32_t* first, const std::int32_t* last) {
     double far = 0;
@@ -90,7 +90,7 @@ void Meetings<Kind>::pick(const SpringLayers& layers, const std::vector<double>&
 }
 
 template <class Kind>
-void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
+void LayerContacts<Kind>::find(const SpringLayers& layers, const std::vector<double>& before,
                           const std::vector<double>& x, double most, double more,
                           const Tangles* tangles) {
   const auto tangled = [&](const std::int32_t* first, const std::int32_t* last) {
@@ -118,7 +118,7 @@ void Meetings<Kind>::find(const SpringLayers& layers, const std::vector<double>&
 }
 
 template <class Kind>
-double Meetings<Kind>::relative_shift(const FourParticles& who, const std::vector<double>& before,
+double LayerContacts<Kind>::relative_shift(const FourParticles& who, const std::vector<double>& before,
                                 const std::vector<double>& x) {
   collide::Vec shifts[4];
   for (std::size_t k = 0; k < 4; ++k)
@@ -133,7 +133,7 @@ double Meetings<Kind>::relative_shift(const FourParticles& who, const std::vecto
 }
 
 template <class Kind>
-std::int32_t Meetings<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
+std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
                                      const std::vector<double>& x) const {
   const auto known = std::lower_bound(crossed.begin(), crossed.end(),
                                       Passage{hit.first, hit.second, 0});
@@ -147,7 +147,7 @@ std::int32_t Meetings<Kind>::side_of(const LayerHit& hit, const std::vector<doub
 // Whether one of them is on the wrong side of what touches the other: the side that it is on
 // of this one says nothing.
 template <class Kind>
-bool Meetings<Kind>::came_round(const SpringLayers& layers, const LayerHit& hit) const {
+bool LayerContacts<Kind>::came_round(const SpringLayers& layers, const LayerHit& hit) const {
   const auto is_through = [&](std::int32_t who, const auto& touches) {
     auto one = std::lower_bound(through_.begin(), through_.end(), std::pair(who, -1));
     for (; one != through_.end() && one->first == who; ++one)
@@ -158,13 +158,13 @@ bool Meetings<Kind>::came_round(const SpringLayers& layers, const LayerHit& hit)
 }
 
 template <class Kind>
-void Meetings<Kind>::part(const SpringLayers& layers, Parting& parting) const {
+void LayerContacts<Kind>::part(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || through_.empty() || !came_round(layers, hit)) parting.part<Shape>(hit);
+    if (hit.side || through_.empty() || !came_round(layers, hit)) separation.part<Shape>(hit);
 }
 
 template <class Kind>
-void Meetings<Kind>::note_passed(const SpringLayers& layers, const std::vector<double>& from,
+void LayerContacts<Kind>::note_passed(const SpringLayers& layers, const std::vector<double>& from,
                                  const std::vector<double>& x,
                                  const std::vector<std::uint8_t>& moved,
                                  const Tangles& tangles, std::vector<LayerHit>& passed) const {
@@ -187,7 +187,7 @@ void Meetings<Kind>::note_passed(const SpringLayers& layers, const std::vector<d
 }
 
 template <class Kind>
-void Meetings<Kind>::drop_those_back(const SpringLayers& layers, const std::vector<double>& x) {
+void LayerContacts<Kind>::drop_those_back(const SpringLayers& layers, const std::vector<double>& x) {
   std::erase_if(crossed, [&](const Passage& one) {
     const Shape now(Kind::who(layers, one.first, one.second).data(), x.data());
     return !is_through(one.side, now);
@@ -195,7 +195,7 @@ void Meetings<Kind>::drop_those_back(const SpringLayers& layers, const std::vect
 }
 
 template <class Kind>
-void Meetings<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
+void LayerContacts<Kind>::look(const std::vector<double>& before, const std::vector<double>& x) {
   crossed.clear();
   for (const LayerHit& hit : hits_) {
     if (!hit.side && hit.gap > 2 * hit.travel) continue;
