@@ -109,7 +109,7 @@ def test_kernels_are_made_of_the_words_of_the_field() -> None:
 
 def test_a_name_that_keeps_an_everyday_word_is_declared() -> None:
     kernels = " ".join(
-        code_of(path.read_text("utf-8")) for path in KERNELS.rglob("*.h")
+        code_of(path.read_text("utf-8")) for path in KERNELS.rglob("*.*")
     )
     in_kernels = set(re.findall(r"[A-Za-z_]\w*", kernels))
     assert [name for name in KEPT if name not in names().keys() | in_kernels] == []

@@ -47,12 +47,12 @@ def warn_of_angles(
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
     limits = [limit for limit in _limits(joints) if limit.largest > 0]
     meant = "rad" if angle == "deg" else "deg"
-    found = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
-    if not found:
+    suspects = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
+    if not suspects:
         return
-    worst = max(found, key=lambda limit: limit.largest)
+    worst = max(suspects, key=lambda limit: limit.largest)
     factor = math.degrees(1.0) if angle == "deg" else math.radians(1.0)
-    names = {limit.joint for limit in found}
+    names = {limit.joint for limit in suspects}
     unit = {"deg": "degrees", "rad": "radians"}
     message = (
         f"the limits of {counted(len(names), 'joint')} look like {unit[meant]}, but "

@@ -270,7 +270,7 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
         ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 26), "joints[0]"),
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
-        ("{sauce: Hips, target: hips}", "DOC020", (3, 11), "'source'"),
+        ("{sauce: Hips, target: hips}", "DOC020", (3, 4), "'source'"),
         ("", "DOC022", (2, 9), "for example joints: [{"),
     ],
 )
