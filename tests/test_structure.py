@@ -72,6 +72,7 @@ for _path in sorted(PACKAGE.rglob("*.py")):
         MODULES[_path.relative_to(PACKAGE).parts[0]].append(_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", MODULES)
 def test_imports_point_one_way(folder: str) -> None:
     faults = []
@@ -239,6 +240,7 @@ def test_a_bvh_is_described_without_usd(walk: Path) -> None:
     assert not loaded(code) & {"pxr", "scipy", "rich", "pydantic"}
 
 
+@pytest.mark.slow
 def test_a_rig_is_checked_without_usd_scipy_or_kernels(root: Path) -> None:
     path = root / "rigs/head/head.rig.yaml"
     code = f"from animtool.cli.main import run\nrun(['validate', {str(path)!r}])"
@@ -260,6 +262,7 @@ def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> N
     assert not loaded(code) & heavy
 
 
+@pytest.mark.slow
 def test_meshes_without_a_rig_layer_need_no_skeletons_of_usd(
     root: Path, tmp_path: Path
 ) -> None:

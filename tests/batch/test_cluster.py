@@ -220,6 +220,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert error.value.code == "IO005"
 
 
+@pytest.mark.slow
 def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     given = work(tmp_path, "")

@@ -52,6 +52,7 @@ def argument(name: str, request: pytest.FixtureRequest) -> str:
     return str(request.getfixturevalue("cluster")) if name == "dask" else ""
 
 
+@pytest.mark.slow
 def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> None:
     made = work(tmp_path, 5, argument=argument)
     (tmp_path / "takes/take002.bvh").write_text("HIERARCHY\n")
@@ -76,6 +77,7 @@ def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> No
         assert path.read_bytes() == (tmp_path / "other/out" / path.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_items_are_taken_when_they_are_begun(
     name: str, argument: str, tmp_path: Path
 ) -> None:

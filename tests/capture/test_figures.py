@@ -110,6 +110,7 @@ def test_gaps_spikes_and_swaps(options: dict[str, Any]) -> None:
     )
 
 
+@pytest.mark.slow
 def test_gaps_by_a_skeleton_and_a_solve() -> None:
     truth = captured(moving(90, FPS, 4), FPS)
     positions = truth.markers.positions.copy()

@@ -36,6 +36,7 @@ def test_lines_and_a_summary(takes: Path) -> None:
     assert again.stderr.splitlines()[0] == "3 of 3 are up to date"
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_a_package_of_a_known_name(takes: Path) -> None:
     package = takes / "numpy"
     package.mkdir()

@@ -41,6 +41,7 @@ def test_validate_reports_the_other_files_too(folder: Path) -> None:
     assert set(found) == {"good.usda"}
 
 
+@pytest.mark.slow
 def test_info_prints_the_other_files_once(folder: Path, walk: Path) -> None:
     done = animtool_process("info", walk, "brackets.usda", cwd=folder)
     assert done.code == 3
@@ -48,6 +49,7 @@ def test_info_prints_the_other_files_once(folder: Path, walk: Path) -> None:
     assert done.stderr.startswith("brackets.usda: USD")
 
 
+@pytest.mark.slow
 def test_a_batch_loses_one_item(folder: Path, walk: Path) -> None:
     words = ("brackets.usda", walk, "-o", "out/{stem}.usdc", "-j", 1)
     done = animtool_process("batch", *words, "--format", "json", cwd=folder)

@@ -87,6 +87,7 @@ def test_the_report_in_json(place: Path) -> None:
     assert found["degrees_of_freedom"] > found["conditions"] > 0
 
 
+@pytest.mark.slow
 def test_a_clip_keeps_the_controls_of_the_poses_that_it_starts_from(
     root: Path, tmp_path: Path
 ) -> None:
@@ -118,6 +119,7 @@ def test_what_is_out_of_reach_is_named(place: Path) -> None:
     assert (place / "far.usda").exists()
 
 
+@pytest.mark.slow
 def test_strict_refuses_what_is_missed(place: Path) -> None:
     given = ("-t", "far.targets.yaml", "-o", "far.usda", "--strict")
     done = run(place, *given)
@@ -391,6 +393,7 @@ def test_smoothing_keeps_the_goals(place: Path) -> None:
     assert json.loads(done.stdout)["jumps"] == []
 
 
+@pytest.mark.slow
 def test_the_table(place: Path) -> None:
     done = run(place, "-t", "reach.targets.yaml", "--table", "--format", "json")
     assert done.code == 0, done.stderr
@@ -460,6 +463,7 @@ def test_spans_outside_the_frames_are_named(place: Path) -> None:
     assert "TGT104" not in one.stderr
 
 
+@pytest.mark.slow
 def test_a_pose_loads_neither_usd_nor_what_is_for_clips(place: Path) -> None:
     code = (
         "import sys\nfrom animtool.cli.main import run\n"

@@ -98,6 +98,7 @@ def test_the_same_take_makes_the_same_bytes(place: Path) -> None:
     assert once == [(place / name).read_bytes() for name in (OUT, "stride.targets.npz")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["bvh", "usda"])
 def test_takes_of_other_files_are_matched(place: Path, suffix: str) -> None:
     command = "bake" if suffix == "usda" else "convert"

@@ -95,6 +95,7 @@ def test_what_ends_a_command(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("schema", "scene"), ("bake", "{walk}", "-o", "-")], ids=lambda c: c[0]
 )

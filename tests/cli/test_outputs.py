@@ -143,6 +143,7 @@ def test_what_exists_is_not_both_replaced_and_kept(
     assert there[name].read_text() == "mine"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_what_is_replaced_and_what_is_new_are_the_same_bytes(
     project: Path, there: dict[str, Path], name: str

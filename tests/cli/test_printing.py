@@ -140,6 +140,7 @@ def no_color(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some_quick(NASTY, 2))
 def test_names_of_files_are_not_obeyed(
     tmp_path: Path, name: str, tame: list[Counts]
@@ -153,6 +154,7 @@ def test_names_of_files_are_not_obeyed(
         assert refused or counts == expected, ascii((words, counts, expected))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", some_quick(NASTY, 2, 1))
 def test_what_files_hold_is_not_obeyed(
     tmp_path: Path, word: str, tame: list[Counts]

@@ -83,6 +83,7 @@ def test_the_report_in_json(root: Path) -> None:
     assert hand["role"] == "hand_l"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", some_quick(["usda", "usdc", "bvh", "clip.yaml"], 2))
 def test_takes_are_written(root: Path, tmp_path: Path, suffix: str) -> None:
     outputs = [tmp_path / name / f"out.{suffix}" for name in "ab"]

@@ -203,6 +203,7 @@ def test_a_mixamo_take_goes_onto_a_rig_of_unreal_without_a_map(tmp_path: Path) -
     assert max(map(len, ignored.splitlines())) <= 88
 
 
+@pytest.mark.slow
 def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     tmp_path: Path,
 ) -> None:
@@ -232,6 +233,7 @@ def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     assert "CAP001 passes[0].retarget.warn_above" in odd.stderr
 
 
+@pytest.mark.slow
 def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:
     (tmp_path / "takes").mkdir()
     for name, (take, _, _) in TAKES.items():

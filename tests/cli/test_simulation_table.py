@@ -82,6 +82,7 @@ def swing(tmp_path: Path) -> Path:
     return write_beast(tmp_path, SWING, bones=2, last=7, way=20)
 
 
+@pytest.mark.slow
 def test_a_table_as_json(comets: Path) -> None:
     before = sorted(comets.parent.iterdir())
     done = animtool("bake", comets, "--table", "--format", "json")
@@ -282,6 +283,7 @@ def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
     assert chosen["status"] == "ok"
 
 
+@pytest.mark.slow
 def test_the_table_is_drawn(comets: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     first = SCENE[: SCENE.index("- particles:\n    name: drops")]
@@ -298,6 +300,7 @@ def test_the_table_is_drawn(comets: Path) -> None:
     assert "OUT001" in again.stderr
 
 
+@pytest.mark.slow
 def test_a_table_of_samples_is_drawn_too(root: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     clip = root / "samples/press/press.clip.yaml"

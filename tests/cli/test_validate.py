@@ -118,6 +118,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_work(
     assert (folder / "right.rig.yaml").read_text("utf-8") == text
 
 
+@pytest.mark.slow
 def test_processes_of_a_real_command(folder: Path) -> None:
     one = animtool_process("validate", ".", "-j", "1", cwd=folder)
     two = animtool_process("validate", ".", "-j", "2", cwd=folder)

@@ -78,6 +78,7 @@ def all_controls(rig: Rig) -> dict[str, FloatArray]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
 def test_controls_of_a_take_stay_controls(name: str, tmp_path: Path) -> None:
     rig = rig_named(name)
@@ -87,6 +88,7 @@ def test_controls_of_a_take_stay_controls(name: str, tmp_path: Path) -> None:
     assert max(error.error for error in made.errors) <= 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm", "biped", "machine", "quadruped"])
 def test_controls_are_solved_for_from_joints_alone(name: str, tmp_path: Path) -> None:
     rig = rig_named(name)
@@ -229,6 +231,7 @@ def test_whole_turns_of_a_leader_are_those_that_a_slide_shows(
     assert_allclose(np.ravel(channel.values)[[0, -1]], angles[[0, -1], 0])
 
 
+@pytest.mark.slow
 def test_keys_are_few_within_a_tolerance() -> None:
     rig = rig_named("biped")
     take = take_of(rig, all_controls(rig), controls=True)

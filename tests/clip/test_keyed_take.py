@@ -158,6 +158,7 @@ def test_keys_of_a_combined_shape_are_what_its_drivers_do_not_give(
     assert "shape/more" not in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["clip.yaml", "usdc"])
 def test_speech_comes_back_within_the_tolerance_of_weights(
     tmp_path: Path, suffix: str

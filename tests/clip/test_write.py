@@ -128,6 +128,7 @@ def written_and_read(clip: Clip, rig: Rig, folder: Path) -> Clip:
     return load_clip(open_clip(path), rig)
 
 
+@pytest.mark.slow
 @given(clip=clips(), unit=st.integers(0, len(UNITS) - 1))
 def test_any_clip_comes_back(
     heroes: list[tuple[Path, Rig]], clip: Clip, unit: int
@@ -212,6 +213,7 @@ def test_an_existing_rig_is_not_overwritten(walk: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "walk.clip.yaml").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", data_files("bvh", "pybvh_*.bvh"))
 def test_captures_as_keys(path: Path, tmp_path: Path) -> None:
     clip = tmp_path / "take.clip.yaml"

@@ -73,6 +73,7 @@ def compose(report: BakeReport, folder: Path) -> Usd.Stage:
     return Usd.Stage.Open(shot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", some_quick(FILES, 6))
 def test_bake(path: Path, tmp_path: Path) -> None:
     reference = read_reference(path)

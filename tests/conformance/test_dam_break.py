@@ -32,6 +32,7 @@ def dams() -> list[Any]:
     return found or [pytest.param(None, marks=pytest.mark.skip("no file of dams"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dam", dams())
 def test_bounds_hold_in_every_frame(dam: Dam) -> None:
     """No particle is ever before the fastest front, nor outside."""

@@ -68,6 +68,7 @@ def hard_cases() -> list[Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("system", "case", "way"), some_quick(hard_cases(), 8))
 def test_hard_cases(system: Subsystem, case: str, way: str) -> None:
     system.cases[case](way)

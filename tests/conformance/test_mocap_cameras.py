@@ -68,6 +68,7 @@ def test_points_are_as_near_as_clean_observations(
     assert not [f for f in found.notices if f.severity != "note"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", data_files("mocap", "cam_*.cameras.json"))
 def test_a_camera_that_is_stale_is_named(path: Path, tmp_path: Path) -> None:
     observations = path.with_name(path.name.replace(".cameras.json", ".npz"))

@@ -76,6 +76,7 @@ def rms(away: FloatArray) -> float:
     return float(np.sqrt((away**2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", some_quick(CLOUDS, 3))
 def test_joints_of_the_true_skeleton(
     path: Path, record_property: Callable[[str, object], None]

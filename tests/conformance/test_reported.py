@@ -37,6 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         yield run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", some_quick(reported_rows(OWED), 4))
 def test_a_reported_situation_is_right(row: Row, run: Run, tmp_path: Path) -> None:
     outcome = run_row(row, run, tmp_path)

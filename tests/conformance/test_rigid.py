@@ -104,6 +104,7 @@ def test_attitudes(instance: dict[str, Any], method: str) -> None:
     assert worst <= max(CLAIMED[method], 10 * accuracy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instance", spinning())
 def test_energy_and_momentum_stay(instance: dict[str, Any]) -> None:
     body, momentum = Spinning(instance), instance["angular_momentum_world"]

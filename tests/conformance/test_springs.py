@@ -40,6 +40,7 @@ def frames(case: Case) -> tuple[FloatArray, FloatArray]:
     return np.array(case.entry["t"]), np.array(case.reference["frames_xz"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ROPES)
 def test_ropes_reach_their_references(path: Path) -> None:
     for case in read_springs(path):

@@ -34,6 +34,7 @@ def test_good_captures(path: Path) -> None:
     assert len(warnings) <= 2
 
 
+@pytest.mark.slow
 def test_few_captures_have_the_same_warning() -> None:
     paths = [p.values[0] for p in data_files("bvh", "*.bvh") if not p.marks]
     if not paths:

@@ -48,6 +48,7 @@ def test_dropped_labels_come_back(rate: Fraction, frame: int, part: Fraction) ->
     assert parse_timecode(label, rate) == frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "left_out"), [(NTSC, 2), (FAST, 4)])
 def test_drop_frame_counts_every_label_that_is(rate: Fraction, left_out: int) -> None:
     labels = [

@@ -44,6 +44,7 @@ def test_a_writer_keeps_its_promises(writer: Writer) -> None:
         assert callable(load_object(place))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", JOINTS)
 def test_every_way_writes_the_same(suffix: str, folder: Path) -> None:
     source = folder / "walk.bvh"

@@ -99,6 +99,7 @@ def is_shared(command: str, workplace: Path) -> bool:
     return several and is_apart(command, workplace)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("document", "title"), section_parameters())
 def test_printed_commands(
     workplace: Path,

@@ -77,6 +77,7 @@ def test_every_block_is_asked_for(guide: str) -> None:
         assert sum(word in text for word in BLOCKS) == 1, text
 
 
+@pytest.mark.slow
 def test_lists_of_their_own(
     guide: str, tmp_path: Path, commands: dict[str, str]
 ) -> None:
@@ -93,12 +94,14 @@ def test_the_bundle_runs(guide: str, workplace: Path, commands: dict[str, str]) 
     assert len(whole_outputs(workplace / "samples/batch/waves")) == 12
 
 
+@pytest.mark.slow
 def test_a_task_of_any_farm(guide: str, farm: Path, commands: dict[str, str]) -> None:
     said = shell(block(guide, "--lines openjd"), farm, commands)
     assert "openjd_progress: 100.0" in said
     assert set(whole_outputs(farm / "out")) == {"take100.usdc", "take101.usdc"}
 
 
+@pytest.mark.slow
 def test_a_layer_of_opencue(guide: str, farm: Path, commands: dict[str, str]) -> None:
     script = block(guide, "#IFRAME#").replace("#IFRAME#", "101")
     shell(script.replace("/show", str(farm)), farm, commands)
@@ -114,6 +117,7 @@ def test_a_layer_of_opencue(guide: str, farm: Path, commands: dict[str, str]) ->
     assert animtool(*line[1:], "-n", cwd=farm).code == 0
 
 
+@pytest.mark.slow
 def test_an_array_of_slurm(guide: str, farm: Path, commands: dict[str, str]) -> None:
     (wrapped,) = re.findall(r"`(sbatch [^`]*)`", guide)
     words = shlex.split(wrapped)

@@ -227,6 +227,7 @@ def test_the_roles_of_maps_are_listed() -> None:
     assert named == bare | {"_l", "_r"} | set(DIGITS[2:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", some_quick(WHOLE["scene"], 2))
 def test_scenes_load(project: Path, text: str) -> None:
     (project / "one.scene.yaml").write_text(text, "utf-8")

@@ -39,6 +39,7 @@ def test_there_is_a_file_of_every_version(kind: str) -> None:
         assert (plan.kind, plan.version) == (kind, version)
 
 
+@pytest.mark.slow
 def test_batch_1(tmp_path: Path) -> None:
     folder = tmp_path / "frozen"
     shutil.copytree(FROZEN, folder)

@@ -120,6 +120,7 @@ def test_faults_are_bounded_in_number_length_and_time(
     assert max(len(str(fault)) for fault in caught.value.faults) < 5000
 
 
+@pytest.mark.slow
 def test_real_sizes_are_read(tmp_path: Path) -> None:
     path = tmp_path / "a.clip.yaml"
     keys = "- {t: 1, v: 1, interp: bezier, in: [-1, 0], out: [1, 0]}\n" * 10_000

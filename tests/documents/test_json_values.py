@@ -43,6 +43,7 @@ def same(a: Any, b: Any) -> bool:
     return repr(a) == repr(b)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=examples(200))
 @given(st.dictionaries(st.text(max_size=6), _VALUES, max_size=4), st.booleans())
 def test_values_are_those_of_yaml(value: dict[str, Any], ascii_only: bool) -> None:

@@ -25,6 +25,7 @@ from animtool.rig.schema import RigModel
 from animtool.scene.file.schema import full_model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [RigModel, ClipModel, full_model()])
 def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     seen = 0

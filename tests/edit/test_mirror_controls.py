@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from support.nasty import nasty_take
 
@@ -63,6 +64,7 @@ def test_mirrored_controls_drive_the_mirrored_pose(tmp_path: Path) -> None:
         assert_allclose(one[-1], other[-1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_shapes_of_one_side_turn_a_control_round(root: Path) -> None:
     rig = Rig.load(root / "rigs/head/head.rig.yaml")
     clip = Clip.load(root / "samples/speech/speech.clip.yaml", rig)

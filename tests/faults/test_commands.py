@@ -60,6 +60,7 @@ def content(folder: Path) -> list[Files]:
     return [files_in(folder), files_in(folder / "o")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_all_files_of_a_command_or_none(
     name: str,

@@ -172,6 +172,7 @@ FULL = {
 }
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("name", FULL)
 def test_a_full_disk(

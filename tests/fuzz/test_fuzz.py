@@ -14,6 +14,7 @@ from fuzz.engine import fuzz, targets
 CASES = 30
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="a case is contained by a fork")
 @pytest.mark.parametrize("name", some_quick(targets(), 4))
 def test_spoiled_inputs_end_in_a_result_or_a_typed_error(name: str) -> None:

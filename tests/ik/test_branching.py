@@ -146,6 +146,7 @@ def pulled(weight: float, priority: int) -> tuple[FloatArray, FloatArray]:
     return found[claimed], np.array(least)[claimed]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "priority"),
     some_quick(

@@ -127,6 +127,7 @@ GOALS = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth", [0.0, 0.15])
 def test_a_take_at_its_targets(tmp_path: Path, smooth: float) -> None:
     take = walk_of(legs(), count=20)

@@ -88,6 +88,7 @@ def biped() -> tuple[Rig, tuple[IkChain, ...]]:
 BIPED, CHAINS = biped()
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=examples(40))
 @given(seeds)
 def test_limbs_of_a_biped_come_back(seed: int) -> None:

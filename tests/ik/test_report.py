@@ -52,6 +52,7 @@ def test_figures_are_over_the_frames_that_ask(solved: TakeIk) -> None:
     assert solved.take.clock.times[int(np.argmax(misses))] == found.frame
 
 
+@pytest.mark.slow
 def test_frames_that_miss_are_named_in_spans(solved: TakeIk) -> None:
     left, right = goal_reports(solved, 1e-4, 1e-3)
     assert not right.spans

@@ -30,6 +30,7 @@ def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"
@@ -74,6 +75,7 @@ def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     assert 0 < whole_ones < TRIES
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_bake_asked_to_stop_cleans_up(
@@ -123,6 +125,7 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX file size limits")
 def test_a_full_disk(long_take: Path, tmp_path: Path) -> None:
     cases = [(n, f"o{end}") for n in (0, 20_000, 100_000) for end in (".usda", ".usdc")]

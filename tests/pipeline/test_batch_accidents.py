@@ -111,6 +111,7 @@ def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
     assert whole_outputs(folder) == whole
 
 
+@pytest.mark.slow
 def test_a_run_with_nothing_to_make_removes_what_dead_ones_left(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 1)
     assert run(tmp_path).code == 0
@@ -162,6 +163,7 @@ def test_an_interrupt_leaves_whole_files(
     assert {entry["status"] for entry in reported(again).values()} == {"skipped"}
 
 
+@pytest.mark.slow
 def test_inputs_that_change_or_vanish_while_others_are_made(
     tmp_path: Path, plug_in: dict[str, str]
 ) -> None:
@@ -192,6 +194,7 @@ sys.exit(run(sys.argv[2:]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX file size limits")
 @pytest.mark.parametrize(
     ("limit", "code", "word"), [(2_000, 1, "OUT002"), (40, 3, "BAT012")]

@@ -91,6 +91,7 @@ def test_it_comes_back_from_what_is_written(folder: Path, rig: Rig) -> None:
     assert rig_text(back) == rig_text(rig)
 
 
+@pytest.mark.slow
 def test_every_kind_of_target_plays_in_usd(folder: Path, rig: Rig) -> None:
     done = animtool_process("bake", "shot.clip.yaml", "-o", "shot.usdc", cwd=folder)
     assert done.code == 0, done.stderr
@@ -134,6 +135,7 @@ def test_every_kind_of_target_does_what_it_says(folder: Path, rig: Rig) -> None:
     np.testing.assert_allclose(weights[0], [0.25, 0, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_shapes_reach_usd(folder: Path, rig: Rig) -> None:
     done = animtool_process("bake", "shot.clip.yaml", "-o", "shot.usda", cwd=folder)
     assert done.code == 0, done.stderr

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Sdf, Usd, UsdGeom
 from support.clean_layer import ANIMATION, ROOT, make_layer
 from support.cli import animtool
@@ -30,6 +31,7 @@ def drifting(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_drifting_samples_are_on_their_frames_again(tmp_path: Path) -> None:
     clean = make_layer(tmp_path / "clean.usdc", FRAMES, mesh=False)
     path, new = drifting(tmp_path / "drifting.usdc"), tmp_path / "new.usdc"

@@ -54,6 +54,7 @@ def test_a_page_holds_the_take_within_the_error_that_it_states(
     }
 
 
+@pytest.mark.slow
 def test_one_motion_makes_equal_pages_whatever_its_format(
     walk: Path, root: Path, tmp_path: Path
 ) -> None:
@@ -88,6 +89,7 @@ def test_one_motion_makes_equal_pages_whatever_its_format(
     assert np.linalg.norm(one - other, axis=-1).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_same_files_make_the_same_bytes_and_no_path_is_in_them(
     tmp_path: Path, root: Path
 ) -> None:

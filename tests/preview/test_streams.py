@@ -43,6 +43,7 @@ def test_values_come_back_within_their_error(frames: int) -> None:
     assert page.values(faces)[0].tolist() == [0, 1, 2, 70000, 3, 1]
 
 
+@pytest.mark.slow
 def test_large_streams_have_blocks_of_their_own() -> None:
     rng = np.random.default_rng(4)
     values = rng.normal(0, 1, (40, 60_000)).astype(np.float32)

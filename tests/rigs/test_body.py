@@ -21,6 +21,7 @@ def array(name: str) -> np.ndarray:
     return load_array(BIPED / "body.npz", name)
 
 
+@pytest.mark.slow
 def test_it_is_a_trunk_and_two_hands_each_closed_and_without_a_hole() -> None:
     faces, points = array("faces").astype(int), array("points")
     check_manifold(faces)

@@ -109,6 +109,7 @@ def test_to_bake_again_changes_nothing(made: Path) -> None:
         assert np.abs(one - two).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_drivers_come_back_from_usd(made: Path) -> None:
     done = animtool("convert", "wave.usdc", "back.rig.yaml", cwd=made)
     assert done.code == 0

@@ -23,6 +23,7 @@ TOLERANCE = 3e-6
 FRAMES = 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_points_are_those_of_usdskel(name: str, tmp_path: Path) -> None:
     clip = ROOT / f"samples/{name}/{name}.clip.yaml"

@@ -49,6 +49,7 @@ def test_a_foot_is_held_after_other_passes(place: Path) -> None:
     assert np.ptp(feet[14:30], axis=0).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_what_is_missed_is_a_warning(place: Path) -> None:
     far = FEET + "- {effector: RightHand, position: [0, 900, 0], root: RightArm}\n"
     (place / "feet.targets.yaml").write_text(far)

@@ -201,6 +201,7 @@ def test_a_layer_is_not_written_where_it_does_not_fit(
     assert "…" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("twisted")
 def test_every_way_to_a_layer_is_checked(folder: Path) -> None:
     (folder / "reach.targets.yaml").write_text(

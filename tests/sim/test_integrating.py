@@ -76,6 +76,7 @@ def test_statistics(name: str) -> None:
     assert found.notices == () or name in {"euler", "modified_euler"}
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(6))
 @given(parts=st.lists(st.integers(1, 12), min_size=2, max_size=5))
 def test_a_motion_in_parts_is_the_whole_bit_for_bit(parts: list[int]) -> None:
@@ -312,6 +313,7 @@ def test_doubling_with_implicit_steps_is_for_stiff_systems() -> None:
     assert plain.stats.status is Status.OUT_OF_BUDGET
 
 
+@pytest.mark.slow
 def test_sparse_derivatives_serve_as_dense_ones_do() -> None:
     from scipy.sparse import csr_array
 

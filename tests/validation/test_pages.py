@@ -108,6 +108,7 @@ def said(commands: str, folder: Path) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", some_quick((c for c in PAGES if examples(c, "sh")), 3))
 def test_commands_are_true(code: str, tmp_path: Path) -> None:
     found = []

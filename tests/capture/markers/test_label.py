@@ -47,6 +47,7 @@ MADE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", MADE)
 def test_points_of_made_people_get_their_names(seed: int) -> None:
     made = cloud(seed)

@@ -260,6 +260,7 @@ def test_odd_files_are_read_with_a_word(write: Callable[[str], Path]) -> None:
     assert np.degrees(q[:, 0]) == pytest.approx([30, 30, 30])
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(

@@ -267,6 +267,7 @@ def test_as_little_as_there_can_be(kind: str, simulator: Simulator) -> None:
             assert not np.array_equal(rows[0].points, rows[-1].points)
 
 
+@pytest.mark.slow
 def test_errors_go_with_the_order_of_each_method(
     kind: str, simulator: Simulator
 ) -> None:

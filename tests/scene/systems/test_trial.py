@@ -50,6 +50,7 @@ def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
     return [row for row in rows if row.setting.method == method]
 
 
+@pytest.mark.slow
 def test_errors_go_with_the_order_of_each_method(tmp_path: Path) -> None:
     table = measure(trial(tmp_path, orbits()))
     assert table.reference is not None

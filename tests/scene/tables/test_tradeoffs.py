@@ -139,6 +139,7 @@ def test_samples_of_a_high_rate_are_compared_between_them() -> None:
         assert coarse / fine == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fps", "first", "last"), [(None, 5, 13), (48, 9, 25)])
 def test_a_range_is_of_the_frames_of_the_output(
     fps: int | None, first: int, last: int

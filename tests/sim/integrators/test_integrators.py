@@ -253,6 +253,7 @@ def test_what_is_no_base_of_doubling(name: str) -> None:
         doubled(find_integrator(name))
 
 
+@pytest.mark.slow
 @named([each for each in STEPPED if each.symplectic])
 def test_energy_stays_in_bounds_over_thousands_of_periods(
     integrator: Integrator,

@@ -49,6 +49,7 @@ def test_what_moves_pushes_it_at_its_time(kind: str) -> None:
     assert low[:, 2].min(initial=1.0) > 0.1 + RADIUS - 1e-3
 
 
+@pytest.mark.slow
 def test_the_meter_sees_what_a_pin_holds_in_a_box() -> None:
     """The pinned row is in the box, and what hangs on it can not be outside."""
     rod = Collider(Capsule(0.2, 1.0, (1.0, 0.0, 0.0)))

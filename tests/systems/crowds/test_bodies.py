@@ -341,6 +341,7 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
     assert steep[0] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", some_quick([0.0, 0.7, 1.6, 2.4, 3.1], 5, 1))
 @pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
 def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:

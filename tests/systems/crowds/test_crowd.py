@@ -130,6 +130,7 @@ def test_a_way_around_a_wall_is_hardly_longer_than_the_shortest(
     assert np.linalg.norm(track - corner, axis=1).min() > radius - 1e-3
 
 
+@pytest.mark.slow
 def test_agents_far_apart_find_ways_around_what_is_near(simulator: Simulator) -> None:
     """One grid over all of them would have cells of 150 m, and 4 million of these."""
     near, far = np.array([[-12.0, 0, 0]]), np.array([[2e5, 0, 2e5]])
@@ -333,6 +334,7 @@ def ground(folder: Path) -> dict[str, Any]:
     return {"shape": {"mesh": {"points": file, "triangles": file}}}
 
 
+@pytest.mark.slow
 def test_agents_walk_on_a_mesh_and_around_its_holes(simulator: Simulator) -> None:
     systems = crowd(
         [

@@ -37,6 +37,7 @@ def goings(count: int) -> list[AgentMotion]:
     return [AgentMotion(x[:, i], v[:, i], headings[:, i]) for i in range(count)]
 
 
+@pytest.mark.slow
 def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
     bodies = AgentBodies(gaits, np.array([1.0, 1.1, 0.9, 1.05, 0.97]), bumpy)

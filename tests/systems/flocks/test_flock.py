@@ -327,6 +327,7 @@ def test_velocities_align_as_those_of_cucker_and_smale(simulator: Simulator) -> 
     assert_allclose(velocities - middle, decay * (velocities - middle)[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_two_keep_the_distance_at_which_pull_and_push_are_equal(
     simulator: Simulator, tmp_path: Path
 ) -> None:
@@ -342,6 +343,7 @@ def test_two_keep_the_distance_at_which_pull_and_push_are_equal(
     assert gap == pytest.approx(np.sqrt(0.5 / 2 - 0.3**2), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrap", [False, True])
 def test_no_two_are_nearer_than_their_least_distance(
     simulator: Simulator, wrap: bool
@@ -382,6 +384,7 @@ def test_who_is_given_a_place_in_another_is_moved_with_a_word(
     assert [notice.code for notice in run.notices] == ["SIM147"]
 
 
+@pytest.mark.slow
 def test_random_directions_become_one_in_a_domain_without_walls(
     simulator: Simulator,
 ) -> None:

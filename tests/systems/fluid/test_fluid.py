@@ -118,6 +118,7 @@ def test_water_at_rest_stays_and_its_pressure_is_that_of_its_depth(
         assert pressure[layer].mean() == pytest.approx(wanted[layer].mean(), rel=0.07)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("viscosity", [1e-6, 1e-3])
 @pytest.mark.parametrize(("spacing", "deep"), [(0.1, 0.5), (0.06, 0.24)])
 def test_a_pool_comes_to_rest(

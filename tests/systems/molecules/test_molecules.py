@@ -114,6 +114,7 @@ def test_energy_stays_for_a_hundred_thousand_steps() -> None:
     assert drift(100_000) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_bath_brings_its_temperature_and_its_spread() -> None:
     """The kinetic energy is spread as that of the canonical ensemble."""
     bath = ThermostatModel(temperatures=[[0, 100]], relaxation=0.2)

@@ -49,6 +49,7 @@ def opened(simulator: Simulator, **keys: Any) -> SimulationRun:
     return run
 
 
+@pytest.mark.slow
 def test_a_galaxy_stays_as_it_is(simulator: Simulator) -> None:
     """After the disc went around once at its scale length, radii are what they were."""
     run = opened(simulator, galaxies=[SPIRAL], softening=0.1, step=0.05, accuracy=1e-3)
@@ -95,6 +96,7 @@ def test_the_rotation_curve_is_that_of_its_mass() -> None:
     assert spin[1] > 100 * np.abs(spin[[0, 2]]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("eccentricity", "separation"), [(0.6, 3.0), (1.0, 4.0), (2.0, 5.0)]
 )

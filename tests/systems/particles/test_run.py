@@ -67,6 +67,7 @@ def same(a: ParticleFrame, b: ParticleFrame) -> None:
         assert_array_equal(getattr(a, name), getattr(b, name))
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(5), deadline=None)
 @given(st.lists(st.floats(0, 1), max_size=6))
 def test_looking_changes_nothing(times: list[float]) -> None:

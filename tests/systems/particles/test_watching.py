@@ -53,6 +53,7 @@ def test_a_slow_blow_up_is_seen_before_particles_are_removed(
     assert "stable up to steps of" in hint
 
 
+@pytest.mark.slow
 def test_births_and_removals_are_no_gain() -> None:
     run = swinging(WITHIN)
     assert len(run.at(12.0).ids) == pytest.approx(150, abs=2)

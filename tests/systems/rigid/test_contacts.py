@@ -268,6 +268,7 @@ def test_a_closed_loop_of_pins_stays_closed(tmp_path: Path) -> None:
     assert frame.points[2, 1] > -1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [-1, 1])
 def test_limits_hold(tmp_path: Path, side: int) -> None:
     arm = box((0.6, 0.1, 0.1), at=[0.3 * side, 0, 0])

@@ -57,6 +57,7 @@ def test_a_joint_holds_what_overlaps(tmp_path: Path, kind: str, motion: str) -> 
     assert found.simulation.diagnostics(found.state, 1.0).values["contacts"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinematic", [True, False])
 def test_contacts_are_asked_for(tmp_path: Path, kinematic: bool) -> None:
     post = box((0.2, 0.2, 0.2), name="post", mass=1e6, kinematic=kinematic)

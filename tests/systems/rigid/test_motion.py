@@ -62,6 +62,7 @@ def test_a_ball_rolls_down_a_slope(tmp_path: Path) -> None:
     assert_allclose(found.spins()[0], [0, 0, -speed / 0.2], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_ball_bounces_lower_each_time(tmp_path: Path) -> None:
     share, radius = 0.8, 0.1
     found = Rigid(
@@ -162,6 +163,7 @@ def test_a_compound_pendulum_swings_as_it_should(tmp_path: Path) -> None:
     assert swing(8)[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_free_turning_keeps_energy_whatever_the_step(tmp_path: Path) -> None:
     found = Rigid(
         tmp_path, box((0.1, 0.4, 0.3), spin=[20, 2000, 30]), forces=[], step=1 / 24,

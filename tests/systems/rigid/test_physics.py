@@ -157,6 +157,7 @@ def test_both_sides_of_joints_meet(
         assert_allclose(worlds, [wanted] * 2, atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [keys for keys, _ in FORMS])
 def test_what_is_read_again_moves_alike(tmp_path: Path, keys: dict[str, Any]) -> None:
     """All numbers went through float32 once."""

@@ -146,6 +146,7 @@ def test_the_rate_of_frames_changes_nothing() -> None:
         assert_allclose(one[::2], other[::5], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_stiff_one_keeps_the_pose_of_the_take() -> None:
     take = still(chain(), 49)
     wave = 0.4 * np.sin(np.arange(49) / 6)

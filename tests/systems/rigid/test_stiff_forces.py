@@ -71,6 +71,7 @@ def test_speed_is_lost_to_quadratic_drag(tmp_path: Path, stiff: float) -> None:
     assert found.velocities()[0, 2] == pytest.approx(speed, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiff", DECADES[:-1])
 def test_a_spring_swings_at_its_frequency(tmp_path: Path, stiff: float) -> None:
     rate = stiff / STEP

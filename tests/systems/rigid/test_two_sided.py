@@ -48,6 +48,7 @@ def poses_of(keys: dict[str, Any]) -> Poses:
     return Poses()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", WALLS)
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("body", some_quick(BODIES, 3))

@@ -99,6 +99,7 @@ def test_a_rope_of_axial_stiffness_hangs_as_far_down_with_any_number_of_springs(
     assert stretch == pytest.approx(whole, rel=mass / load / count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [1e17, 1e100])
 def test_forces_beyond_float64_find_no_rest(mass: float) -> None:
     line = rope([0, 0, 0], [0.3, 0, -1], 4, Family(1e3), mass=mass)

@@ -143,6 +143,7 @@ def test_a_roll_that_is_pressed_stays_a_roll() -> None:
     assert least_share(replace(motion, states=motion.states[12:]), system, flat) > KEPT
 
 
+@pytest.mark.slow
 def test_the_same_bits_in_one_run_or_in_parts() -> None:
     system = dropped_fold(SelfContact(0.5 * EDGE))
     whole = simulate_springs(system, TIMES, XPBD)

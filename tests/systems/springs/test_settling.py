@@ -86,6 +86,7 @@ def test_auto_stretches_as_the_law_says(
     assert codes == set()
 
 
+@pytest.mark.slow
 def test_a_rest_of_xpbd_that_is_lower_is_said(tmp_path: Path) -> None:
     entry = ROPE.format(count=151, tip=5.0, axial=2e4)
     found, codes = points(tmp_path, entry, "xpbd")

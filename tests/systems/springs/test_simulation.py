@@ -462,6 +462,7 @@ def test_a_joint_carries(root: Path, tmp_path: Path) -> None:
     assert not [n for n in lead.notices if n.code == "SIM150"]
 
 
+@pytest.mark.slow
 def test_a_vertex_of_a_character_carries(root: Path, tmp_path: Path) -> None:
     clip = root / "samples/stride/stride.clip.yaml"
     vertex = (
@@ -708,6 +709,7 @@ def test_the_order_of_systems_changes_nothing(tmp_path: Path) -> None:
             alone, "/shot/flag", "points", code)).all()  # fmt: skip
 
 
+@pytest.mark.slow
 def test_two_kinds_of_rain_meet_one_cloth(tmp_path: Path) -> None:
     other = RAIN.replace("name: rain", "name: hail").replace("0.01\n", "0.007\n", 1)
     both = baked(tmp_path, RAIN + other + AWNING, "a.usda")

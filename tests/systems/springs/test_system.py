@@ -221,6 +221,7 @@ def test_wind_goes_with_its_times() -> None:
     assert_allclose(np.sqrt(np.array(pushed) / pushed[0]), [1, 1, 2, 3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", ["symplectic_euler", "velocity_verlet", "rk4", "rk45", "bdf2", "radau"]
 )

@@ -215,6 +215,7 @@ def test_a_body_that_is_thrown_about_is_named(tmp_path: Path) -> None:
     assert "'crumb'" in (stopped.hint or "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second", "own"), [(1.0, 2.0, 0.05), (1e-3, 1.0, 0.05), (1.0, 1.0, 10.0)]
 )

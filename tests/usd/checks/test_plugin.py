@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import animtool.usd.checks as package
 
 BAD = """\
@@ -62,6 +64,7 @@ def test_usd_loads_our_validator_by_its_plug_in_file(tmp_path: Path) -> None:
     assert ours == ["USD203"]
 
 
+@pytest.mark.slow
 def test_our_validator_registers_in_python(tmp_path: Path) -> None:
     before = "from animtool.usd.checks.plugin import register\nregister(); register()"
     theirs, ours = asked(tmp_path, before)

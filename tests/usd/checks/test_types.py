@@ -38,6 +38,7 @@ def attributes() -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", some_quick(VALUES, 6), ids=str)
 @pytest.mark.parametrize("place", ["default", "sample"])
 def test_a_value_of_another_type_is_no_traceback(kind: Any, place: str) -> None:

@@ -88,6 +88,7 @@ PROP_CASES = list(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", some_quick(PROP_CASES, 3))
 def test_props_of_a_source_keep_their_distance_to_its_character(
     tmp_path: Path, case: tuple[tuple[str, bool], tuple[str, str]]

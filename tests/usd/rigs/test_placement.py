@@ -66,6 +66,7 @@ def covering() -> list[tuple[str, str, bool, str, float, int]]:
     return chosen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize("kind", some_quick(KINDS[:3], 3, 2))
 @pytest.mark.parametrize("moves", [False, True])

@@ -94,6 +94,7 @@ def findings(take: Take) -> list[Fault]:
     return [fault for rule in RULES for fault in rule.load()(subject)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     some_quick([*TAKES, *LAYERS], 4),
