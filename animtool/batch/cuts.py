@@ -61,11 +61,11 @@ from animtool.scene.sources.open import source_stem
 
 # At which rate the shots of a timeline count frames.
 
-HOW = (
+SET_RATE_HINT = (
     f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
     "batch file's options, or `fps` under [timeline] in animtool.toml"
 )
-COMMON_RATES_HINT = HOW.format("24", "25, 30000/1001, 30")
+COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
 
 
 def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
@@ -86,7 +86,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     how = COMMON_RATES_HINT
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
-        how = HOW.format("30000/1001", "60000/1001")
+        how = SET_RATE_HINT.format("30000/1001", "60000/1001")
     elif edl.last_label > 0:
         message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
         message += f"above {edl.last_label} fps"
@@ -94,7 +94,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
 
 
 def timeline_rate(
-    timeline: Any, path: Path, stated: Fraction | None, asked: Fraction | None
+    timeline: Any, path: Path, stated: Fraction | None, requested_fps: Fraction | None
 ) -> tuple[Fraction, list[Fault]]:
     """Return the rate of a timeline's shots, and a warning for mixed rates.
 
@@ -106,7 +106,7 @@ def timeline_rate(
         timeline: As OpenTimelineIO has it.
         path: Its file.
         stated: What its metadata states.
-        asked: What options ask for.
+        requested_fps: What options ask for.
 
     Raises:
         FormatError: Its global start time has no rate (BAT041).
@@ -121,8 +121,8 @@ def timeline_rate(
             message = f"invalid global start time: {error}"
             raise FormatError(Fault("BAT041", message, path_text)) from error
     if stated is not None:
-        return _agreed(stated, asked, path_text), []
-    configured = asked or find_config(path).timeline.fps
+        return _agreed(stated, requested_fps, path_text), []
+    configured = requested_fps or find_config(path).timeline.fps
     if configured is not None:
         return configured, []
     rates = Counter(picture_rates(timeline.tracks))

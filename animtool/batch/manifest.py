@@ -156,7 +156,7 @@ def file_digest(path: Path) -> str:
 
 
 def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
-    """Return the record of a file with a known state, after reading it."""
+    """Return a file's record: its state and, if it exists, a digest of its contents."""
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 

@@ -261,7 +261,7 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 
 
 def circle(names: Sequence[str]) -> str:
-    """Return the names of a cycle; the first one is also the last.
+    """Return the names of a cycle joined by arrows, shortened if there are many.
 
     >>> circle(["a", "b", "a"])
     'a → b → a'

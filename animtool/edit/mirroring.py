@@ -65,14 +65,14 @@ class ControlMirror:
         """
         # A mirror reverses axes of rotation.
         across = np.concatenate([-normal, normal])
-        turned = rest_world(rig).linear[0]
+        rest_rotations = rest_world(rig).linear[0]
 
         def effect(c: int, sign: float) -> FloatArray:
-            return _flat(_effect(rig, c, sign, turned))
+            return _flat(_effect(rig, c, sign, rest_rotations))
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
-            displaced, weights = _effect(rig, i, 1.0, turned)
+            displaced, weights = _effect(rig, i, 1.0, rest_rotations)
             flat_effect = _flat(((displaced * across)[joints], weights[shapes]))
             if not flat_effect.any():
                 continue
@@ -142,7 +142,7 @@ def _effect(
 # share of the rig's size: measured skeletons of people differ by up to 0.015 [1].
 SYMMETRIC = 0.02
 
-_Look: TypeAlias = Callable[[FloatArray, IntArray], FloatArray]
+_ValueMap: TypeAlias = Callable[[FloatArray, IntArray], FloatArray]
 
 
 class Axis(StrEnum):
@@ -222,19 +222,19 @@ def _mirrored(
     kept = _kept(rig, partners)
     _check_tree(rig, partners, kept)
     axis = "XYZ".index(chosen(Axis, options.axis, "axis"))
-    others = {
+    names_by_kind = {
         kind: [part.name for part in getattr(rig, kind, ())]
         for kind in ("shapes", "controls")
     }
-    swaps = {kind: pair_sides(names) for kind, names in others.items()}
+    swaps = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
     if context is not None:
         context.notices.extend(_strays("joints", rig.names, pairs, kept))
-        for kind, names in others.items():
+        for kind, names in names_by_kind.items():
             context.notices.extend(_strays(kind, names, swaps[kind]))
         alone = kept.copy()
         alone[list(pairs.strays)] = True
         context.notices.extend(_asymmetries(rig, partners, ~alone, axis))
-    glass = _Glass.of(rig, partners, kept, axis)
+    glass = _JointMirror.of(rig, partners, kept, axis)
     shapes = swaps["shapes"].partners
     controls = ControlMirror.of(
         rig, swaps["controls"].partners, partners, shapes, glass.normal
@@ -334,7 +334,7 @@ def _check_tree(rig: Rig, partners: IntArray, kept: BoolArray) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Glass:
+class _JointMirror:
     """How values of each joint map to its partner."""
 
     partners: IntArray
@@ -345,7 +345,7 @@ class _Glass:
     rest: FloatArray
 
     @staticmethod
-    def of(rig: Rig, partners: IntArray, kept: BoolArray, axis: int) -> _Glass:
+    def of(rig: Rig, partners: IntArray, kept: BoolArray, axis: int) -> _JointMirror:
         world = rig.rest_rotations.copy()
         above = np.tile(so3.IDENTITY, (len(world), 1))
         for i, joint in enumerate(rig.joints):
@@ -353,7 +353,7 @@ class _Glass:
                 above[i] = world[joint.parent]
                 world[i] = so3.multiply(above[i], world[i])
         normal = np.where(np.arange(3) == axis, -1.0, 1.0)
-        return _Glass(partners, kept, normal, world, above, rig.rest_translations)
+        return _JointMirror(partners, kept, normal, world, above, rig.rest_translations)
 
     def rotations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
@@ -379,7 +379,7 @@ class _Glass:
 
 
 def _blocks(
-    stream: TakeStream, glass: _Glass, shapes: IntArray, controls: ControlMirror
+    stream: TakeStream, glass: _JointMirror, shapes: IntArray, controls: ControlMirror
 ) -> Iterator[Motion]:
     for block in stream.blocks:
         yield Motion(
@@ -395,16 +395,16 @@ def _blocks(
 
 
 def _swapped(
-    channel: Channel | None, partners: IntArray, look: _Look
+    channel: Channel | None, partners: IntArray, look: _ValueMap
 ) -> Channel | None:
     if channel is None or len(partners) != len(channel.rest):
         return channel
     return _mirrored_channel(channel, partners, look)
 
 
-def _mirrored_channel(channel: Channel, partners: IntArray, look: _Look) -> Channel:
-    everyone = np.arange(len(channel.rest))
-    rest = look(channel.rest, everyone)[partners]
+def _mirrored_channel(channel: Channel, partners: IntArray, look: _ValueMap) -> Channel:
+    all_joints = np.arange(len(channel.rest))
+    rest = look(channel.rest, all_joints)[partners]
     values = look(channel.values, channel.animated)
     order = np.argsort(partners[channel.animated])
     return Channel(rest, partners[channel.animated][order], values[:, order])

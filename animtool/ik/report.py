@@ -112,16 +112,16 @@ def goal_reports(
     reports = []
     yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
     for e, track in enumerate(solved.tracks.goals):
-        asked, misses = solved.asked[:, e], solved.misses[:, e]
+        targeted, misses = solved.asked[:, e], solved.misses[:, e]
         parts = tuple(
-            _misses(part, times[asked[:, i]], misses[asked[:, i], i])
+            _misses(part, times[targeted[:, i]], misses[targeted[:, i], i])
             for i, part in enumerate(PARTS)
-            if asked[:, i].any()
+            if targeted[:, i].any()
         )
-        short = np.asarray((asked & (misses > limits)).any(axis=1), np.bool_)
+        short = np.asarray((targeted & (misses > limits)).any(axis=1), np.bool_)
         if track.goal.priority > 0 or track.goal.soft > 0:
             short = np.asarray(short & ~yielded, np.bool_)
-        spans = tuple(_spans(solved, np.where(asked, misses, 0.0), short))
+        spans = tuple(_spans(solved, np.where(targeted, misses, 0.0), short))
         reports.append(
             GoalReport(track.name, track.goal.joint, track.location, parts, spans)
         )

@@ -131,7 +131,7 @@ class TakeDifference:
     joints: int  # joints compared
     shapes: int  # shapes compared
     mismatches: list[str]  # what one has and the other has not, in words
-    # What differs and is no difference of the takes, in words.
+    # Differences that do not affect the takes, as text.
     notes: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)  # warnings and notes
     skeletons: int = (

@@ -288,8 +288,8 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
     near = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
     candidates = [j for j in near if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
-    sure = [j for j in candidates if body.votes[j]["hips"] == weight]
-    return max(sure, key=lambda j: (j == fork, j), default=fork)
+    top_voted = [j for j in candidates if body.votes[j]["hips"] == weight]
+    return max(top_voted, key=lambda j: (j == fork, j), default=fork)
 
 
 def _head_below(search: _Search, chest: int) -> int:

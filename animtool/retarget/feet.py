@@ -31,8 +31,8 @@ PINNED = 1e9
 BENT = 1.4
 # Shares of a leg's length below which its knee is far from its stop.
 FAR_FROM_STRAIGHT = 0.98
-# How often feet in the air are raised, and how far below the ground they may stay [m].
-RISES, SUNK = 3, 1e-4
+# Times that feet in the air are raised, and how far below the ground they may stay [m].
+MAX_ITERATIONS, MAX_PENETRATION = 3, 1e-4
 # What corrects a foot in the air fades within this time [s].
 FADE = 0.06
 # A foot that leans more than this where it stands is not on level ground [rad].
@@ -40,12 +40,12 @@ LEVEL = np.radians(20.0)
 # Legs are never straighter than this fraction of their length.
 STRAIGHT = 0.9995
 # Legs are as straight as those of the source are within this time of it, smoothed by a
-# Gaussian of that width [s]: a second from a cut nothing may show of either.
+# Gaussian of that width [s]; both fade within a second, so that no block edge shows.
 STRAIGHT_WINDOW, STRAIGHT_SMOOTH = 0.75, 0.05
 # The hips come down within about this time for a leg that does not reach [s].
 LOWERING = 0.07
 # Most iterations of that, and the tolerated reach error [m].
-PINS, COVERED = 12, 1e-5
+MAX_LOWERING_ITERATIONS, REACH_TOLERANCE = 12, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,8 +301,8 @@ def _above_ground(
     if not stands.any():
         return  # the ground is unknown
     known = stands.copy()
-    for _ in range(RISES):
-        low = ~stands & (toe + correction < level - SUNK)
+    for _ in range(MAX_ITERATIONS):
+        low = ~stands & (toe + correction < level - MAX_PENETRATION)
         if not low.any():
             return
         correction[low] = (level - toe)[low]
@@ -357,8 +357,8 @@ def covering(values: FloatArray, width: float) -> FloatArray:
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
     """
     cover, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
-    for _ in range(PINS):
-        low = values > cover[:, 0] + COVERED
+    for _ in range(MAX_LOWERING_ITERATIONS):
+        low = values > cover[:, 0] + REACH_TOLERANCE
         if not low.any():
             break
         pinned |= low & _peaks(values - cover[:, 0])

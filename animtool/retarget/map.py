@@ -76,7 +76,7 @@ def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
 
 
 def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
-    ours, theirs = source.names, target.names
+    source_names, target_names = source.names, target.names
     yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
     # Shown so that users find the key and its values.
@@ -87,12 +87,15 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     for pair in joint_map.pairs:
         if pair.target in chains:
             chain = chains[pair.target]
-            left = _flow([ours[j] for j in chain.source])
-            right = _flow([theirs[j] for j in chain.target])
+            left = _flow([source_names[j] for j in chain.source])
+            right = _flow([target_names[j] for j in chain.target])
         elif pair.target in chained:
             continue
         else:
-            left, right = text(ours[pair.source]), text(theirs[pair.target])
+            left, right = (
+                text(source_names[pair.source]),
+                text(target_names[pair.target]),
+            )
         role = f", role: {pair.role}" if pair.role else ""
         sure = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
         comment = sure if pair.confidence < 1.0 else ""
@@ -100,12 +103,12 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     if joint_map.twists:
         yield "twists:"
     for twist in joint_map.twists:
-        joint, bone = text(theirs[twist.joint]), text(theirs[twist.bone])
+        joint, bone = text(target_names[twist.joint]), text(target_names[twist.bone])
         fraction = number(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped = {
-        "source": [ours[j] for j in joint_map.unmapped_source],
-        "target": [theirs[j] for j in joint_map.unmapped_target],
+        "source": [source_names[j] for j in joint_map.unmapped_source],
+        "target": [target_names[j] for j in joint_map.unmapped_target],
     }
     if any(unmapped.values()):
         yield "ignored:"

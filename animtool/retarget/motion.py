@@ -268,9 +268,9 @@ class Retargeting:
         for clamped, arrays in zip(self._stopped, self._spool.drain(), strict=True):
             begin, count = self._frames, len(arrays[0])
             hips = self._hips[begin : begin + count]
-            source, local, world, bones, about, balls = arrays
+            source, local, world, bones, hip_relative, balls = arrays
             rotations = LocalRotations(local, world, clamped)
-            rotations = self._with_legs(rotations, hips, about, begin)
+            rotations = self._with_legs(rotations, hips, hip_relative, begin)
             rotations = self._with_arms(rotations, begin)
             self._frames += count
             for j, many in rotations.clamped.items():
@@ -280,7 +280,7 @@ class Retargeting:
             local = rotations.local
             twists = distribute_twist(self.transfer, local, twists)
             root, path = root_translations(
-                self.transfer.target, hips, rotations.world, bones, about
+                self.transfer.target, hips, rotations.world, bones, hip_relative
             )
             translations = np.broadcast_to(bones, (count, *bones.shape[1:])).copy()
             translations[:, root] = path

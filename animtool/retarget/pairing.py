@@ -141,8 +141,11 @@ def _crossed_sides(
     """Return a warning about pairs of a left and a right joint (MAP108)."""
     crossed = []
     for pair in pairs:
-        ours, theirs = anatomies[0].roles[pair.source], anatomies[1].roles[pair.target]
-        if {ours[-2:], theirs[-2:]} == {"_l", "_r"}:
+        source_roles, target_roles = (
+            anatomies[0].roles[pair.source],
+            anatomies[1].roles[pair.target],
+        )
+        if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed.append(f"{names[0]} to {names[1]}")
     if not crossed:
@@ -194,7 +197,7 @@ class _Pairing:
 
     def add_role(self, role: str, mode: MapMode) -> None:
         """Pair the remaining joints of one role."""
-        ours, theirs = (
+        source_joints, target_joints = (
             [
                 j
                 for j in known.chain(role)
@@ -202,23 +205,25 @@ class _Pairing:
             ]
             for known, ignored in zip(self.anatomies, self.ignored, strict=True)
         )
-        theirs = [j for j in theirs if j not in self.pairs]
+        target_joints = [j for j in target_joints if j not in self.pairs]
         if mode == "rename":
             taken = {pair.source for pair in self.pairs.values()}
-            ours = [j for j in ours if j not in taken]
-            for k, j in zip(ours, theirs, strict=False):
+            source_joints = [j for j in source_joints if j not in taken]
+            for k, j in zip(source_joints, target_joints, strict=False):
                 self._add(role, [k], [j])
-        elif ours and theirs and base_role(role) == "toe":
-            self._add_toes(role, ours, theirs)
-        elif ours and theirs:
-            self._add(role, ours, theirs)
+        elif source_joints and target_joints and base_role(role) == "toe":
+            self._add_toes(role, source_joints, target_joints)
+        elif source_joints and target_joints:
+            self._add(role, source_joints, target_joints)
 
-    def _add_toes(self, role: str, ours: list[int], theirs: list[int]) -> None:
+    def _add_toes(
+        self, role: str, source_joints: list[int], target_joints: list[int]
+    ) -> None:
         """Pair the toes of a foot in order, from the inner side outwards."""
         rows = [
             _in_order(rig, known, role, chain)
             for rig, known, chain in zip(
-                self.rigs, self.anatomies, (ours, theirs), strict=True
+                self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
         ]
         last = len(rows[0]) - 1
@@ -234,14 +239,19 @@ class _Pairing:
                 [j for digit in DIGITS[1:] for j in known.chain(f"{digit}_1_{side}")]
                 for known in self.anatomies
             ]
-            ours, theirs = mittens
-            if ours and not theirs:
+            source_joints, target_joints = mittens
+            if source_joints and not target_joints:
                 for j in first[1]:
                     if j not in self.pairs and j not in self.ignored[1]:
-                        self._add(self.anatomies[1].roles[j], ours[:1], [j])
-            elif theirs and not ours and first[0] and theirs[0] not in self.pairs:
+                        self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
+            elif (
+                target_joints
+                and not source_joints
+                and first[0]
+                and target_joints[0] not in self.pairs
+            ):
                 middle = first[0][min(1, len(first[0]) - 1)]
-                self._add(f"{MITTEN}_{side}", [middle], theirs[:1])
+                self._add(f"{MITTEN}_{side}", [middle], target_joints[:1])
 
     def _add(
         self,

@@ -114,11 +114,20 @@ class FitMeter:
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
-        ours = transfer.target.path_lengths[[pair.target for pair in joint_map.pairs]]
-        theirs = transfer.source.path_lengths[[pair.source for pair in joint_map.pairs]]
-        theirs = np.maximum(theirs, transfer.source.size * 0.01)
+        target_lengths = transfer.target.path_lengths[
+            [pair.target for pair in joint_map.pairs]
+        ]
+        source_lengths = transfer.source.path_lengths[
+            [pair.source for pair in joint_map.pairs]
+        ]
+        source_lengths = np.maximum(source_lengths, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
-        ratios = np.divide(ours, theirs, out=np.zeros_like(ours), where=theirs > 0)
+        ratios = np.divide(
+            target_lengths,
+            source_lengths,
+            out=np.zeros_like(target_lengths),
+            where=source_lengths > 0,
+        )
         # Hands of arms that are longer, over the legs, go that much faster.
         self._sizes = np.maximum(ratios, transfer.scale)[:, None]
 
@@ -283,13 +292,13 @@ class FitMeter:
                 soles.append(float(np.abs(sole[flat] - level).max()))
                 self._keep_worst("soles", np.where(flat, np.abs(sole - level), 0.0))
                 below.append(level - float(sole.min()))
-        drift, theirs = (
+        drift, source_drift = (
             each[~np.isnan(each)]
             for each in (np.concatenate(drifts), np.concatenate(others))
         )
-        total, count, most = self._angles
+        total, count, max_angle = self._angles
         fastest, source_fastest = self._fastest.tolist()
-        names, ours = transfer.target.rig.names, transfer.source.rig.names
+        names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
         driven = {j for j, joint in enumerate(joints) if joint.driven is not None}
         placed = standing.placed
@@ -300,18 +309,18 @@ class FitMeter:
             stands,
             float(drift.mean()) if len(drift) else math.nan,
             float(drift.max()) if len(drift) else math.nan,
-            float(theirs.max()) if len(theirs) else math.nan,
+            float(source_drift.max()) if len(source_drift) else math.nan,
             max(soles, default=math.nan),
             max([0.0, *below]) if below else math.nan,
             self._reach,
             self._hand,
             total / count if count else math.nan,
-            most if count else math.nan,
+            max_angle if count else math.nan,
             fastest / source_fastest if source_fastest > 0 else math.nan,
             0.0 if placed is None else placed.lowered,
             {names[j]: fraction for j, fraction in clamped.items()},
             _mean_clamped(joint_map, clamped),
-            tuple(ours[j] for j in joint_map.unmapped_source),
+            tuple(source_names[j] for j in joint_map.unmapped_source),
             tuple(names[j] for j in joint_map.unmapped_target if j not in driven),
         )
 

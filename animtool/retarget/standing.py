@@ -41,9 +41,9 @@ ON_FOURS = 0.8
 ON_GROUND, SUNK, OFTEN = 0.08, 0.02, 0.6
 # A walking body travels this far over the ground, and no farther up and down, over its
 # height [1].
-GOES, BOBS = 0.6, 0.25
+MIN_TRAVEL, MAX_VERTICAL_TRAVEL = 0.6, 0.25
 # Frames sampled: at first, and of a long take.
-GLANCES, ENOUGH = 3, 2000
+FIRST_SAMPLES, MAX_SAMPLES = 3, 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     high = float(spans @ np.array(axis.vector))
     # A lying body does not travel along the assumed up axis.
     far = float(spans @ np.array(up.vector))
-    return far > GOES * size and high < BOBS * size
+    return far > MIN_TRAVEL * size and high < MAX_VERTICAL_TRAVEL * size
 
 
 def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
@@ -214,7 +214,7 @@ def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | Non
     """
     if not _other_is_longer(rig, motion):
         return None
-    every = max(motion.frames // ENOUGH, 1)
+    every = max(motion.frames // MAX_SAMPLES, 1)
     frames = motion.select(slice(0, motion.frames, every))
     positions = forward(rig, frames.translations.dense(), frames.rotations.dense())
     rest = rest_world(rig).positions[0]
@@ -225,7 +225,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     """Return whether any sampled pose extends farther along the other axis than up."""
     if not rig.joints or not motion.frames:
         return False
-    some = np.linspace(0, motion.frames - 1, GLANCES).astype(int)
+    some = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
     up, other = np.array(rig.up.vector), np.array(_other(rig.up).vector)
     for frame in sorted(set(some.tolist())):
         one = motion.select(slice(frame, frame + 1))

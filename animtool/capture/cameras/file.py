@@ -194,19 +194,18 @@ def load_all_cameras(
     if len(read) == 1:
         return read[0]
     cameras: dict[str, Camera] = {}
-    for path, each in zip(paths, read, strict=True):
-        if each.up != read[0].up:
-            message = (
-                f"its up axis is {each.up}, but that of {paths[0].name} is {read[0].up}"
-            )
+    for path, camera_set in zip(paths, read, strict=True):
+        if camera_set.up != read[0].up:
+            other = f"that of {paths[0].name} is {read[0].up}"
+            message = f"its up axis is {camera_set.up}, but {other}"
             hint = "calibrate all cameras in one world, and write its `up` in each file"
             raise FormatError(Fault("CAM003", message, str(path), hint=hint))
-        for camera in each.cameras:
-            alone = len(each) == 1 and camera.name == UNNAMED
+        for camera in camera_set.cameras:
+            alone = len(camera_set) == 1 and camera.name == UNNAMED
             name = path.name.partition(".")[0] if alone else camera.name
             if name in cameras:
                 message = f"two cameras are called {name!r}"
                 raise FormatError(Fault("CAM002", message, str(path)))
             cameras[name] = replace(camera, name=name)
-    notices = tuple(note for each in read for note in each.notices)
+    notices = tuple(note for camera_set in read for note in camera_set.notices)
     return Cameras(tuple(cameras.values()), read[0].up, str(paths[0]), notices)

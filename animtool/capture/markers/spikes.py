@@ -27,7 +27,7 @@ MIN_SUPPORT = DEGREE + 3
 # How rough a motion is: variance of its third differences, of that of its noise.
 ROUGHNESS = tuple(10.0**power for power in range(-4, 3))
 # Least size of a spike [m], and over the typical deviation.
-LEAST, TIMES = 0.006, 8.0
+MIN_SPIKE, MIN_SPIKE_RATIO = 0.006, 8.0
 # Factor on these with positions on one side only.
 ONE_SIDED = 2.0
 # How far the frames around may be off the curve through them, of what is a spike.
@@ -36,7 +36,7 @@ SMOOTH = 0.35
 PENALTY = 60.0
 # Half the frames that say how well a curve fits about a frame, and which share of them
 # is better: others are spikes, and what they upset.
-LOCAL, BETTER = 24, 0.4
+FIT_WINDOW, FIT_QUANTILE = 24, 0.4
 # A spike can hide neighbours, which are found once it is removed.
 ROUNDS = 6
 
@@ -115,9 +115,9 @@ def _round(
         if level is None:
             level = _local_level(starts, gain / (3.0 * scale**2), len(path))
         about = level[starts]
-        limit = (factor * TIMES) ** 2 * 3.0 * length
+        limit = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
         clear = gain / (scale**2 * about)
-        flags = (off >= factor * LEAST) & (clear > limit)
+        flags = (off >= factor * MIN_SPIKE) & (clear > limit)
         flags &= rest < SMOOTH**2 * gain / length
         for k in np.flatnonzero(flags).tolist():
             score = float(clear[k]) - PENALTY * length
@@ -157,7 +157,8 @@ def _is_upset(
         )
         at = np.flatnonzero(starts == first - begin)
         if len(at) and (
-            off[at[0]] < LEAST or gain[at[0]] < scale * TIMES**2 * 3.0 * length
+            off[at[0]] < MIN_SPIKE
+            or gain[at[0]] < scale * MIN_SPIKE_RATIO**2 * 3.0 * length
         ):
             return True
     return False
@@ -177,14 +178,14 @@ def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArra
     """Return the local noise level of single frames over the typical one ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
-    low = np.maximum(order - LOCAL, 0)
-    high = np.minimum(order + LOCAL, len(starts))
+    low = np.maximum(order - FIT_WINDOW, 0)
+    high = np.minimum(order + FIT_WINDOW, len(starts))
     padded = np.concatenate([square, [np.inf]])
-    width = 2 * LOCAL
+    width = 2 * FIT_WINDOW
     rows = low[:, None] + np.arange(width)
     rows = np.where(rows < high[:, None], rows, len(square))
     windows = np.sort(padded[rows], axis=1)
-    at = (BETTER * (high - low)).astype(np.int64)
+    at = (FIT_QUANTILE * (high - low)).astype(np.int64)
     level = windows[np.arange(frames), np.minimum(at, width - 1)]
     # That fraction of a chi-squared of three, over three, is below 0.63.
     return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)

@@ -16,11 +16,11 @@ from animtool.motion.markers import Markers
 
 # Least frames of an exchange; a shorter one is a spike.
 MIN_SWAP = 4
-# What a position may be off the line through those before it: noise [m], and what a
-# marker accelerates at least and at most, as times of what it mostly does [m/s^2]; a
-# marker without a speed yet moves [m/s].
-NOISE, ACCELERATION, SPEED = 0.003, 100.0, 3.0
-CALM, TIMES = 20.0, 6.0
+# Tolerance of an extrapolated position: noise [m], acceleration of a marker without a
+# history [m/s^2], and its speed [m/s]. Otherwise the acceleration is a multiple of the
+# marker's median, at least the minimum [m/s^2].
+NOISE, DEFAULT_ACCELERATION, SPEED = 0.003, 100.0, 3.0
+MIN_ACCELERATION, ACCELERATION_FACTOR = 20.0, 6.0
 # A marker on a throwing hand: candidates within reach are tested [m/s^2].
 MAX_ACCELERATION = 500.0
 # Longest gap over which a marker's position is predicted [s].
@@ -100,7 +100,7 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
 
 
 def _expected(
-    positions: FloatArray, rate: float, acceleration: float = ACCELERATION
+    positions: FloatArray, rate: float, acceleration: float = DEFAULT_ACCELERATION
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return each marker's expected position, its tolerance [m], and validity.
 
@@ -139,7 +139,7 @@ def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     points = positions[frame, marker]
     away = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
     miss = np.where(known, off, np.inf)[frame, marker]
-    reach = allowed * (MAX_ACCELERATION / ACCELERATION)
+    reach = allowed * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
     there = known[frame] & (away <= reach[frame]) & ~goes_on[frame]
     there &= NEARER * away < miss[:, None]
     there[np.arange(len(marker)), marker] = False
@@ -241,8 +241,14 @@ def _acceleration(both: FloatArray, rate: float) -> float:
     bent = np.linalg.norm(np.diff(both, 2, axis=0), axis=-1)
     known = bent[np.isfinite(bent)]
     if not len(known):
-        return ACCELERATION
-    return float(np.clip(TIMES * np.median(known) * rate**2, CALM, ACCELERATION))
+        return DEFAULT_ACCELERATION
+    return float(
+        np.clip(
+            ACCELERATION_FACTOR * np.median(known) * rate**2,
+            MIN_ACCELERATION,
+            DEFAULT_ACCELERATION,
+        )
+    )
 
 
 def _off(

@@ -12,11 +12,13 @@ from typing import NoReturn
 
 from animtool.core.record import dataclass
 
-# A terminal that is closed asks as SIGTERM does.
+# A closed terminal sends SIGHUP, which is treated like SIGTERM.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
-ENDING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
-# When an end that Python swallowed is asked for again [s].
-_AGAIN = 0.005
+TERMINATION_SIGNALS = tuple(
+    getattr(signal, name) for name in _NAMES if hasattr(signal, name)
+)
+# Interval after which a signal that Python swallowed is sent again [s].
+_RESEND_INTERVAL = 0.005
 
 
 class TerminatedError(BaseException):
@@ -69,7 +71,7 @@ def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(unraisable)
     elif hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _obey_again)
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        signal.setitimer(signal.ITIMER_REAL, _RESEND_INTERVAL)
 
 
 def obey_signals() -> None:
@@ -78,7 +80,7 @@ def obey_signals() -> None:
     What is raised is `KeyboardInterrupt` or `TerminatedError`. Signals that are ignored
     stay so.
     """
-    for number in ENDING:
+    for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _obey)
     sys.unraisablehook = _swallowed
@@ -92,7 +94,7 @@ def obeyed_signals() -> Iterator[None]:
     if _obeyed.installed or not main_thread:
         yield
         return
-    handlers = {number: signal.getsignal(number) for number in ENDING}
+    handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     hook = sys.unraisablehook
     obey_signals()
     try:
@@ -108,7 +110,7 @@ def obeyed_signals() -> Iterator[None]:
 def receive_signals() -> None:
     """Unblock signals that were blocked when the process started."""
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION_SIGNALS)
 
 
 @contextmanager
@@ -156,7 +158,7 @@ def deferred_signals() -> Iterator[None]:
         pending.append(signum)
 
     # None is a handler that Python did not set and cannot put back.
-    handlers = {number: signal.getsignal(number) for number in ENDING}
+    handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     taken = {n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}}
     for number in taken:
         signal.signal(number, note)

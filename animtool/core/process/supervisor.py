@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import ExitCode, Fault, FormatError
-from animtool.core.process.signals import ENDING, obey_signals
+from animtool.core.process.signals import TERMINATION_SIGNALS, obey_signals
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -307,7 +307,7 @@ def _waited() -> set[int]:
         signal.SIGALRM,
         *(
             number
-            for number in (*ENDING, signal.SIGTSTP)
+            for number in (*TERMINATION_SIGNALS, signal.SIGTSTP)
             if signal.getsignal(number) is not signal.SIG_IGN
         ),
     }
@@ -322,7 +322,7 @@ def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int
     if not child:
         os.close(there)
         _state.notes, _state.listener = notes, notes.write_path
-        _be_child(work, here, waited - {*ENDING})
+        _be_child(work, here, waited - {*TERMINATION_SIGNALS})
     os.close(here)
     return child, there
 
@@ -376,7 +376,7 @@ def _end_with_parent(alive: int) -> None:
 
 
 def _wait(child: int, waited: set[int]) -> tuple[int, int]:
-    """Return how a child ended, and the first signal that requested it.
+    """Wait for a child; return its exit code and the first signal received.
 
     One that does not obey in time is killed: it may be deep inside of a library.
     """

@@ -301,7 +301,7 @@ def _filled(layout: Layout, data: bytes, end: int) -> Layout:
 
 def _decide(
     ranked: Sequence[Layout],
-    short: Layout | None,
+    truncated_layout: Layout | None,
     judge: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the best of several layouts after judging their numbers."""
@@ -322,7 +322,9 @@ def _decide(
         penalty += 4.0 * (evidence.rough > 3.0 * rough + 0.02)
         scored.append(replace(layout, cost=layout.cost + penalty))
     if not scored:
-        return LayoutResult(None, short, () if short else tuple(ranked[:3]))
+        return LayoutResult(
+            None, truncated_layout, () if truncated_layout else tuple(ranked[:3])
+        )
     scored.sort(key=_order)
     best = scored[0]
     rivals = [
@@ -331,8 +333,8 @@ def _decide(
         if layout.cost < best.cost + DECISIVE and _rows(layout) != _rows(best)
     ]
     if rivals:
-        return LayoutResult(None, short, (best, *rivals[:2]))
-    return LayoutResult(best, short)
+        return LayoutResult(None, truncated_layout, (best, *rivals[:2]))
+    return LayoutResult(best, truncated_layout)
 
 
 def _is_noise(layout: Layout, evidence: Evidence) -> bool:

@@ -139,7 +139,7 @@ class Changes:
         self.moving = [moving(model, take) for model in models]
 
     def local_scale(self, i: int) -> bool:
-        """Return whether the scale that children may compensate changes."""
+        """Return whether a node's local scale is animated; children may ignore it."""
         return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:

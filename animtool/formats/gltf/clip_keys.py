@@ -106,22 +106,22 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
     all_keys: dict[tuple[int, str], Keys] = {}
     times: dict[int, FloatArray] = {}
     for path, moving in native.sampler.moving.items():
-        for one in moving:
-            track = one.track
+        for row in moving:
+            track = row.track
             key_times = times.setdefault(id(track.times), track.times + later)
             if key_times[0] < 0:
                 continue
             slopes = [
-                None if part is None else part * one.factor
+                None if part is None else part * row.factor
                 for part in (track.ins, track.outs)
             ]
             values = track.values
-            if one.factor != 1.0:
-                values = values * one.factor
+            if row.factor != 1.0:
+                values = values * row.factor
             how = str(track.interpolation)
             if path is TargetPath.ROTATION and slopes[0] is None:
                 values = so3.normalize(values)
-            all_keys[one.row, _NATIVE[path]] = Keys(key_times, values, how, *slopes)
+            all_keys[row.row, _NATIVE[path]] = Keys(key_times, values, how, *slopes)
     return all_keys
 
 

@@ -47,7 +47,7 @@ def _stl(content: bytes) -> Triangles:
         count = int.from_bytes(content[80:84], "little")
         if len(content) == _HEADER + _ROW * count:
             rows = np.frombuffer(content, _RECORD, offset=_HEADER)
-            return _welded(rows["points"].reshape(-1, 3).astype(np.float64))
+            return _separate_triangles(rows["points"].reshape(-1, 3).astype(np.float64))
     if content[:5].lower() != b"solid":
         raise ValueError("it is not an STL, or is truncated")
     words = content.split()
@@ -58,10 +58,10 @@ def _stl(content: bytes) -> Triangles:
         raise ValueError(f"it has an invalid vertex: {error}") from error
     if len(points) % 3 or points.shape[1:] != (3,):
         raise ValueError("it is not an STL, or is truncated")
-    return _welded(points)
+    return _separate_triangles(points)
 
 
-def _welded(points: FloatArray) -> Triangles:
+def _separate_triangles(points: FloatArray) -> Triangles:
     """Return triangles from separate corners; flat sides stay flat."""
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 

@@ -306,7 +306,7 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
 
 
 def _complete_rows(
-    file: MarkerFile, rows: TextRows, unended: int, width: int
+    file: MarkerFile, rows: TextRows, unterminated_line: int, width: int
 ) -> TextRows:
     """Return rows without a truncated last one; warn about it (TRC109).
 
@@ -318,7 +318,7 @@ def _complete_rows(
     # A row that ends after a marker is not truncated if others are short too.
     within = len(cut) > 0 and int(cut[-1]) == last
     alone = bool(short[last]) and int(short.sum()) == 1
-    dropped = last > 0 and rows.lines[last] == unended and (within or alone)
+    dropped = last > 0 and rows.lines[last] == unterminated_line and (within or alone)
     if not len(cut) and not dropped:
         return rows
     row = last if dropped else int(cut[0])

@@ -136,7 +136,7 @@ def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
 
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
-    """Return one take as a stream for each of several readers; read once."""
+    """Return several streams of one take, which is read only once."""
     gathered: list[Motion] = []
 
     def blocks() -> Iterator[Motion]:

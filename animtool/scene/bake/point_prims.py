@@ -110,17 +110,17 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     shapes = tuple(shape.name for shape in rig.shapes)
     if rig.meshes or (target is None and not is_usd(source)):
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
-        origin, mapping = f"rig {rig.name!r} of the take", None
+        source_label, mapping = f"rig {rig.name!r} of the take", None
     else:
         from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
 
         if target is not None:
             assert mapping is not None
             shapes = mapping.shapes
-            rig, origin = target.skeleton.rig, str(target.path)
+            rig, source_label = target.skeleton.rig, str(target.path)
             targets = target_meshes(target)
         else:
-            origin, targets = (
+            source_label, targets = (
                 str(source),
                 source_meshes(source, options.source.prim_path, options.placement),
             )
@@ -138,7 +138,9 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
-    return DeformedCharacter(rig, surfaces, strands, mapping, tuple(meshes), origin)
+    return DeformedCharacter(
+        rig, surfaces, strands, mapping, tuple(meshes), source_label
+    )
 
 
 def _turned(

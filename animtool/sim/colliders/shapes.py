@@ -131,7 +131,7 @@ class Box:
 class Mesh:
     """Triangles with two sides, or the surface of a solid.
 
-    Points at one place are one, triangles without area are left out.
+    Coincident points are merged, and triangles without area dropped.
 
     Attributes:
         points: ``(P, 3)`` [m].

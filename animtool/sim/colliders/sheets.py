@@ -141,7 +141,7 @@ def collide_with_sheet(
     late: FloatArray,
     settle: Settle,
 ) -> tuple[IntArray, Any] | None:
-    """Return the particles near a sheet and their end states; None if none.
+    """Return the particles near a sheet and their end states, or None without any.
 
     Each particle is seen from what of the sheet is nearest to it, which goes straight
     through the step: the sheet is then as it is at the end, and at rest.

@@ -26,8 +26,7 @@ class Surfaces:
     Points at one place at the beginning are one; triangles stay as they are then.
 
     Attributes:
-        fastest: Speed of the fastest so far [m/s]; where one is put elsewhere it has
-            none.
+        fastest: Highest speed so far [m/s]; teleports do not count.
 
     Args:
         sheets: Surfaces whose motion may be asked for at any time.

@@ -37,7 +37,7 @@ def best_of(costs: Sequence[Cost | None]) -> list[int]:
 
 
 def recommended_of(
-    costs: Sequence[Cost | None], chosen: int, enough: float
+    costs: Sequence[Cost | None], chosen: int, accepted_error: float
 ) -> int | None:
     """Return the setting to use instead of the chosen; None if that is best.
 
@@ -50,7 +50,7 @@ def recommended_of(
     now = costs[chosen]
     # Equal error after equal work is the same run; the timing is noise.
     same = None if now is None else (now.error, now.work)
-    within = enough if now is None else now.error * AS_GOOD
+    within = accepted_error if now is None else now.error * AS_GOOD
     most = float("inf") if now is None else now.value * WORTH_IT
     fit = [
         (cost.value, i)

@@ -40,7 +40,7 @@ FAR = 10.0
 # Likewise for the fraction of points that only one of two runs has.
 MAX_UNMATCHED = 0.5
 # The accepted error if the chosen setting diverges, relative to the extent.
-ENOUGH = 0.01
+FALLBACK_TOLERANCE = 0.01
 # Short runs are repeated within this time, up to this often, and the shortest counts
 # [s].
 SHORT, REPEATS = 0.3, 3
@@ -389,7 +389,7 @@ def _marked(
     best = best_of(costs)
     chosen = next(i for i, row in enumerate(rows) if row.chosen)
     if budget is None:
-        taken = recommended_of(costs, chosen, ENOUGH * extent)
+        taken = recommended_of(costs, chosen, FALLBACK_TOLERANCE * extent)
     else:
         taken = cheapest_of(costs, budget)
     return [
@@ -411,11 +411,11 @@ def _marked_by_figures(
         return rows
     costs: list[Cost | None] = []
     for row in rows:
-        figures = _figures(row.energy_drift, row.figures)
-        if row.status is not Status.OK or figures.keys() != true_figures.keys():
+        metrics = _figures(row.energy_drift, row.figures)
+        if row.status is not Status.OK or metrics.keys() != true_figures.keys():
             costs.append(None)
             continue
-        above = [max(0.0, figures[name] - true_figures[name]) for name in true_figures]
+        above = [max(0.0, metrics[name] - true_figures[name]) for name in true_figures]
         costs.append(_cost(row, measure, max(1.0, *above)))
     best = best_of(costs)
     return [replace(row, best=i in best) for i, row in enumerate(rows)]

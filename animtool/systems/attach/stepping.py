@@ -72,7 +72,7 @@ class Tally:
         unresolved: int,
         through: Piercing | None = None,
     ) -> None:
-        """Add the counts of a frame."""
+        """Keep the largest counts so far."""
         self.stretch = max(self.stretch, stretch)
         self.contacts = max(self.contacts, contacts)
         self.unresolved = max(self.unresolved, unresolved)

@@ -17,11 +17,11 @@ from animtool.systems.crowds.ground import turned, wrapped
 
 # A planted foot is misplaced if farther than this from its target, over the leg length,
 # or rotated by more [rad].
-OFF, OFF_YAW = 0.15, 0.45
+MAX_FOOT_OFFSET, MAX_FOOT_YAW = 0.15, 0.45
 # Least step width over the gaits' width.
 STEP_WIDTH = 0.6
 # Feet pass each other with this gap, over the leg length, if closer than this along z.
-PASSING, LONG = 0.09, 0.35
+PASSING_GAP, PASSING_RANGE = 0.09, 0.35
 # Largest speeds at which a landing may change [m/s], [rad/s]; faster changes would jerk
 # the legs.
 SWERVES, SWIVELS = 2.5, 6.0
@@ -134,7 +134,7 @@ class Footing:
         far = np.linalg.norm(away[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
         yaws = np.abs(wrapped(away[..., 2]))
-        return np.asarray((far > OFF * leg) | (yaws > OFF_YAW))
+        return np.asarray((far > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
 
     def feet(
         self, state: BodyState, going: AgentMotion
@@ -188,7 +188,8 @@ class Footing:
         around = np.zeros((len(footholds), 2))
         local = turned(footholds[..., :2], -going.headings[:, None])
         wide, long = (
-            part * self.gaits.walker.leg * self.scales for part in (PASSING, LONG)
+            part * self.gaits.walker.leg * self.scales
+            for part in (PASSING_GAP, PASSING_RANGE)
         )
         for k in range(2):
             side = 1 - 2 * k

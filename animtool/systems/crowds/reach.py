@@ -147,12 +147,12 @@ def hurried(
         now, _ = reach.room(*stance, stances.pitches[0, :, k])
         last, outwards = reach.room(*stance, stances.pitches[1, :, k])
         leaves = -(outwards * went).sum(axis=1)
-        twist = stances.feet[:, k, 3]
-        most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
-        twists = -turning * np.sign(twist)
+        foot_yaw = stances.feet[:, k, 3]
+        most = np.where(foot_yaw * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
+        twists = -turning * np.sign(foot_yaw)
         need = np.maximum(
             _hurry(last, LEAST_ROOM, leaves),
-            _hurry(most - np.abs(twist), LEAST_YAW, twists),
+            _hurry(most - np.abs(foot_yaw), LEAST_YAW, twists),
         ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
         # A foot that lifted too early lands soon.

@@ -53,7 +53,7 @@ class Members(Groups):
         drawn, refusals = [], Refusals()
         for species, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
-                drawn.append(_drawn(species, part, begin))
+                drawn.append(_start_motion(species, part, begin))
         refusals.check()
         points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
         ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
@@ -137,7 +137,7 @@ class Members(Groups):
         return faults
 
 
-def _drawn(
+def _start_motion(
     species: SpeciesModel, parts: Mapping[str, Any], begin: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return start positions [m] and velocities [m/s] ``(N, 3)``."""

@@ -101,7 +101,7 @@ class FlockGoalModel(PlacedModel):
 
 
 class PathModel(FileModel):
-    """A way that members follow, from point to point."""
+    """A path through given points for members to follow."""
 
     points: Annotated[list[Vector], Len(2, 10_000)] = key(
         "Its points [m].", [[0, 5, 0], [20, 5, 0]]

@@ -250,7 +250,7 @@ class Fluid:
     ) -> Pressed:
         """Return the state after some substeps; sheets collide between pieces."""
         around, motion = self._colliders, state.motion
-        pieces = self._substeps.pieces(around, parts, dt)
+        pieces = self._substeps.collision_substeps(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
         wrenches = [Wrenches.none(system.count) for system in around.bodies]
         for k in range(pieces):

@@ -95,10 +95,10 @@ class Substeps:
         count = dt * max(rates)
         return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
-    def pieces(self, around: Colliders, parts: int, dt: float) -> int:
+    def collision_substeps(self, around: Colliders, parts: int, dt: float) -> int:
         """Return how often sheets collide in a step."""
         if not around.sheets:
             return 1
         travel = dt * max(around.surfaces.fastest, 1.0)
-        pieces = math.ceil(travel / (PIECE * self._spec.spacing))
-        return max(1, min(pieces, parts, MAX_PIECES))
+        count = math.ceil(travel / (PIECE * self._spec.spacing))
+        return max(1, min(count, parts, MAX_PIECES))

@@ -30,9 +30,9 @@ class _Checked:
 class Point(_Checked):
     """The origin of the emitter's frame."""
 
-    def points(self, chances: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> Placed:
         """Return points for random numbers in [0, 1) ``(N, 3)``."""
-        return np.zeros((len(chances), 3)), None
+        return np.zeros((len(uniforms), 3)), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +47,11 @@ class Disc(_Checked):
         float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
     ]
 
-    def points(self, chances: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> Placed:
         """Return points, uniform by area."""
-        radius = self.radius * np.sqrt(chances[:, 0])
-        angle = 2 * np.pi * chances[:, 1]
-        flat = np.zeros(len(chances))
+        radius = self.radius * np.sqrt(uniforms[:, 0])
+        angle = 2 * np.pi * uniforms[:, 1]
+        flat = np.zeros(len(uniforms))
         return np.stack(
             [radius * np.cos(angle), flat, radius * np.sin(angle)], axis=1
         ), None
@@ -71,15 +71,15 @@ class SphereShape(_Checked):
     ]
     hollow: bool = False
 
-    def points(self, chances: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> Placed:
         """Return points, uniform by volume or by area."""
-        height = 2 * chances[:, 0] - 1
+        height = 2 * uniforms[:, 0] - 1
         across = np.sqrt(np.maximum(1 - height * height, 0))
-        angle = 2 * np.pi * chances[:, 1]
+        angle = 2 * np.pi * uniforms[:, 1]
         out = np.stack([across * np.cos(angle), height, across * np.sin(angle)], axis=1)
         if self.hollow:
             return out * self.radius, out
-        return out * (self.radius * np.cbrt(chances[:, 2:])), None
+        return out * (self.radius * np.cbrt(uniforms[:, 2:])), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ class BoxShape(_Checked):
         Range("three numbers of 0 or more", "SIM021", 0.0, finite=True, count=3),
     ]
 
-    def points(self, chances: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> Placed:
         """Return points, uniform by volume."""
-        return (chances - 0.5) * np.asarray(self.size, np.float64), None
+        return (uniforms - 0.5) * np.asarray(self.size, np.float64), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,17 +110,17 @@ class MeshSurface:
 
     mesh: Mesh
 
-    def points(self, chances: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> Placed:
         """Return points, uniform by area."""
         welded, corners = self.mesh.welded()
         a, b, c = welded[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
         ends = np.cumsum(areas)
-        chosen = np.searchsorted(ends, chances[:, 0] * ends[-1], side="right")
+        chosen = np.searchsorted(ends, uniforms[:, 0] * ends[-1], side="right")
         chosen = np.minimum(chosen, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
-        u, v = chances[:, 1], chances[:, 2]
+        u, v = uniforms[:, 1], uniforms[:, 2]
         over = u + v > 1
         u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
         points = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]

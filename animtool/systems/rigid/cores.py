@@ -55,7 +55,7 @@ class SolidProperties:
 def together(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
-    """Return several joined; volumes count as masses [kg], inertia in [kg m²]."""
+    """Return several solids as one, with mass [kg] as volume and inertia in [kg m²]."""
     masses = np.array([s.volume * d for s, d in zip(solids, densities, strict=True)])
     centres = np.array([s.centre for s in solids])
     centre = masses @ centres / masses.sum()
@@ -189,10 +189,12 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
     side /= np.linalg.norm(side)
     frame = np.stack([side, up, np.cross(side, up)])
     around = np.arange(ROUND) * (2 * np.pi / ROUND)
-    rings, half = [], ROUND // 4
-    heights = [-k for k in range(half - 1, -1, -1)] + list(range(half))
+    rings, rings_per_cap = [], ROUND // 4
+    heights = [-k for k in range(rings_per_cap - 1, -1, -1)] + list(
+        range(rings_per_cap)
+    )
     for i, height in enumerate(heights):
-        angle = height * np.pi / 2 / half
+        angle = height * np.pi / 2 / rings_per_cap
         ring = np.stack(
             [
                 np.cos(around) * np.cos(angle),
@@ -201,9 +203,11 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
             ],
             axis=1,
         )
-        rings.append((first if i < half else last) + core.radius * ring @ frame)
+        rings.append(
+            (first if i < rings_per_cap else last) + core.radius * ring @ frame
+        )
     # A sphere has one ring at its equator.
-    rings = rings if length else rings[:half] + rings[half + 1 :]
+    rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
     poles = np.stack([first - core.radius * up, last + core.radius * up])
     points = np.concatenate([*rings, poles])
     count, k = len(rings), np.arange(ROUND)

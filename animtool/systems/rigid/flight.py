@@ -68,7 +68,7 @@ def fly(
     end, now, step = t + dt, t, dt
     begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
     points, velocities, pull, grown = x, v, begin, begin_slopes
-    left, least, coarse = MAX_PARTS, FLOOR * dt, np.zeros(len(x), np.bool_)
+    parts_left, least, coarse = MAX_PARTS, FLOOR * dt, np.zeros(len(x), np.bool_)
     while now < end:
         after, shares = _part(rate, now, step, points, velocities, pull, grown)
         error = float(shares.max(initial=0.0)) / TOLERANCE
@@ -80,8 +80,8 @@ def fly(
             coarse |= shares > COARSE
         now = end if step >= end - now else now + step
         if now < end:
-            left -= 1
-            least = max(FLOOR * dt, (end - now) / max(left, 1) ** 2)
+            parts_left -= 1
+            least = max(FLOOR * dt, (end - now) / max(parts_left, 1) ** 2)
             pull, grown = rate(now, *after), slopes(now, *after)
             longer = step * min(CAUTION / np.sqrt(max(error, 1e-12)), GROW)
             step = min(max(longer, least), end - now)

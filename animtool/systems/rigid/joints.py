@@ -85,7 +85,7 @@ class Joints:
 
 
 def together(several: Sequence[Joints]) -> Joints:
-    """Return several sets of joints of a spec joined."""
+    """Concatenate several sets of joints."""
     return Joints(
         np.concatenate([one.rows for one in several]),
         np.concatenate([one.numbers for one in several]),

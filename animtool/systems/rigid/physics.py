@@ -222,7 +222,7 @@ def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
 
 
 def shape_of(shape: PhysicsShape) -> Shape:
-    """Return a shape in its local frame."""
+    """Return a rig's physics shape as a collider shape in its local frame."""
     match shape.kind:
         case "sphere":
             return Sphere(shape.size[0])

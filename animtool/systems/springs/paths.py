@@ -117,7 +117,7 @@ def position_at(path: Path, t: float) -> FloatArray:
 
 
 def reach_of(path: Path) -> tuple[float, float]:
-    """Return the largest speed [m/s] and the largest distance [m] on a path."""
+    """Return a path's largest speed [m/s] and distance from its start [m]."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))

@@ -105,12 +105,17 @@ def sheet(
     first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
     positions = first + along / max(columns - 1, 1) * right
     positions = positions + upward / max(rows - 1, 1) * top
-    one, both, two = (
+    one, both, bend_pairs = (
         np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
         for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
     )
     rising = _grid_pairs(grid, 1, 1)
-    families = [(one, structural), (rising, diagonal), (both, diagonals), (two, bend)]
+    families = [
+        (one, structural),
+        (rising, diagonal),
+        (both, diagonals),
+        (bend_pairs, bend),
+    ]
     return built(positions, mass, families, _triangles(grid))
 
 

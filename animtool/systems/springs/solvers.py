@@ -352,13 +352,15 @@ def _in_parts(
         pushes.append(now.pushes)
         if now.lost:
             break
-    tied = [one.leading_to(state) for one, state in zip(steps, bodies, strict=True)]
+    body_results = [
+        one.leading_to(state) for one, state in zip(steps, bodies, strict=True)
+    ]
     pushed = np.sum(pushes, axis=0)
     pushed[:, 6] = np.max(pushes, axis=0)[:, 6]
     left = replace(now.state, substeps=grid.state.substeps)
     if count * parts != left.substeps:
         left = replace(left, before=None)
-    return replace(now, state=left, tied=tuple(tied), pushes=pushed)
+    return replace(now, state=left, tied=tuple(body_results), pushes=pushed)
 
 
 def _tied_part(
@@ -405,7 +407,8 @@ def _pulled(
 ) -> Pulled:
     state = grid.state
     (
-        motion, before, known, torn, steps, corrections, lost, inside, pushes, pulls,
+        motion, before, known, torn, steps, corrections, unsolved, inside, pushes,
+        pulls,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
@@ -416,7 +419,7 @@ def _pulled(
         pulls=pulls[1],
     )  # fmt: skip
     crossed = grid.crossed(1, after, steps, corrections, inside, pushes)
-    return Pulled(crossed, pulls[0], lost > 0)
+    return Pulled(crossed, pulls[0], unsolved > 0)
 
 
 def _implicit(

@@ -100,7 +100,7 @@ class _Unknown(NamedTuple):
     reach: float  # largest distance from the centre to carried particles [m]
 
 
-def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
+def _newton_correction(slopes: FloatArray, now: _Pulled) -> FloatArray:
     """Return the Newton correction of velocities."""
     correction = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
     return np.asarray(-correction, np.float64)
@@ -171,7 +171,7 @@ class TiedCell:
                 break
             if slopes is None:
                 slopes, fresh = self._slopes(y, now, TRIAL * size / scale, cross), True
-            change = _corrected(slopes, now)
+            change = _newton_correction(slopes, now)
             moved = float(np.abs(change * scale).max())
             if moved <= MET * size:
                 break
@@ -223,7 +223,7 @@ class TiedCell:
         for _ in range(MAX_HALVINGS):
             after = self._tried(y + fraction * change, cross)
             if not after.crossed.lost and np.isfinite(after.left).all():
-                left = float(np.abs(_corrected(slopes, after) * scale).max())
+                left = float(np.abs(_newton_correction(slopes, after) * scale).max())
                 if left <= max((1 - fraction / 4) * moved, MET * size):
                     return fraction, left, after
             fraction /= 2

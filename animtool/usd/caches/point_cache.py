@@ -103,15 +103,15 @@ def round_points(
         points, meters_per_unit, Labels("points", "point"), codes
     )
 
-    def same_order(name: str, values: FloatArray, unit: float) -> Float32Array:
+    def to_float32(name: str, values: FloatArray, unit: float) -> Float32Array:
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
-    extent = same_order("extent", extents, meters_per_unit)
+    extent = to_float32("extent", extents, meters_per_unit)
     values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
     if normals is not None:
-        values["normals"] = same_order("normals", normals, 1.0)
+        values["normals"] = to_float32("normals", normals, 1.0)
     if velocities is not None:
-        values["velocities"] = same_order("velocities", velocities, meters_per_unit)
+        values["velocities"] = to_float32("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 

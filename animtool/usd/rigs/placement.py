@@ -261,7 +261,7 @@ def refuse_uneven(placement: SkeletonPlacement, where: PrimLocation) -> None:
 
 
 def uneven_notice(placement: SkeletonPlacement, where: PrimLocation) -> list[Fault]:
-    """Return a notice of a transform that is left out, with numbers (USD109)."""
+    """Return a warning about a transform that joints cannot represent (USD109)."""
     if not placement.uneven:
         return []
     message = f"the character {placement.uneven}, which joints cannot represent: "

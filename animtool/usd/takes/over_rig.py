@@ -148,7 +148,7 @@ def _rests_at_stage_placement(
 def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
     """Return whether bone lengths match the rig in world scale, not in local scale.
 
-    An animation without its Skeleton says no more of the space that it is in.
+    Without its Skeleton, an animation does not tell which space it is in.
     """
     lengths = {j.name: float(np.linalg.norm(j.translation)) for j in raw.joints}
     pairs = [
@@ -156,8 +156,10 @@ def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
         for joint in take.joints
         if joint.parent >= 0 and joint.name in lengths
     ]
-    mine, theirs = (sum(row) for row in zip(*pairs, strict=True)) if pairs else (0, 0)
-    if not mine or not theirs:
+    take_length, raw_length = (
+        (sum(row) for row in zip(*pairs, strict=True)) if pairs else (0, 0)
+    )
+    if not take_length or not raw_length:
         return False
-    ratio = np.log(mine / theirs)
+    ratio = np.log(take_length / raw_length)
     return bool(abs(ratio - np.log(size)) < abs(ratio))

@@ -35,14 +35,14 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     if codes is None or len(codes) < 2:
         return
     off = codes - np.round(codes)
-    drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < REGULAR_SAMPLE)
+    misaligned = (np.abs(off) > ROUNDING) & (np.abs(off) < REGULAR_SAMPLE)
     astray = np.abs(off) > ROUNDING
     if float(astray.mean()) < ASTRAY_FRACTION:
-        drifting = astray
-    if drifting.any():
-        worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
+        misaligned = astray
+    if misaligned.any():
+        worst = int(np.where(misaligned, np.abs(off), 0.0).argmax())
         message = (
-            f"{np.count_nonzero(drifting)} of {len(codes)} samples are off the "
+            f"{np.count_nonzero(misaligned)} of {len(codes)} samples are off the "
             f"frame, by up to {abs(off[worst]):.3g} time codes, at "
             f"{codes[worst]:.10g}"
         )

@@ -69,8 +69,10 @@ def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         excess = _excess(joint, sweep.driven.targets)
         for control, frame in sweep.worst(excess):
-            far = shown(rig, joint, abs(float(sweep.spread(excess)[frame])))
-            message = f"{sweep.keys(frame)} drives {joint.name!r} {far} beyond its "
+            excess_text = shown(rig, joint, abs(float(sweep.spread(excess)[frame])))
+            message = (
+                f"{sweep.keys(frame)} drives {joint.name!r} {excess_text} beyond its "
+            )
             message += "limits"
             at = _drive(rig, control, f"joint/{joint.name}.")
             hint = "widen the limits, or reduce the drive"

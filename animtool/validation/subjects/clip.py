@@ -65,7 +65,7 @@ class ClipSubject(DocumentSubject):
 
     @cached_property
     def cuts(self) -> BoolArray:
-        """Steps between frames that are keyed as steps ``(F - 1,)``."""
+        """Mask of frame intervals that contain a stepped key ``(F - 1,)``."""
         frames = np.array(self.frames)
         cuts = np.zeros(len(frames) - 1, bool)
         stepped = [c for c in self.clip.channels if Interp.STEP in c.interps]
