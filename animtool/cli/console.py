@@ -128,7 +128,7 @@ class Console:
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
         """Write faults to stderr; errors even if quiet.
 
-        One at a column is followed by its source line and a caret.
+        An error or warning at a column is followed by its source line and a caret.
         """
         sources = None
         for unworded in faults:
@@ -140,7 +140,11 @@ class Console:
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
                 text = str(shown).replace(escaped(fault.code), code, 1)
-                if fault.column and not self.json_log:
+                if (
+                    fault.column
+                    and fault.severity is not Severity.NOTE
+                    and not self.json_log
+                ):
                     from animtool.core.source_lines import Sources, excerpt_lines
 
                     sources = sources or Sources()

@@ -24,6 +24,22 @@ KINDS = {
 }
 # Names of earlier pages, and the pages that say where their text is.
 MOVED = {"guide": "reference/index", "formats": "reference/files"}
+# What users call the subject of a page.
+SUBJECTS = {
+    "bring": "howto/fbx-and-gltf",
+    "cape": "howto/cloth-and-hair",
+    "cores": "reference/batches",
+    "ignore": "reference/checking",
+    "jobs": "reference/batches",
+    "mixamo": "howto/fbx-and-gltf",
+    "profile": "reference/checking",
+    "resume": "reference/batches",
+    "silence": "reference/checking",
+    "simulate": "reference/simulations",
+    "skirt": "howto/cloth-and-hair",
+    "suppress": "reference/checking",
+    "units": "howto/units-and-axes",
+}
 # Pages that mention a topic, listed in a hint.
 MAX_MENTIONED = 5
 
@@ -78,7 +94,7 @@ def find_page(topic: str) -> PageEntry:
     'tutorials/desk-lamp'
     """
     name = topic.lower().removesuffix(".md").strip("/")
-    name = MOVED.get(name, name)
+    name = (MOVED | SUBJECTS).get(name, name)
     pages = all_pages()
     matches = [page for page in pages if page.name == name]
     matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
@@ -94,22 +110,22 @@ def find_page(topic: str) -> PageEntry:
 
 
 def _hint(topic: str) -> str:
-    """Return the nearest page, by its name or its headings."""
-    stems = [page.name.split("/")[-1] for page in all_pages()]
-    hint = nearest(topic, stems)
-    if not hint.startswith("allowed"):
-        return hint
+    """Return the pages on a subject, or the page with the nearest name."""
+    pages = [page for page in all_pages() if page.name != "changelog"]
+    counts = {page.name: _mentions(page, topic) for page in pages}
     mentioned = [
         page.name
-        for page in all_pages()
-        if topic and any(topic in line.lower() for line in _headings(page))
+        for page in pages
+        if counts[page.name] and any(topic in h.lower() for h in _headings(page))
     ]
-    counts = {page.name: _mentions(page, topic) for page in all_pages()}
     most = max(counts, key=lambda name: counts[name])
     mentioned = mentioned or ([most] if counts[most] else [])
     if mentioned:
         return f"it is a subject of {', '.join(mentioned[:MAX_MENTIONED])}"
-    return f"{argument('list')} lists the pages"
+    hint = nearest(topic, [page.name.split("/")[-1] for page in pages])
+    if hint.startswith("allowed"):
+        return f"{argument('list')} lists the pages"
+    return hint
 
 
 def _mentions(page: PageEntry, word: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from animtool.core.errors import OptionError
-from animtool.core.pages import KINDS, all_pages, find_page, page_markdown
+from animtool.core.pages import KINDS, SUBJECTS, all_pages, find_page, page_markdown
 
 
 def test_pages_are_sorted_by_kind_and_titled_by_their_heading() -> None:
@@ -35,3 +35,15 @@ def test_a_word_of_a_heading_leads_to_its_page() -> None:
     with pytest.raises(OptionError) as caught:
         find_page("slurm")
     assert "howto/farm" in str(caught.value.faults[0].hint)
+
+
+def test_words_of_users_lead_to_pages() -> None:
+    names = {page.name for page in all_pages()}
+    assert set(SUBJECTS.values()) <= names
+    assert find_page("Mixamo").name == "howto/fbx-and-gltf"
+
+
+def test_a_mistyped_name_is_corrected() -> None:
+    with pytest.raises(OptionError) as caught:
+        find_page("desk-lmap")
+    assert "'desk-lamp'" in str(caught.value.faults[0].hint)
