@@ -193,11 +193,11 @@ def _cheapest(
     as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
     """
     step = options.step
-    limits = f"semi-implicit Euler needs {rate:.0f} steps per second"
+    limits = f"symplectic_euler is stable from {rate:.0f} steps per second"
     cell = CELL if step is None else step
     steps = FIRST[Solver.BDF2] / CELL if step is None else 1 / step
     if rate > SOLVABLE:
-        return Solver.XPBD, f"{limits}, and bdf2 does not converge with any"
+        return Solver.XPBD, f"{limits}, and bdf2 converges with no step"
     if math.ceil(cell * rate) > MAX_SUBSTEPS:
         return Solver.BDF2, f"{limits}, which are too many"
     explicit = max(rate, 1 / cell) * COSTS[Solver.SYMPLECTIC_EULER]

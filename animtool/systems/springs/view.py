@@ -180,7 +180,7 @@ class SpringView:
         simulation = self.simulation
         parts = [
             f"{simulation.choice.solver} ({simulation.reason})",
-            f"steps of {plain(simulation.shortest)} s and more",
+            f"shortest step {plain(simulation.shortest)} s",
             f"springs strained by up to {percent(simulation.stretch)}",
         ]
         if simulation.error is not None and math.isfinite(simulation.error):
