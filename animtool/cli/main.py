@@ -382,7 +382,13 @@ OTHER_OPTIONS = {
     "--out": ("--output",),
     "--out-file": ("--output",),
     "--rig": ("--to",),
-    "--target": ("--to",),
+    "--start-frame": ("--range",),
+    "--end-frame": ("--range",),
+    "--anim": ("--take",),
+    "--animation": ("--take",),
+    "--count": ("--repeats",),
+    "--repeat": ("--repeats",),
+    "--target": ("--to", "--targets"),
     "--to": ("--rig",),
     "--prim": ("--source-prim",),
     "--unit": ("--units",),
@@ -403,8 +409,10 @@ def _with_our_option(error: click.NoSuchOption) -> click.ClickException:
     params = [] if error.ctx is None else error.ctx.command.params
     known = {flag for option in params for flag in option.opts}
     meant = [o for o in OTHER_OPTIONS.get(error.option_name, ()) if o in known]
-    possible = meant[:1] or error.possibilities
-    return click.NoSuchOption(error.option_name, None, possible, error.ctx)
+    if not meant:
+        return error
+    text = f"No such option {error.option_name!r}. Did you mean {meant[0]!r}?"
+    return click.UsageError(text, error.ctx)
 
 
 def _usage(console: Console, error: click.ClickException) -> None:

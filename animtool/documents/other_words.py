@@ -60,6 +60,8 @@ OTHER_KEYS = {
     "time": ("t", "at"),
     "value": ("v",),
     "lookat": ("aim",),
+    "to": ("target",),
+    "smooth": ("clean",),
     "start": ("range", "first"),
     "end": ("range", "last"),
     "frames": ("range", "keys"),
@@ -70,4 +72,9 @@ OTHER_KEYS = {
     "controllers": ("controls",),
     "blendshapes": ("shapes",),
     "file": ("source",),
+    "input": ("source",),
+    "interpolation": ("interp",),
+    "target": ("effector",),
+    "from": ("source",),
+    "pos": ("position",),
 }

@@ -99,3 +99,21 @@ def test_an_old_name_works_with_a_note(walk: Path, given: tuple[str, ...]) -> No
     assert done.stderr == "note: CLI106 --tol is now --tolerance\n"
     assert animtool("diff", walk, walk, *given, "-q").stderr == ""
     assert animtool("diff", walk, walk, "--tolerance", "1mm").stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "flag"),
+    [
+        (("info", "a.bvh", "--json"), "--format"),
+        (("bake", "a.bvh", "--scale", "2"), "--units"),
+        (("bake", "a.bvh", "--start-frame", "3"), "--range"),
+        (("retarget", "a.bvh", "--target", "b"), "--to"),
+        (("ik", "a.rig.yaml", "--target", "b"), "--targets"),
+    ],
+)
+def test_an_option_of_another_tool_has_ours_as_hint(
+    arguments: tuple[str, ...], flag: str
+) -> None:
+    done = animtool(*arguments)
+    assert done.code == 2
+    assert f"Did you mean '{flag}'?" in done.stderr
