@@ -25,8 +25,8 @@ from animtool.systems.flocks.flock import (
 )
 from animtool.systems.flocks.members import (
     Members,
-    _start_motion,
     _problems,
+    _start_motion,
     farthest,
     max_speed,
 )
