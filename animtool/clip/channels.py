@@ -110,9 +110,14 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
     joint, _, part = name.rpartition(".")
     if not joint or rig is None or joint not in rig.names or name in rig.names:
         return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
+    kind = rig.joints[rig.index(joint)].type
+    fitting = [each for each, types in KEYED_PARTS.items() if kind in types]
     meant = _OTHER_PARTS.get(part.lower())
-    if meant is not None:
+    if meant in fitting:
         hint = f"the part is .{meant}"
+    else:
+        hint = nearest_part(name, fitting) or ""
+        hint = hint or f"a {kind} joint has .{', .'.join(fitting)}"
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
 
 
