@@ -131,6 +131,8 @@ def bake(
     to_stdout = goes_to_stdout(output, params)
     _check_usage(params)
     _refuse_patterns(sources)
+    if not params["overwrite"]:
+        _refuse_swapped(sources, output)
     sources, output = bake_shot(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
@@ -155,6 +157,20 @@ def bake(
         if params["stats"]:
             scene.meter.start()
     _bake(console, outline, params, to_stdout=to_stdout)
+
+
+def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
+    """Refuse a missing source where -o exists, or that was meant as the output."""
+    last = sources[-1]
+    if last.exists():
+        return
+    if len(sources) == 1 and output is not None and output.is_file():
+        text = f"{last} does not exist, but {output} does: did you swap SOURCE and -o?"
+        raise click.UsageError(text)
+    is_usd = last.suffix in {".usd", ".usda", ".usdc", ".usdz"}
+    if len(sources) == 2 and output is None and is_usd and sources[0].exists():
+        text = f"{last} does not exist; to write it, use -o {last}"
+        raise click.UsageError(text)
 
 
 def _check_usage(params: dict[str, Any]) -> None:

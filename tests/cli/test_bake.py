@@ -305,3 +305,14 @@ def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:
     assert done.code == ExitCode.USAGE
     assert "OUT004 is a folder" in done.stderr
     assert "out/shot.usdc" in done.stderr
+
+
+def test_a_swapped_source_and_a_forgotten_o_are_usage_errors(
+    tmp_path: Path, walk: Path
+) -> None:
+    missing = tmp_path / "new.usdc"
+    swapped = animtool("bake", missing, "-o", walk)
+    assert (swapped.code, "did you swap" in swapped.stderr) == (2, True)
+    forgotten = animtool("bake", walk, missing)
+    assert (forgotten.code, f"use -o {missing}" in forgotten.stderr) == (2, True)
+    assert list(tmp_path.iterdir()) == []
