@@ -139,7 +139,7 @@ def test_particles_that_come_and_go_are_compared_by_their_ids(tmp_path: Path) ->
     table = measure(trial(tmp_path, setup, 0.6, 8))
     (chosen,) = [row for row in table.rows if row.chosen]
     assert chosen.error is not None
-    assert chosen.error.apart == 0
+    assert chosen.error.unmatched == 0
     assert chosen.error.rms < 0.1
     assert table.points > 20
 
