@@ -31,6 +31,7 @@ from animtool.cli.outputs import (
     plot_option,
     print_tradeoffs,
     refuse_alone,
+    refuse_swapped,
     skipped,
     writing_options,
 )
@@ -162,13 +163,11 @@ def bake(
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
     """Refuse a missing source where -o exists, or that was meant as the output."""
     last = sources[-1]
-    if last.exists():
-        return
-    if len(sources) == 1 and output is not None and output.is_file():
-        text = f"{last} does not exist, but {output} does: did you swap SOURCE and -o?"
-        raise click.UsageError(text)
+    if len(sources) == 1 and output is not None:
+        refuse_swapped(last, output, "SOURCE and -o")
     is_usd = last.suffix in {".usd", ".usda", ".usdc", ".usdz"}
-    if len(sources) == 2 and output is None and is_usd and sources[0].exists():
+    forgotten = is_usd and sources[0].exists() and not last.exists()
+    if len(sources) == 2 and output is None and forgotten:
         text = f"{last} does not exist; to write it, use -o {last}"
         raise click.UsageError(text)
 

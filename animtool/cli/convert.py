@@ -18,7 +18,12 @@ from animtool.cli.options import (
     stage_option,
     strict_option,
 )
-from animtool.cli.outputs import atomic_command, skipped, writing_options
+from animtool.cli.outputs import (
+    atomic_command,
+    refuse_swapped,
+    skipped,
+    writing_options,
+)
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.errors import counted
 from animtool.core.names import is_named
@@ -145,11 +150,7 @@ def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
     chosen = output or named
     if chosen is None:
         raise click.UsageError("Missing argument 'OUTPUT'.")
-    # The name of an array may follow that of its file: take.npz#markers.
-    file = Path(str(source).partition("#")[0])
-    if chosen.is_file() and not source.exists() and not file.exists():
-        text = f"{source} does not exist, but {chosen} does: did you swap SOURCE and "
-        raise click.UsageError(f"{text}OUTPUT?")
+    refuse_swapped(source, chosen, "SOURCE and OUTPUT")
     return chosen
 
 

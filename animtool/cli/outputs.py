@@ -156,3 +156,12 @@ def print_tradeoffs(
 
     draw_panels(panels_of(report.tables), plot)
     console.say(f"{plot}: drawn")
+
+
+def refuse_swapped(source: Path, output: Path, arguments: str) -> None:
+    """Refuse a source that is missing where the output exists."""
+    # The name of an array may follow that of its file: take.npz#markers.
+    file = Path(str(source).partition("#")[0])
+    if output.is_file() and not source.exists() and not file.exists():
+        text = f"{source} does not exist, but {output} does: did you swap {arguments}?"
+        raise click.UsageError(text)

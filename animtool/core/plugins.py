@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from operator import attrgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from animtool.core.errors import Fault, OptionError, excerpt
@@ -17,12 +19,15 @@ if TYPE_CHECKING:
 
 
 def lazy_names(
-    package: str, modules: Mapping[str, str]
+    package: str,
+    modules: Mapping[str, str],
+    old_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
 
     A module that is imported becomes an attribute of its package, so that none may have
-    the name of something else in it. A name of a module is the module's own.
+    the name of something else in it. A name of a module is the module's own. An old
+    name gives the object of its new one, with a warning.
 
     >>> get, _ = lazy_names("animtool", {"Fault": "animtool.core.errors"})
     >>> get("Fault")
@@ -32,6 +37,10 @@ def lazy_names(
 
     def get(name: str) -> object:
         """Import a public name when it is first used."""
+        if name in old_names:
+            text = f"{name} is now called {old_names[name]}"
+            warnings.warn(text, DeprecationWarning, stacklevel=2)
+            return get(old_names[name])
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(modules[name])

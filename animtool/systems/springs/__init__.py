@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING
 
 from animtool.core.plugins import lazy_names
@@ -53,12 +52,5 @@ _PUBLIC = {
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
-    _current, __dir__ = lazy_names(__name__, _PUBLIC)
     _OLD_NAMES = {"Targets": "PointTargets"}
-
-    def __getattr__(name: str) -> object:
-        """Return a public name; one of an old name with a warning."""
-        if name in _OLD_NAMES:
-            text = f"{name} is now called {_OLD_NAMES[name]}"
-            warnings.warn(text, DeprecationWarning, stacklevel=2)
-        return _current(_OLD_NAMES.get(name, name))
+    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC, _OLD_NAMES)
