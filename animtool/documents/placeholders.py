@@ -24,7 +24,7 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
     annotation: Any = model
     node = value
     for step in location:
-        annotation = _inside(annotation, node, step)
+        annotation = annotation_inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -43,7 +43,7 @@ def field_at(
         named = (fields_of(kind).get(str(step)) for kind in kinds)
         field = next((one for one in named if one is not None), None)
         nearest = nearest if field is None else (depth, field)
-        annotation = _inside(annotation, node, step)
+        annotation = annotation_inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -141,7 +141,7 @@ def _named(model: type[BaseModel], node: Any) -> bool:
     return node.get("type") in get_args(kinds.annotation)
 
 
-def _inside(annotation: Any, node: Any, step: str | int) -> Any:
+def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
     """Return the type one step into a type."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))

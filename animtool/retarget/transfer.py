@@ -80,7 +80,7 @@ class Transfer:
                 gap = middles[high] - middles[low]
                 follows[joint], after[joint] = chain.source[low], chain.source[high]
                 fraction[joint] = (at - middles[low]) / gap if gap > 0 else 0.0
-        for joint, other in _namesakes(source.rig, target.rig, follows):
+        for joint, other in namesakes(source.rig, target.rig, follows):
             follows[joint] = after[joint] = other
         aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
         twists = []
@@ -88,7 +88,7 @@ class Transfer:
             below = _below(target, twist.bone)
             if below >= 0:
                 twists.append((twist.joint, twist.bone, below, twist.fraction))
-        scale = _scale(source, target)
+        scale = _scale(source, target, follows)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
         )
@@ -196,7 +196,7 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
-def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+def namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
     return [
@@ -277,10 +277,11 @@ BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
-def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
+def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> float:
     """Return the ratio of target leg length to source leg length.
 
-    Without legs, of the path lengths from the hips to the rest of the body.
+    Without legs, of the path lengths from the hips to the rest of the body; without a
+    body, from the root to all joints that follow another.
     """
     pairs = [
         (target.leg_length(side), source.leg_length(side))
@@ -296,6 +297,11 @@ def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
             )
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY and role in target.roles
+        ]
+        followers = np.flatnonzero(follows >= 0) if not pairs else []
+        pairs += [
+            (float(path_lengths[0][j]), float(path_lengths[1][follows[j]]))
+            for j in followers
         ]
     ours, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
     return ours / other if other > 0 and ours > 0 else 1.0

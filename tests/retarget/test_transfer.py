@@ -48,9 +48,9 @@ from animtool.retarget.transfer import (
     _below,
     _heading,
     _middles,
-    _namesakes,
     _scale,
     middle_of_hips,
+    namesakes,
 )
 from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
 from animtool.rig.limits import RangeLimit
@@ -151,12 +151,12 @@ def test_middles_and_what_hangs_below() -> None:
     rigs = own.rig, own.rig
     follows = np.full(13, -1)
     follows[:4] = np.arange(4)
-    assert _namesakes(*rigs, follows)[0] == (4, 4)
+    assert namesakes(*rigs, follows)[0] == (4, 4)
     follows[:] = np.arange(13)
     follows[12] = -1
-    assert _namesakes(*rigs, follows) == [(12, 12)]
+    assert namesakes(*rigs, follows) == [(12, 12)]
     follows[3] = 12
-    assert _namesakes(*rigs, follows) == []
+    assert namesakes(*rigs, follows) == []
 
 
 def test_who_faces_another_way_is_turned_about_the_vertical() -> None:

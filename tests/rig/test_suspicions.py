@@ -70,6 +70,6 @@ def test_w_last(tmp_path: Path) -> None:
     turned = "{name: a, type: free, rotate: [0, 0, 0, 1]}"
     (said,) = warnings(tmp_path, [turned, turned.replace("a,", "b,")])
     assert said.startswith("RIG108")
-    other = "{name: b, type: free, rotate: [0.9, 0.1, 0, 0]}"
+    other = "{name: b, type: free, rotate: [0.995, 0.1, 0, 0]}"
     assert warnings(tmp_path, [turned, other]) == []
     assert warnings(tmp_path, [turned.replace("0, 1]", "0, -1]")]) == []
