@@ -41,6 +41,8 @@ def test_bake_calls_arguments_by_its_flags(
 def test_commands_call_one_argument_by_their_own_flags() -> None:
     assert FlagCalling(info)(Argument("source.prim_path")) == "--source-prim"
     assert FlagCalling(convert)(Argument("to_units")) is None
+    assert FlagCalling(convert).elsewhere(Argument("to_units")) == "bake --to-units"
+    assert FlagCalling(convert).elsewhere(Argument("landmarks")) == "landmarks:"
 
 
 def test_what_exists_is_refused_with_the_flags_of_the_command(
