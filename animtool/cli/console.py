@@ -12,12 +12,13 @@ from collections.abc import (
 )
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
 from animtool.core.arguments import Argument, Calling, flag, in_file, worded
 from animtool.core.errors import Fault, Severity
+from animtool.core.plugins import load_object
 from animtool.core.process.supervisor import note_said
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
@@ -69,8 +70,8 @@ class FlagCalling:
 
         In `animtool bake`, such as ``bake --up Z``, or else in files.
         """
-        from animtool.cli.bake import bake
-
+        # Loaded by name: its module imports this one.
+        bake = cast(click.Command, load_object("animtool.cli.bake:bake"))
         called = FlagCalling(bake)(argument)
         return in_file(argument) if called is None else f"bake {called}"
 

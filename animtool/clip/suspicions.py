@@ -21,11 +21,11 @@ from animtool.rig.suspicions import (
     FULL_CIRCLE,
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
-    HINGES,
     MAX_DEGREES,
     is_multiple,
     warn_of_quaternion,
 )
+from animtool.rig.suspicious_shape import HINGES
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3

@@ -68,8 +68,8 @@ def _in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     """Return whether the key times of channels are likely seconds."""
     steps = np.concatenate([np.diff(each) for each in times])
     together = np.concatenate(times)
-    whole = np.abs(together - np.round(together)) <= ON_FRAME
-    if not len(steps) or whole.all():
+    on_frame = np.abs(together - np.round(together)) <= ON_FRAME
+    if not len(steps) or on_frame.all():
         return False
     step = float(np.median(steps))
     if step < DENSE and len(steps) >= MIN_SAMPLES:

@@ -23,7 +23,7 @@ from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_size, rest_world
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicions import MAX_SIZE
+from animtool.rig.suspicious_shape import MAX_SIZE
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
 CHOSEN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
@@ -313,8 +313,8 @@ def with_source_warnings(
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
             if i == 0:
-                found = lying_notice(path, stream.rig, block, severity, up)
-                stream.notices.extend(found)
+                notices = lying_notice(path, stream.rig, block, severity, up)
+                stream.notices.extend(notices)
             yield block
 
     return replace(stream, blocks=blocks())

@@ -26,12 +26,8 @@ from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
-from animtool.rig.suspicions import (
-    warn_of_angles,
-    warn_of_drives,
-    warn_of_order,
-    warn_of_shape,
-)
+from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_order
+from animtool.rig.suspicious_shape import warn_of_shape
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -11,13 +10,11 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
-from animtool.core.quantities import length_text
-from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.documents.document import Document, Location
 from animtool.rig.controls import Control, Drive
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
-from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import HINGES
 
 # Half a turn in radians, rounded up: the largest limit of most joints [rad].
 HALF_CIRCLE = 3.2
@@ -25,8 +22,7 @@ HALF_CIRCLE = 3.2
 SMALL = 0.3
 # Joints whose limits are all within half a turn of radians: one or two may be stiff.
 MIN_JOINTS = 3
-# Joints that bend by far more than this on every creature [deg].
-HINGES = re.compile("knee|elbow", re.IGNORECASE)
+# Knees and elbows bend by far more than this on every creature [deg].
 MIN_HINGE = 2 * HALF_CIRCLE
 # Multiples of 15 degrees in radians, at three decimals at least.
 STEP, ROUNDING = math.radians(15), 6e-4
@@ -37,16 +33,6 @@ HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 MAX_LENGTH_ERROR = 0.02
 # Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
 QUARTER_ROUNDING = 2e-3
-# Nothing that is animated is larger, and no body is smaller; a wrong unit is off by a
-# factor of 39 or more [m].
-MAX_SIZE, MIN_BODY = 30.0, 0.05
-# A rig smaller than this in metres is smaller than an ant [m].
-MIN_SIZE = 1e-3
-# Joints that are below the others where a body stands, and joints above them.
-FEET = re.compile("foot|feet|ankle|toe|paw|hoof|heel", re.IGNORECASE)
-ABOVE = re.compile("head|neck|chest|spine|torso|pelvis|hips?(?![a-z])", re.IGNORECASE)
-# Cosines to the up axis and to the other one of a body that stands along the other.
-LYING, STANDING = 0.3, 0.8
 
 
 class _Limit(NamedTuple):
@@ -175,58 +161,6 @@ def warn_of_length(
     message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
     hint = f"write [{unit}], w first; degrees are no quaternion"
     document.warn("RIG110", location, message, hint)
-
-
-def warn_of_shape(document: Document, rig: Rig) -> None:
-    """Warn of an implausible size and of a body that stands along another axis."""
-    if len(rig.joints) < 2:
-        return
-    positions = rest_world(rig).positions[0]
-    size = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    _warn_of_size(document, rig, size)
-    _warn_of_up(document, rig, positions)
-
-
-def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
-    """Warn of a size that fits another unit better (RIG217)."""
-    unit = rig.meters_per_unit
-    is_body = any(map(HINGES.search, rig.names))
-    low = MIN_BODY if is_body else (MIN_SIZE if unit == 1.0 else unit)
-    if not size or low <= size <= MAX_SIZE:
-        return
-    number = size / unit
-    fitting = [
-        str(other)
-        for other in LengthUnit
-        if MIN_BODY <= number * other.meters <= MAX_SIZE and other.meters != unit
-    ]
-    at = ("units", "length") if "units" in document.value else ("joints",)
-    message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
-    hint = f"try length: {' or '.join(fitting)}" if fitting else None
-    document.warn("RIG217", at, message, hint)
-
-
-def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
-    """Warn of a body that stands along the axis that is not up (RIG111)."""
-    feet = [j for j, name in enumerate(rig.names) if FEET.search(name)]
-    above = [j for j, name in enumerate(rig.names) if ABOVE.search(name)]
-    above = [j for j in above if j not in feet]
-    if not (feet and above):
-        return
-    other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-    offset = positions[above].mean(axis=0) - positions[feet].mean(axis=0)
-    length = float(np.linalg.norm(offset))
-    if not length or offset @ rig.up.vector > LYING * length:
-        return
-    if offset @ other.vector < STANDING * length:
-        return
-    message = (
-        f"{rig.names[above[0]]!r} is {length_text(float(offset @ other.vector))} above "
-        f"{rig.names[feet[0]]!r} along {other}, but the up axis is {rig.up}"
-    )
-    at = ("up",) if "up" in document.value else ("joints",)
-    hint = f"write 'up: {other}', or keep {rig.up} if the body lies at rest"
-    document.warn("RIG111", at, message, hint)
 
 
 def warn_of_drives(document: Document, rig: Rig) -> None:
