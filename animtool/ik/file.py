@@ -103,7 +103,8 @@ class _TargetsReader:
         """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
         rows: list[tuple[Location, list[float]]] = []
         for i, goal in enumerate(self.document.value["goals"]):
-            value, at = goal.get("orientation"), ("goals", i, "orientation")
+            value = goal.get("orientation")
+            at: Location = ("goals", i, "orientation")
             if isinstance(value, list):
                 rows.append((at, value))
             elif isinstance(value, dict) and isinstance(value.get("keys"), list):

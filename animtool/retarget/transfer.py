@@ -298,8 +298,8 @@ def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> f
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY and role in target.roles
         ]
-        followers = np.flatnonzero(follows >= 0) if not pairs else []
-        pairs += [
+        followers = np.flatnonzero(follows >= 0)
+        pairs = pairs or [
             (float(path_lengths[0][j]), float(path_lengths[1][follows[j]]))
             for j in followers
         ]
