@@ -37,7 +37,7 @@ struct StepRows {
 
 class FaceContacts {
  public:
-  FaceContacts(const SpringNetwork& network, double radius);
+  FaceContacts(const SpringElements& elements, double radius);
 
   // Colliders as they come; whether any has parts that are looked for.
   void add(const collide::Collider& c);
@@ -78,7 +78,7 @@ class FaceContacts {
   bool part(Separation& separation) const;
   void write(const StepCollider& c, double h, StepRows& rows);
 
-  const SpringNetwork& network_;
+  const SpringElements& network_;
   double radius_, reach_ = 0;
   bool any_ = false;
   std::vector<FineParts> parts_;  // of each collider

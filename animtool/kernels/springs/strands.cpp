@@ -77,6 +77,10 @@ class FrameColliders {
     fill_lookahead();
   }
 
+  const StepCollider& row(std::size_t step, std::size_t c) const {
+    return rows_[step * count_ + c];
+  }
+
   void put_into(StrandSteps& plan) const {
     plan.colliders = count_;
     plan.rods = rods_.data();
@@ -151,11 +155,13 @@ class FrameColliders {
 class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
-          const MovingColliders& colliders, const double* targets, const double* state,
-          double* out)
+          const MovingColliders& colliders, const FrameColliders& frame,
+          const double* targets, const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
+        frame_(frame),
+        segments_(strands.segments(), colliders.radius()),
         targets_(targets),
         state_(state),
         out_(out),
@@ -163,7 +169,12 @@ class Bundles {
         goals_((plan.cells + 1) * width()),
         contact_shifts_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
-        touched_(plan.cells * plan.substeps) {}
+        touched_(plan.cells * plan.substeps),
+        at_segments_(plan.points),
+        row_before_(ROW * plan.points),
+        row_(ROW * plan.points) {
+    for (std::size_t c = 0; c < colliders.size(); ++c) segments_.add(colliders[c]);
+  }
 
   void cross(std::size_t index) {
     StrandBundle bundle = begun(index);
@@ -197,6 +208,8 @@ class Bundles {
     built.dues = built.due + plan_.points;
     built.near = near_.data();
     built.touched = touched_.data();
+    built.at_segments = at_segments_.data();
+    if (segments_.any()) built.segments = {this, &Bundles::settle_segments, segments_.reach()};
     built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
       if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
@@ -210,6 +223,42 @@ class Bundles {
       take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
     built.goals = goals_.data();
     return built;
+  }
+
+  // One strand among rigid colliders that none of its particles may be inside of.
+  static std::size_t settle_segments(void* all, StrandBundle& bundle, std::size_t step,
+                                     std::size_t lane, std::size_t near) {
+    auto& self = *static_cast<Bundles*>(all);
+    const std::size_t points = self.plan_.points;
+    self.near_segments_.assign(bundle.at_segments, bundle.at_segments + near);
+    const auto each = [&](auto&& move) {
+      for (std::size_t p = 0; p < points; ++p)
+        for (std::size_t k = 0; k < 3; ++k)
+          move(ROW * p + k, WIDE_VECTOR * p + WIDE * k + lane);
+    };
+    each([&](std::size_t to, std::size_t from) {
+      self.row_before_[to] = bundle.unmoved[from], self.row_[to] = bundle.x[from];
+    });
+    std::size_t moved = 0;
+    for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
+      if (self.may_be_inside(bundle, c, lane)) continue;
+      if (!self.segments_.settle(c, self.frame_.row(step, c), self.plan_.h,
+                                 self.near_segments_, {self.row_before_, self.row_, nullptr}))
+        continue;
+      moved += self.segments_.moved.size();
+      for (const FaceContacts::Moved& one : self.segments_.moved)
+        bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
+    }
+    if (moved) each([&](std::size_t from, std::size_t to) {
+      bundle.unmoved[to] = self.row_before_[from], bundle.x[to] = self.row_[from];
+    });
+    return moved;
+  }
+
+  bool may_be_inside(const StrandBundle& bundle, std::size_t c, std::size_t lane) const {
+    if (!bundle.depths[lane] || c >= colliders_.depth_rows()) return false;
+    const double* depths = bundle.depths[lane] + c * bundle.next_depths;
+    return std::any_of(depths, depths + plan_.points, [](double one) { return one < 0; });
   }
 
   // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
@@ -230,11 +279,15 @@ class Bundles {
   const SpringStrands& strands_;
   const StrandSteps& plan_;
   const MovingColliders& colliders_;
+  const FrameColliders& frame_;
+  FaceContacts segments_;
   const double *targets_, *state_;
   double* out_;
   std::vector<double> rows_, goals_, contact_shifts_;
   std::vector<std::size_t> near_;
   std::vector<std::int64_t> touched_;
+  std::vector<std::int32_t> at_segments_, near_segments_;
+  std::vector<double> row_before_, row_;  // of one strand, in rows
 };
 
 // Bundles that are worth a thread of their own.
@@ -293,6 +346,14 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   std::copy_n(gravity.data(), 3, gravity_);
   rests_ = side_by_side(rests, strands_, springs());
   folds_ = side_by_side(folds, strands_, points_);
+  segments_.inverse_masses.assign(points_, 1.0);
+  segments_.inverse_masses.front() = 0;
+  for (std::size_t p = 0; p < springs(); ++p) {
+    segments_.edges.push_back(static_cast<std::int32_t>(p));
+    segments_.edges.push_back(static_cast<std::int32_t>(p) + 1);
+  }
+  for (const double rest : rests_)
+    segments_.longest_edge = std::max(segments_.longest_edge, rest);
 }
 
 StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
@@ -341,7 +402,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::vector<Bundles> workers;
   workers.reserve(std::min(threads, most));
   while (workers.size() < std::min(threads, most))
-    workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
+    workers.emplace_back(strands, plan, moving, frame, targets.data(), state.data(), out.get());
   cross_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t together = 0;

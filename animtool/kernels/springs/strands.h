@@ -23,6 +23,9 @@ class SpringStrands {
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
 
+  // Of one of them, with lengths of the longest.
+  const SpringElements& segments() const { return segments_; }
+
   // What does not change over a frame of cells of so many steps.
   StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
 
@@ -35,6 +38,7 @@ class SpringStrands {
   std::size_t strands_, points_;
   double gravity_[3], drag_, stiffness_, fold_, draw_, draw_damping_, stretch_;
   std::vector<double> rests_, folds_;  // by bundle, four side by side
+  SpringElements segments_;
 };
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,

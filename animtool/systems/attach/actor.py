@@ -145,7 +145,7 @@ class Actor:
     @property
     def positions(self) -> FloatArray:
         """Particle positions ``(N, 3)`` [m]."""
-        return self.grid.state.motion[0]
+        return np.asarray(self.grid.state.motion[0])
 
     def move(self, motion: FloatArray, passages: IntArray | None = None) -> None:
         """Set the state: positions and velocities ``(2, N, 3)`` [m, m/s]."""

@@ -265,7 +265,7 @@ class AttachSimulation:
             for actor in self.actors:
                 name, clocked = saved_state(actor.body, code)
                 now = actor.grid.state
-                state = AttachState(*now.motion, now.passages)
+                state = AttachState(now.motion[0], now.motion[1], now.passages)
                 self.saved[name] = clocked, Reached(actor.steps, state)
 
     def _cycle(self, motion: Motion) -> Motion:
