@@ -25,11 +25,11 @@ struct OtherColliders {
 struct StrandBundle;
 
 // Segments of strands against what is finer than these: of one of four strands in a step, by
-// particles that are near. Returns how many it moved, and adds how far to their ways.
+// particles that are near. Returns whether it moved any, and adds how far to their ways.
 struct SegmentContacts {
   void* all = nullptr;  // null where nothing is that fine
-  std::size_t (*settle)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
-                        std::size_t near) = nullptr;
+  bool (*settle)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
+                 std::size_t near) = nullptr;
   double reach = 0;  // a particle this far from all colliders has no segment at them
 };
 
@@ -325,11 +325,11 @@ class BundleCrossing {
       touched += count(moved);
       lanes |= moved;
     }
-    return b_.segments.all ? lanes | meet_segments(step, touched) : lanes;
+    return b_.segments.all ? lanes | meet_segments(step) : lanes;
   }
 
   // The same of segments between particles; the root is near where another is.
-  unsigned meet_segments(std::size_t step, unsigned& touched) {
+  unsigned meet_segments(std::size_t step) {
     std::size_t near = 0;
     b_.at_segments[near++] = 0;
     for (std::size_t p = 1; p < plan_.points; ++p)
@@ -338,9 +338,7 @@ class BundleCrossing {
     unsigned lanes = 0;
     for (std::size_t l = 0; near > 1 && l < WIDE; ++l) {
       if (!((allowed_bits_ & b_.counted) >> l & 1)) continue;
-      const std::size_t moved = b_.segments.settle(b_.segments.all, b_, step, l, near);
-      touched += static_cast<unsigned>(moved);
-      if (moved) lanes |= 1u << l;
+      if (b_.segments.settle(b_.segments.all, b_, step, l, near)) lanes |= 1u << l;
     }
     return lanes;
   }

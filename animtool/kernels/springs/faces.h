@@ -41,6 +41,8 @@ class FaceContacts {
 
   // Colliders as they come; whether any has parts that are looked for.
   void add(const collide::Collider& c);
+  // One that particles alone collide with.
+  void skip() { parts_.emplace_back(); }
   bool any() const { return any_; }
   // A particle this far from all colliders over a step has no edge or face at them.
   double reach() const { return any_ ? reach_ : -collide::FAR; }

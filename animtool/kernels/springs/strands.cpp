@@ -3,6 +3,7 @@
 #include "springs/strands.h"
 
 #include <algorithm>
+#include <cmath>
 #include <system_error>
 #include <thread>
 
@@ -156,12 +157,11 @@ class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
           const MovingColliders& colliders, const FrameColliders& frame,
-          const double* targets, const double* state, double* out)
+          const OwnColliders& own, const double* targets, const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
         frame_(frame),
-        segments_(strands.segments(), colliders.radius()),
         targets_(targets),
         state_(state),
         out_(out),
@@ -173,7 +173,14 @@ class Bundles {
         at_segments_(plan.points),
         row_before_(ROW * plan.points),
         row_(ROW * plan.points) {
-    for (std::size_t c = 0; c < colliders.size(); ++c) segments_.add(colliders[c]);
+    for (const SpringElements& one : strands.segments()) {
+      FaceContacts& segments = segments_.emplace_back(one, colliders.radius());
+      for (std::size_t c = 0; c < colliders.size(); ++c)
+        if (c >= own.first && c < own.first + own.second)
+          segments.skip();
+        else
+          segments.add(colliders[c]);
+    }
   }
 
   void cross(std::size_t index) {
@@ -209,7 +216,13 @@ class Bundles {
     built.near = near_.data();
     built.touched = touched_.data();
     built.at_segments = at_segments_.data();
-    if (segments_.any()) built.segments = {this, &Bundles::settle_segments, segments_.reach()};
+    first_ = index * WIDE;
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      const FaceContacts& segments = segments_of(l);
+      if (!segments.any()) continue;
+      const double reach = std::max(built.segments.reach, segments.reach());
+      built.segments = {this, &Bundles::settle_segments, reach};
+    }
     built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
       if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
@@ -225,10 +238,12 @@ class Bundles {
     return built;
   }
 
-  // One strand among rigid colliders that none of its particles may be inside of.
-  static std::size_t settle_segments(void* all, StrandBundle& bundle, std::size_t step,
-                                     std::size_t lane, std::size_t near) {
+  // One strand among rigid colliders.
+  static bool settle_segments(void* all, StrandBundle& bundle, std::size_t step,
+                              std::size_t lane, std::size_t near) {
     auto& self = *static_cast<Bundles*>(all);
+    FaceContacts& segments = self.segments_of(lane);
+    if (!segments.any()) return false;
     const std::size_t points = self.plan_.points;
     self.near_segments_.assign(bundle.at_segments, bundle.at_segments + near);
     const auto each = [&](auto&& move) {
@@ -239,14 +254,13 @@ class Bundles {
     each([&](std::size_t to, std::size_t from) {
       self.row_before_[to] = bundle.unmoved[from], self.row_[to] = bundle.x[from];
     });
-    std::size_t moved = 0;
+    bool moved = false;
     for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
-      if (self.may_be_inside(bundle, c, lane)) continue;
-      if (!self.segments_.settle(c, self.frame_.row(step, c), self.plan_.h,
-                                 self.near_segments_, {self.row_before_, self.row_, nullptr}))
+      if (!segments.settle(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
+                           {self.row_before_, self.row_, nullptr}))
         continue;
-      moved += self.segments_.moved.size();
-      for (const FaceContacts::Moved& one : self.segments_.moved)
+      moved = true;
+      for (const FaceContacts::Moved& one : segments.moved)
         bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
     }
     if (moved) each([&](std::size_t from, std::size_t to) {
@@ -255,10 +269,8 @@ class Bundles {
     return moved;
   }
 
-  bool may_be_inside(const StrandBundle& bundle, std::size_t c, std::size_t lane) const {
-    if (!bundle.depths[lane] || c >= colliders_.depth_rows()) return false;
-    const double* depths = bundle.depths[lane] + c * bundle.next_depths;
-    return std::any_of(depths, depths + plan_.points, [](double one) { return one < 0; });
+  FaceContacts& segments_of(std::size_t lane) {
+    return segments_[strands_.segments_of(strand_of(first_ / WIDE, lane, strands_.strands()))];
   }
 
   // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
@@ -280,7 +292,8 @@ class Bundles {
   const StrandSteps& plan_;
   const MovingColliders& colliders_;
   const FrameColliders& frame_;
-  FaceContacts segments_;
+  std::vector<FaceContacts> segments_;
+  std::size_t first_ = 0;  // strand of the bundle
   const double *targets_, *state_;
   double* out_;
   std::vector<double> rows_, goals_, contact_shifts_;
@@ -346,14 +359,28 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   std::copy_n(gravity.data(), 3, gravity_);
   rests_ = side_by_side(rests, strands_, springs());
   folds_ = side_by_side(folds, strands_, points_);
-  segments_.inverse_masses.assign(points_, 1.0);
-  segments_.inverse_masses.front() = 0;
-  for (std::size_t p = 0; p < springs(); ++p) {
-    segments_.edges.push_back(static_cast<std::int32_t>(p));
-    segments_.edges.push_back(static_cast<std::int32_t>(p) + 1);
+  note_segments(rests);
+}
+
+// Lengths are rounded up to powers of two, so that a strand collides as if it were alone.
+void SpringStrands::note_segments(In<double, 2> rests) {
+  SpringElements one;
+  one.inverse_masses.assign(points_, 1.0);
+  one.inverse_masses.front() = 0;
+  for (std::size_t p = 0; p < springs(); ++p)
+    for (const std::size_t end : {p, p + 1}) one.edges.push_back(static_cast<std::int32_t>(end));
+  for (std::size_t s = 0; s < strands_; ++s) {
+    const double* row = rests.data() + s * springs();
+    const double longest = springs() ? *std::max_element(row, row + springs()) : 0.0;
+    int power = 0;
+    if (longest > 0) std::frexp(longest, &power);
+    one.longest_edge = longest > 0 ? std::ldexp(1.0, power) : 0.0;
+    const auto same = std::find_if(segments_.begin(), segments_.end(), [&](const auto& other) {
+      return other.longest_edge == one.longest_edge;
+    });
+    segments_of_.push_back(static_cast<std::size_t>(same - segments_.begin()));
+    if (same == segments_.end()) segments_.push_back(one);
   }
-  for (const double rest : rests_)
-    segments_.longest_edge = std::max(segments_.longest_edge, rest);
 }
 
 StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
@@ -378,7 +405,7 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads) {
+                               std::size_t threads, const OwnColliders& own) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -402,7 +429,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::vector<Bundles> workers;
   workers.reserve(std::min(threads, most));
   while (workers.size() < std::min(threads, most))
-    workers.emplace_back(strands, plan, moving, frame, targets.data(), state.data(), out.get());
+    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(), out.get());
   cross_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t together = 0;

@@ -184,7 +184,7 @@ class Actor:
         cells = Cells(0.0, self.grid.cell, frame * count, count)
         met = self._contacts.over(motion.world, cells, surfaces)
         begun = self.positions
-        self.grid = self._springs.cross(self.grid, targets, met)
+        self.grid = self._springs.cross(self.grid, targets, met, self._contacts.own)
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span

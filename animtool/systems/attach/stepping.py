@@ -125,18 +125,26 @@ class AttachedSprings:
         state = SpringState(motion, torn, self.substeps, self.substeps)
         return TimeGrid(Solver.XPBD, 0.0, self._span / self.cells, 0, state)
 
-    def cross(self, grid: TimeGrid, path: FloatArray, met: CellColliders) -> TimeGrid:
+    def cross(
+        self,
+        grid: TimeGrid,
+        path: FloatArray,
+        met: CellColliders,
+        own: tuple[int, int],
+    ) -> TimeGrid:
         """Return the grid a frame later.
 
         Args:
             grid: State at its begin.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
             met: Colliders in these cells.
+            own: Rigid ones of the character: the first, and how many. Only particles
+                of strands collide with them.
         """
         least, strain = self.substeps, grid.stretch
         if self._network.strands:
             grid = followed(
-                self._strands, grid, path, self._span, met, threads_allowed()
+                self._strands, grid, path, self._span, met, own, threads_allowed()
             )
         else:
             system, stretch = self._system, self._settings.stretch

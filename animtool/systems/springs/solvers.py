@@ -292,15 +292,17 @@ def followed(
     path: FloatArray,
     span: float,
     met: CellColliders,
+    own: tuple[int, int],
     threads: int,
 ) -> TimeGrid:
     """Advance strands of equal masses by a span [s], each solved directly.
 
-    They follow animated particles ``(K, N, 3)`` [m], linear over each cell.
+    They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
+    collide with rigid colliders too, except ``own``: the first, and how many.
     """
     state, cells = grid.state, len(path) - 1
     motion, touched, inside, strain = _kernels.follow_strands(
-        strands, path, state.motion, span, state.substeps, met, threads
+        strands, path, state.motion, span, state.substeps, met, threads, own
     )
     steps, after = cells * state.substeps, replace(state, motion=motion)
     return replace(
