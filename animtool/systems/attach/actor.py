@@ -17,7 +17,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.attach.bodies import AttachedBody
+from animtool.systems.attach.bodies import AttachedBody, ChainBody
 from animtool.systems.attach.layers import ClothMotion, cloth_sheet
 from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
@@ -46,9 +46,8 @@ class PosePaths:
     rig: Rig  # the character
     before: LocalPose  # pose at the begin
     after: LocalPose  # pose at the end
-    skins: Sequence[SkinSurface] = ()  # its collision meshes
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
-    _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
+    _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
         """Return the poses at the begin and at the end of each step."""
@@ -56,12 +55,12 @@ class PosePaths:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
-    def skin_points(self, steps: int) -> list[FloatArray]:
-        """Return points of each skin at these times ``(K, P, 3)`` [m]."""
-        if steps not in self._skin_points:
-            path = self.of(steps)
-            self._skin_points[steps] = [skin.points(path) for skin in self.skins]
-        return self._skin_points[steps]
+    def skin_points(self, skin: SkinSurface, steps: int) -> FloatArray:
+        """Return points of a skin at these times ``(K, P, 3)`` [m]."""
+        key = id(skin), steps
+        if key not in self._skin_points:
+            self._skin_points[key] = skin.points(self.of(steps))
+        return self._skin_points[key]
 
 
 class Actor:
@@ -97,6 +96,7 @@ class Actor:
         if not self._springs.thickness and not skins:
             # Without self-contact and skins there is no piercing to count.
             self._sides = replace(self._sides, triangles=network.triangles[:0])
+        self._meshes = skins
         self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
             list(skins),
@@ -112,10 +112,12 @@ class Actor:
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self.target = body.targets(first)[0]
+        is_chain = isinstance(body, ChainBody)
+        below = self._skins.depths(first, self.target, settings.radius, inside=is_chain)
         self._contacts = CharacterColliders(
             capsules,
             capsules.sizes(first.world),
-            (depths, self._skins.depths(first, self.target, settings.radius)),
+            (depths, below),
             settings.radius,
             settings.options.friction,
             world,
@@ -175,11 +177,11 @@ class Actor:
         targets = self.body.targets(motion)
         surfaces: list[Any] = []
         if self._skins:
-            points = paths.skin_points(count)
+            points = [paths.skin_points(skin, count) for skin in self._meshes]
             surfaces = self._skins.over(points)
             self._solids = [
                 ClosedSurface(rows[-1], skin.triangles)
-                for skin, rows in zip(paths.skins, points, strict=True)
+                for skin, rows in zip(self._meshes, points, strict=True)
             ]
         cells = Cells(0.0, self.grid.cell, frame * count, count)
         met = self._contacts.over(motion.world, cells, surfaces)

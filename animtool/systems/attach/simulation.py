@@ -118,9 +118,9 @@ class AttachSimulation:
         self.codes: list[float] = []  # visited time codes
         self.resumed = resumed  # states to resume from
         self.closing: Closing | None = None  # result of a cycle
-        self.skins: list[SkinSurface] = []  # collision meshes of the character
+        self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._meets_skins(body) for body in bodies):
-            self.skins = skins_of(rig)
+            self._skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
@@ -136,7 +136,22 @@ class AttachSimulation:
         """Return whether an attachment collides with the skins of the rig."""
         if self.options.skin is None:
             return body.kind == AttachKind.CLOTH
-        return self.options.skin and isinstance(body, SurfaceBody)
+        return self.options.skin
+
+    def _skins_of(self, body: AttachedBody) -> Sequence[SkinSurface]:
+        """Return the collision meshes of an attachment.
+
+        Those of a chain have no faces that it moves.
+        """
+        if not self._meets_skins(body):
+            return ()
+        if not isinstance(body, ChainBody):
+            return self._skins
+        moving = set(body.joints.tolist())
+        for number, joint in enumerate(self.rig.joints):
+            if joint.parent in moving:
+                moving.add(number)
+        return skins_of(self.rig, sorted(moving))
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with simulated attachments."""
@@ -193,7 +208,7 @@ class AttachSimulation:
                 settings_for(options, body.kind),
                 1 / rate,
                 begin,
-                self.skins if self._meets_skins(body) else (),
+                self._skins_of(body),
                 self._world,
                 sheets if skinned else (),
             )
@@ -232,7 +247,7 @@ class AttachSimulation:
         self._cross(paths, jumps=code in self.options.teleports)
 
     def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
-        return PosePaths(self.rig, before, after, self.skins)
+        return PosePaths(self.rig, before, after)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
         most = self.options.teleport_speed
