@@ -103,7 +103,7 @@ def test_a_text_that_a_comma_cuts_is_put_together(tmp_path: Path) -> None:
     assert (fault.column, fault.hint) == (11, 'quote all of it: "clamp(x, 0, 1)"')
 
 
-def test_not_a_index_nodes(tmp_path: Path) -> None:
+def test_not_a_number(tmp_path: Path) -> None:
     assert math.isnan(value(tmp_path, "a: .nan")["a"])
 
 
