@@ -17,7 +17,7 @@ from animtool.formats.fbx.curves import (
     FbxCurve,
 )
 from animtool.formats.fbx.elements import Element
-from animtool.formats.fbx.keys import check_times, checked
+from animtool.formats.fbx.keys import check_times, validated_curve
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.tangents import (
     CURVED,
@@ -55,7 +55,7 @@ def curve_of_channel(
     stated = None if version is None or not version.values else version.values[0]
     keys = _Keys(key, notes, stated if isinstance(stated, int) else layout)
     rows = []
-    while keys.left():
+    while keys.in_slopes():
         rows.append(_key(keys))
     if keys.guessed:
         message = f"tangents of kind {listed(sorted(map(repr, keys.guessed)))} are "
@@ -68,11 +68,13 @@ def curve_of_channel(
     slopes = np.stack([np.array(one) for one in (*columns[3:5], columns[4])], axis=1)
     weights = np.stack([np.array(one) for one in columns[5:7]], axis=1)
     check_times(times, element, notes)
-    right, left = key_slopes(times / TICKS, values, flags, slopes, weights)
+    out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, slopes, weights)
     step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
     modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
-    return checked(FbxCurve(times, values, modes, right, left, weights), element, notes)
+    return validated_curve(
+        FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
+    )
 
 
 class _Keys:
@@ -86,11 +88,11 @@ class _Keys:
         self.layout = layout
         self.guessed: set[str] = set()
 
-    def left(self) -> bool:
+    def in_slopes(self) -> bool:
         return self.at < len(self.values)
 
     def value(self) -> Any:
-        if not self.left():
+        if not self.in_slopes():
             self.fail("the last key of a channel is cut off")
         self.at += 1
         return self.values[self.at - 1]
@@ -128,11 +130,11 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
         return time, value, flags, 0.0, 0.0, THIRD, THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, right, left, lists = _tangent(keys)
+    flags, out_slopes, in_slopes, lists = _tangent(keys)
     weights = [THIRD, THIRD]
     for _ in range(lists):
         _set_weights(keys, weights)
-    return time, value, flags, right, left, weights[0], weights[1]
+    return time, value, flags, out_slopes, in_slopes, weights[0], weights[1]
 
 
 # Kinds of tangents that no document explains: how many numbers follow, and how many
@@ -144,8 +146,13 @@ def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.letter()
     if kind in {"s", "b"}:
-        right, left = keys.number(), keys.number()
-        return CURVED | USER, right, left, 0 if keys.layout == UNWEIGHTED else 1
+        out_slopes, in_slopes = keys.number(), keys.number()
+        return (
+            CURVED | USER,
+            out_slopes,
+            in_slopes,
+            0 if keys.layout == UNWEIGHTED else 1,
+        )
     automatic = CURVED | PROGRESSIVE | TIME_INDEPENDENT
     late = keys.layout >= LAYOUT
     if kind == "a":

@@ -136,12 +136,13 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
         index = scene.nodes[node].skin
         if index < 0:
             continue
-        of = scene.models[node].object.id
+        object_id = scene.models[node].object.id
         moves = any(
-            track.of == of and track.constant(scene.models[node].base[k]) is None
+            track.object_id == object_id
+            and track.constant(scene.models[node].base[k]) is None
             for take in scene.takes
             for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
-            for track in (take.tracks.get((of, name)),)
+            for track in (take.tracks.get((object_id, name)),)
             if track is not None
         )
         bind = scene.bind[index]

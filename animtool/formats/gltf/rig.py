@@ -141,7 +141,7 @@ def _only_carries_skin(gltf: Gltf, node: int) -> bool:
 def _is_added_root(gltf: Gltf, node: int) -> bool:
     """Return whether a node is animtool's identity node above several roots."""
     entry = gltf.nodes[node]
-    if not entry.above or entry.parent >= 0:
+    if not entry.is_inserted or entry.parent >= 0:
         return False
     if any(node in skin.joints for skin in gltf.skins):
         return False

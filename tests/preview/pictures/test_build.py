@@ -74,7 +74,7 @@ def test_a_sheet_is_spread_over_the_motion(
     path = tmp_path / "sheet.png"
     options = PictureOptions(**SMALL, **asked, numbers=False)
     report = write_pictures([walk], path, None, options)
-    assert report.pixels == (columns * 100 - SHEET_GAP, rows * 76 - NAN_STORED)
+    assert report.pixels == (columns * 100 - SHEET_GAP, rows * 76 - SHEET_GAP)
     assert (report.frames[0], report.frames[-1]) == (1, 64)
 
 
