@@ -133,7 +133,7 @@ def read_bvh_rig(path: Path) -> Rig:
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
-def _size_notice(rig: Rig, given: LengthUnit | None, path: str) -> list[Fault]:
+def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
     """Return a note about a skeleton whose size suggests another unit."""
     size = rest_size(rig)
     smallest, largest = LIKELY_METERS
@@ -144,7 +144,7 @@ def _size_notice(rig: Rig, given: LengthUnit | None, path: str) -> list[Fault]:
     fitting = [
         unit for unit in LengthUnit if smallest <= numbers * unit.meters <= largest
     ]
-    unit = given or LengthUnit.CM
+    unit = option or LengthUnit.CM
     message = (
         f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
         f"{unit}"
@@ -155,7 +155,7 @@ def _size_notice(rig: Rig, given: LengthUnit | None, path: str) -> list[Fault]:
             f"with {argument('source.unit', fitting[0])} it would be "
             f"{numbers * fitting[0].meters:.2g} m"
         )
-    severity = Severity.NOTE if given is None else Severity.WARNING
+    severity = Severity.NOTE if option is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]
 
 

@@ -452,8 +452,8 @@ def _filled(
     Our own parameter group lists them; in other files, residual and cameras of 0 mean
     filled if other positions have nonzero ones.
     """
-    own_group = sections.groups.get(ANIMTOOL_GROUP)
-    if own_group is not None:
+    animtool_group = sections.groups.get(ANIMTOOL_GROUP)
+    if animtool_group is not None:
         return _recorded_filled(sections, visible, columns)
     if not (visible & (words > 0)).any():
         return None

@@ -40,7 +40,7 @@ class Binder:
         file: NodeTree,
         rig: Rig,
         joints: IntArray,
-        folded: FloatArray,
+        folded_scales: FloatArray,
         scales: FloatArray,
         worlds: Sequence[FloatArray] = (),
     ) -> None:
@@ -49,7 +49,7 @@ class Binder:
         ``worlds`` are the world transforms of each skin's mesh at bind time ``(4, 4)``.
         """
         self.file, self.worlds = file, worlds
-        self.joints, self.folded, self.scales = joints, folded, scales
+        self.joints, self.folded_scales, self.scales = joints, folded_scales, scales
         self.notices: list[Fault] = []
         self._rig = rig
         self._bind: dict[int, FloatArray] = {}  # by joint, in file units
@@ -63,7 +63,7 @@ class Binder:
             nodes = np.array(skin.joints)
             joints = self.joints[nodes]
             matrices = skin.inverse_bind.copy()
-            matrices[:, :3] *= self.folded[nodes][:, None, None]
+            matrices[:, :3] *= self.folded_scales[nodes][:, None, None]
             mesh_world = self.worlds[index] if self.worlds else None
             bound = self._bound(matrices, joints.tolist(), skin.where, mesh_world)
             self._skins[index] = bound
@@ -71,9 +71,9 @@ class Binder:
 
     def node(self, node: int) -> tuple[FloatArray, int]:
         """Return the point transform of a mesh attached to a node."""
-        folded = np.eye(4)
-        folded[:3] *= self.folded[node]
-        geometry, joints = self._bound(folded[None], [int(self.joints[node])], "")
+        matrix = np.eye(4)
+        matrix[:3] *= self.folded_scales[node]
+        geometry, joints = self._bound(matrix[None], [int(self.joints[node])], "")
         return geometry, joints[0]
 
     def _bound(

@@ -74,10 +74,14 @@ class _SamplingErrors:
 class _ClipBuilder:
     """Builder of a clip's channels from curves or samples."""
 
-    def __init__(self, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> None:
-        self.fbx_rig, self.moving, self.frames = fbx_rig, moving, frames
-        self.models = moving.scene.models
-        self.axes_rotation = so3.from_matrix(moving.scene.settings.basis)
+    def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
+        self.fbx_rig, self.sampler, self.frames = (
+            fbx_rig,
+            sampler,
+            frames,
+        )
+        self.models = sampler.scene.models
+        self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
         self.errors = _SamplingErrors()
         self.sampled: list[set[int]] = [set(), set(), set()]
         defaults = np.ones((len(fbx_rig.rig.joints), 3))
@@ -87,8 +91,8 @@ class _ClipBuilder:
     def component_channels(self, component: int) -> list[ClipChannel]:
         """Return the channels of translations (0), rotations (1) or scales (2)."""
         channels: list[ClipChannel] = []
-        animated = set(self.moving.moving[component].tolist())
-        rest = self.moving.rest[component]
+        animated = set(self.sampler.animated[component].tolist())
+        rest = self.sampler.rest[component]
         for j in range(len(rest)):
             if j in animated:
                 kept = self._exact_channels(component, j)
@@ -105,21 +109,21 @@ class _ClipBuilder:
     def shapes(self) -> list[ClipChannel]:
         """Return the channels of shapes."""
         channels = []
-        animated = set(self.moving.shapes.tolist())
+        animated = set(self.sampler.shapes.tolist())
         for row, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
             if row not in animated:
-                value = self.moving.rest[3][row]
+                value = self.sampler.rest[3][row]
                 if value.any():
                     channels.append(self._static_channel(target, value))
                 continue
             channel, full_percent = self.fbx_rig.shapes[row]
-            track = self.moving.track(row)
+            track = self.sampler.track(row)
             assert track is not None
             keys = joined_keys(track, np.array([channel.percent]))
             if keys is None:
                 ticks = self._times()
-                values = self.moving.weight(row, ticks)[:, None]
+                values = self.sampler.weight(row, ticks)[:, None]
                 self.errors.count += 1
                 channels.append(self._key_channel(target, ticks, values, Interp.LINEAR))
                 continue
@@ -151,7 +155,7 @@ class _ClipBuilder:
         if shift is None:
             return []
         factor = self.fbx_rig.factors[j]
-        basis = self.moving.scene.settings.basis if model.parent < 0 else np.eye(3)
+        basis = self.sampler.scene.settings.basis if model.parent < 0 else np.eye(3)
         target = self._target(j, 0)
         return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
 
@@ -164,7 +168,7 @@ class _ClipBuilder:
         return [self._channel(self._target(j, 2), keys, np.eye(3), np.zeros(3))]
 
     def _track(self, model: Model, name: str) -> PropertyTrack | None:
-        take = self.moving.take
+        take = self.sampler.take
         return None if take is None else take.tracks.get((model.object.id, name))
 
     def _shift(self, model: Model) -> FloatArray | None:
@@ -263,7 +267,7 @@ class _ClipBuilder:
         """Return the times of all frames and of keys between them [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
-        take = self.moving.take
+        take = self.sampler.take
         keys = np.zeros(0, np.int64) if take is None else take.key_times()
         keys = keys[(keys > ticks[0]) & (keys < ticks[-1])]
         tick_after = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
@@ -281,7 +285,7 @@ class _ClipBuilder:
             return []
         ticks = self._times()
         middles = (ticks[1:] + ticks[:-1]) // 2
-        columns = self.moving.moving[component].tolist()
+        columns = self.sampler.animated[component].tolist()
         values, middle_values = (self._values(component, at) for at in (ticks, middles))
         channels = []
         for column, j in enumerate(columns):
@@ -311,7 +315,7 @@ class _ClipBuilder:
         return channels
 
     def _values(self, component: int, ticks: IntArray) -> FloatArray:
-        motion = self.moving.at(ticks)
+        motion = self.sampler.at(ticks)
         channel = (motion.translations, motion.rotations, motion.scales)[component]
         assert channel is not None
         return np.asarray(channel.values)
