@@ -54,9 +54,9 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
             macro_text = next(
                 (text for text in texts if any(start in text for start in _XACRO)), ""
             )
-            found_text = f"<{element.tag}>" if macro else excerpt(macro_text)
+            root_text = f"<{element.tag}>" if macro else excerpt(macro_text)
             message = (
-                f"is a xacro file: it holds {found_text}, which a URDF is made from"
+                f"is a xacro file: it holds {root_text}, which a URDF is made from"
             )
             notes.add("URD005", element, message, EXPAND)
             return
