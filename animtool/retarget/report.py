@@ -93,7 +93,7 @@ class FitMeter:
 
     Args:
         transfer: How the rig follows.
-        found: Which joints follow which.
+        joint_map: Which joints follow which.
         standing: Which feet are planted, in all frames.
     """
 

@@ -19,8 +19,8 @@ from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
     COLUMNS,
-    FARTHEST,
     KINDS,
+    MAX_COORDINATE,
     PARTS,
     WEIGHTS,
     goal_faults,
@@ -293,8 +293,8 @@ def test_what_is_asked_in_spans_comes_and_goes_with_its_weight() -> None:
         ({"stretch": np.inf}, ["IK002"]),
         ({"stretch": -0.1}, ["IK002"]),
         ({"offset": (1.0, 2.0)}, ["IK002"]),
-        ({"offset": (FARTHEST, 0.0, 0.0)}, []),
-        ({"offset": (2 * FARTHEST, 0.0, 0.0)}, ["IK002"]),
+        ({"offset": (MAX_COORDINATE, 0.0, 0.0)}, []),
+        ({"offset": (2 * MAX_COORDINATE, 0.0, 0.0)}, ["IK002"]),
         ({"offset": (np.nan, 0.0, 0.0)}, ["IK002"]),
         ({"aim": 1.0, "aim_axis": (0.0, 0.0, 1.1)}, ["TGT008"]),
         ({"aim": 1.0, "aim_axis": (0.0, 0.0, 1 + 0.9e-6)}, []),
@@ -330,7 +330,9 @@ def test_targets_side_by_side() -> None:
     assert_array_equal(packed[0, :, COLUMNS["orientation"]], [so3.IDENTITY] * 2)
     assert_array_equal(packed[0, :, WEIGHTS], [[1, 2, 3, 4]] * 2)
     # Of aims directions count alone: they are brought in to where they have squares.
-    assert_allclose(packed[0, 1, COLUMNS["aim"]], FARTHEST * np.array([0.6, 0.8, 1]))
+    assert_allclose(
+        packed[0, 1, COLUMNS["aim"]], MAX_COORDINATE * np.array([0.6, 0.8, 1])
+    )
     assert pack(Targets(x, aims=x), goals)[0, 0, WEIGHTS].tolist() == [1] * 4
     some = rows_of(Targets(np.arange(5.0)), np.array([3, 1]))
     assert np.asarray(some.positions).tolist() == [3, 1]
@@ -754,5 +756,7 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
     assert ClipPath.best(own, interval, paths, costs) == "best"
     assert asked.pop() == ([[11, 12]], {"closed": False, "opened": False})
-    ClipPath.best(own, interval, paths, costs, closed=True, opened=True, near=0.5)
+    ClipPath.best(
+        own, interval, paths, costs, fixed_end=True, free_start=True, source_weight=0.5
+    )
     assert asked.pop() == ([[17, 18]], {"closed": True, "opened": True})

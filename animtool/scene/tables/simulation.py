@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.core.array_types import FloatArray
-from animtool.ik.take_pass import IkPassOptions, asked_of, settings_of
+from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind
@@ -168,7 +168,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
             with entry.location.located():
-                asked = asked_of(take, entry.options, scene.path.resolve().parent)
+                asked = rig_and_tracks(take, entry.options, scene.path.resolve().parent)
                 trials.append(
                     (entry.location, pass_trial(*asked, settings_of(entry.options)))
                 )
