@@ -104,7 +104,7 @@ class FramePath:
             *chain.arrays,
             path=unwound(chain, poses),
             targets=self.targets,
-            reachable=self.limbs.reachable,
+            sought=self.limbs.reachable,
             stretches=self.limbs.scales,
             drifts=self.drifts,
             anchor=anchor,
