@@ -17,7 +17,7 @@ from animtool.documents.fields import MAX_FRAME
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
-from animtool.rig.joint_entries import UNIT_LENGTH
+from animtool.rig.joint_entries import UNIT_TOLERANCE
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
@@ -349,7 +349,7 @@ def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
     """
     lengths = np.linalg.norm(values, axis=1)
     rotations = values[:, [1, 2, 3, 0]]
-    close = np.abs(lengths - 1.0) <= UNIT_LENGTH
+    close = np.abs(lengths - 1.0) <= UNIT_TOLERANCE
     rotations[~close] = so3.normalize(rotations[~close])
     wrong = np.flatnonzero(~(lengths > SHORTEST)).tolist()
     return so3.align_signs(rotations), wrong

@@ -77,7 +77,7 @@ def solved_controls(
             )
             for control in controls
         },
-        solved.kept,
+        solved.solved_names,
         () if baked is not None else solved.released,
     )
 

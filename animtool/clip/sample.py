@@ -185,7 +185,7 @@ def _coordinates(
 
 
 def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
-    for name, values in [*driven.reached.items(), *driven.targets.items()]:
+    for name, values in [*driven.unclamped.items(), *driven.targets.items()]:
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
             frame = times[wrong[0]] if len(values) > 1 else times[0]
@@ -201,7 +201,7 @@ def _range_notices(
     for control in rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = driven.reached[control.name]
+        values = driven.unclamped[control.name]
         excess = values - np.clip(values, control.low, control.high)
         worst = int(np.argmax(np.abs(excess)))
         if abs(excess[worst]) > LIMIT_TOLERANCE:

@@ -20,7 +20,7 @@ from animtool.rig.suspicions import (
     FULL_CIRCLE,
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
-    HINGES,
+    HINGE_NAMES,
     MAX_DEGREES,
     is_multiple,
     warn_of_quaternion,
@@ -71,7 +71,7 @@ def _warn_of_speed(
 ) -> None:
     """Warn of characters that are faster than any fall (CLIP109)."""
     size = rest_size(rig)
-    body = any(HINGES.search(name) for name in rig.names)
+    body = any(HINGE_NAMES.search(name) for name in rig.names)
     if not (body and SIZES[0] <= size <= SIZES[1]):
         return
     for i, channel in _translations(channels, rig):
@@ -156,7 +156,7 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     if not MIN_LARGEST <= largest <= HALF_CIRCLE:
         return False
     moving = [name for name, rows in angles if np.ptp(rows, axis=0).max() > MIN_SPAN]
-    return len(moving) >= MIN_CHANNELS and any(map(HINGES.search, moving))
+    return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
 
 
 def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:

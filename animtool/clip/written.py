@@ -42,7 +42,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if options.rig_file is None:
         arrays_path = path.with_name(f"{stem}.npz")
         arrays: StoredArrays
-        rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
+        rig, arrays = with_file(typed_by_motion(take), arrays_path, copy_all=True)
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
     kept = _kept_keys(take, options)

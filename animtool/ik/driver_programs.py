@@ -22,7 +22,7 @@ from animtool.rig.drivers import (
     smooth_slopes,
     split_coordinate,
 )
-from animtool.rig.driving import GAP, ball_part
+from animtool.rig.driving import REVOLUTION_TOLERANCE, ball_part
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -277,7 +277,7 @@ def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)
-    middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+    middle = (low + high) / 2 if high - low < 2 * np.pi - REVOLUTION_TOLERANCE else 0.0
     if part in (TWIST, SWING):
         return (float(part == TWIST), 0.0, 0.0, float(part == SWING), middle)
     first_axis, second_axis = limits.axes[1:, SWINGS.index(part)].tolist()

@@ -46,7 +46,7 @@ from animtool.ik.report import (
 )
 from animtool.ik.result import IkResult
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swung
-from animtool.ik.two_bone import bend, misfit, perpendicular
+from animtool.ik.two_bone import bend, incompatibility, perpendicular
 from animtool.ik.values import (
     ArrayRows,
     Constant,
@@ -400,12 +400,12 @@ def test_angles_of_two_bones() -> None:
 )  # fmt: skip
 def test_a_limb_of_two_bones_has_one_position(goal: Any, fits: bool) -> None:
     own = Goal("elbow", (0.27, 0.0, 0.0), **goal)
-    assert (misfit(build(limb(), [own])) is None) is fits
+    assert (incompatibility(build(limb(), [own])) is None) is fits
     bent = limb()
     limited = replace(bent.joints[1], limits=RangeLimit(-1.0, 1.0))
     held_ = replace(bent, joints=(bent.joints[0], limited))
-    assert misfit(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
-    assert misfit(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
+    assert incompatibility(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
+    assert incompatibility(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
 
 
 def test_poles_stand_half_a_limb_off_its_line() -> None:
