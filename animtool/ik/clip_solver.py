@@ -284,18 +284,16 @@ def _best_even_path(
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.path.frames(window)
-    best_path_found = path.evened(
-        clip.best(interval, paths, costs, fixed_end=fixed_end)
-    )[0]
-    smallest = clip.strain(best_path_found, window.start)
+    smoothest = path.evened(clip.best(interval, paths, costs, fixed_end=fixed_end))[0]
+    smallest = clip.strain(smoothest, window.start)
     if window.start > 0 or smallest <= 1:
-        return best_path_found
+        return smoothest
     free_route = clip.best(interval, paths, costs, fixed_end=fixed_end, free_start=True)
     free_route = path.evened(free_route, free_start=True)[0]
     return (
         free_route
         if clip.strain(free_route, window.start) < MIN_REDUCTION * smallest
-        else best_path_found
+        else smoothest
     )
 
 

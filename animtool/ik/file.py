@@ -129,13 +129,13 @@ class _TargetsReader:
         during = self._spans((*at, "during"), model.during)
         values = {kind.name: self._value(at, model, kind) for kind in KINDS}
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
-        given_parts = {part for part in PARTS if getattr(model, part) is not None}
-        if not given_parts - {"pole"} and not model.hold:
+        value_parts = {part for part in PARTS if getattr(model, part) is not None}
+        if not value_parts - {"pole"} and not model.hold:
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
         weights = self._weights(
-            (*at, "weight"), model.weight, given_parts | parts_to_hold
+            (*at, "weight"), model.weight, value_parts | parts_to_hold
         )
         axes = [
             self._axis((*at, kind.name, "axis"), part.axis)
@@ -154,7 +154,7 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **_enabling_weights(given_parts | parts_to_hold),
+            **_enabling_weights(value_parts | parts_to_hold),
         )
         return GoalTrack(
             model.effector,
@@ -291,8 +291,8 @@ def _hold_parts(
     if parts_with_value:
         return frozenset(parts_with_value)
     goal = "pose" if chain is None else chain.goal
-    held_pair = ("position", "orientation")
-    return frozenset(part for part in held_pair if goal in {part, "pose"})
+    pose_parts = ("position", "orientation")
+    return frozenset(part for part in pose_parts if goal in {part, "pose"})
 
 
 def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:

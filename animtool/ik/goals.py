@@ -291,15 +291,15 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
         )
         for name, columns in [*columns_by_name, ("weights", WEIGHTS)]
     ]
-    given = [
+    supplied = [
         (columns, checked) for columns, checked in checked_arrays if checked is not None
     ]
-    batches = {len(checked) for _, checked in given}
+    batches = {len(checked) for _, checked in supplied}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
     packed = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
     packed[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
-    for columns, checked in given:
+    for columns, checked in supplied:
         packed[:, :, columns] = checked[: len(packed)]
     active = _active_parts(goals, packed)
     missing = active & [getattr(targets, kind.targets) is None for kind in KINDS]

@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.reduction.keys import fitted_channel
-from animtool.clip.reduction.points import SHELL
+from animtool.clip.reduction.points import SHELL_DISTANCE
 from animtool.clip.reduction.tracks import euler_order
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
@@ -264,7 +264,7 @@ class _ValueBuilder:
             return Keyed(channel)
         order = euler_order(joint, rows)
         # Three rotations within a tolerance compose to at most sqrt(3) times it.
-        angle = math.degrees(tolerance / SHELL) / math.sqrt(3)
+        angle = math.degrees(tolerance / SHELL_DISTANCE) / math.sqrt(3)
         keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle
         return Keyed(fitted_channel(_ROTATION, keys, self.clock, unit, order))

@@ -175,14 +175,14 @@ def _poles(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     if not has_side.all():
         bend = _bend(limb, world, sides, has_side)
         outward = bend - np.sum(bend * line, axis=1, keepdims=True) * line
-        # If a carried side lies along the line, any side will do.
-        carried_sides, has_carried_side = _directions(
+        # If a transported side lies along the line, any side will do.
+        transported_sides, is_transported = _directions(
             outward, np.sqrt(MIN_SIDE_DISTANCE)
         )
-        carried_sides[~has_carried_side] = _directions(
-            perpendicular(line[~has_carried_side]), 0.0
+        transported_sides[~is_transported] = _directions(
+            perpendicular(line[~is_transported]), 0.0
         )[0]
-        sides = np.where(has_side[:, None], sides, carried_sides)
+        sides = np.where(has_side[:, None], sides, transported_sides)
     return np.asarray(root + middle_on_line + sides * limb.length / 2)
 
 

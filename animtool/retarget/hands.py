@@ -158,23 +158,23 @@ def hand_contacts(
     contacts = []
     for k, side in enumerate(sides):
         source, length, level = tracks[k].source, lengths[k], None
-        held_frames, held_props = np.zeros(count, np.bool_), set()
+        grip_frames, gripped_props = np.zeros(count, np.bool_), set()
         for prop in props:
-            is_held = prop.gripped_by(source, length, fps) & ~held_frames
-            if not is_held.any():
+            is_gripped = prop.gripped_by(source, length, fps) & ~grip_frames
+            if not is_gripped.any():
                 continue
             grip = so3.rotate(prop.rotations, prop.in_prop_frame(source))
             origin = transfer.scale * prop.positions + lift
-            goals[k][is_held] = (origin + grip)[is_held]
-            active[k] |= is_held
-            held_frames |= is_held
-            held_props.add(prop.track)
+            goals[k][is_gripped] = (origin + grip)[is_gripped]
+            active[k] |= is_gripped
+            grip_frames |= is_gripped
+            gripped_props.add(prop.track)
         if floor is not None:
             height = source[:, up] - floor.source
             level = floor.target + transfer.scale * np.minimum(
                 height, GROUND_HEIGHT / 2 * length
             )
-            is_slow = find_contacts(source, None, fps, length, up).ankle & ~held_frames
+            is_slow = find_contacts(source, None, fps, length, up).ankle & ~grip_frames
             for start, end in runs(
                 is_slow & (height < GROUND_HEIGHT * length) & ~active[k]
             ):
@@ -196,7 +196,7 @@ def hand_contacts(
             transfer.target, side, tracks[k], starts[k], goals[k], is_contact, fps
         )
         contacts.append(
-            HandContact(side, goals[k], active[k], bends, frozenset(held_props))
+            HandContact(side, goals[k], active[k], bends, frozenset(gripped_props))
         )
     return contacts
 

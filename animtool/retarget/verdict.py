@@ -94,7 +94,7 @@ class Verdict:
     reasons: tuple[VerdictReason, ...] = ()
     json_keys: ClassVar[str] = "verdict=status look_at=reasons{what value=text frames}"
 
-    def reasons_in_output(self, numbers: FrameNumbers) -> Verdict:
+    def numbered(self, numbers: FrameNumbers) -> Verdict:
         """Return the verdict on the frames of an output, in its numbering."""
         reasons_in_output = [reason.numbered(numbers) for reason in self.reasons]
         reasons = tuple(reason for reason in reasons_in_output if reason is not None)
@@ -117,8 +117,8 @@ def verdict_of(
         forced: Errors ignored on request.
     """
     if forced:
-        reasons_found = tuple(VerdictReason(fault.message) for fault in forced)
-        return Verdict(TakeStatus.UNUSABLE, reasons_found)
+        look_reasons = tuple(VerdictReason(fault.message) for fault in forced)
+        return Verdict(TakeStatus.UNUSABLE, look_reasons)
     by_name = {score.name: score for score in scores.scores}
     limbs = by_name["limbs"]
     if limbs.value > MAX_LIMB_DEVIATION:

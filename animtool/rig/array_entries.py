@@ -212,7 +212,7 @@ class AttachmentReader:
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
         )
         all_keys = ("joints", "joint", "mesh", "pins", "points")
-        given_keys = [key for key in all_keys if getattr(entry, key) is not None]
+        set_keys = [key for key in all_keys if getattr(entry, key) is not None]
         hint = f"its keys are {', '.join((*required, *optional))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
@@ -223,13 +223,13 @@ class AttachmentReader:
         for key in required:
             is_certain = not self.document.is_placeholder((*at, key))
             if (
-                key not in given_keys
+                key not in set_keys
                 and is_certain
                 and "attach" not in self.document.partial
             ):
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)
-        for key in given_keys:
+        for key in set_keys:
             if key not in (*required, *optional):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*at, key), message, hint)

@@ -49,7 +49,7 @@ class BallLimit:
         """Return the angle by which rotations ``(F, 4)`` exceed the limits [rad]."""
         return so3.angle_between(rotations, self.clamped(rotations))
 
-    def clamped_rotations(self, rotations: FloatArray) -> FloatArray:
+    def clamped(self, rotations: FloatArray) -> FloatArray:
         """Return rotations ``(F, 4)`` with swing and twist clamped.
 
         The swing is shortened along its own direction until it lies on the ellipse.

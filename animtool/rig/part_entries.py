@@ -371,11 +371,11 @@ class PartReader:
     def _drive(
         self, at: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
-        given_targets = [
+        set_targets = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
-        if len(given_targets) != 1:
-            message = f"drives {' and '.join(given_targets) or 'nothing'}"
+        if len(set_targets) != 1:
+            message = f"drives {' and '.join(set_targets) or 'nothing'}"
             self.document.add(
                 "RIG015", at, message, "write one of shape, joint, control"
             )
@@ -387,7 +387,7 @@ class PartReader:
             self.document.add("RIG015", at, message, "write one of them for the amount")
             return None
         target, unit = self._target(
-            (*at, given_targets[0]), given_targets[0], model, shapes
+            (*at, set_targets[0]), set_targets[0], model, shapes
         )
         if model.expr is not None:
             refuse_smooth(self.document, at, model.interp)

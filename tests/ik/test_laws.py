@@ -604,8 +604,9 @@ def told(**keys: Any) -> Any:
         ),
         "tracks": SimpleNamespace(goals=(own,), path=Path("p")),
         "statuses": (IkStatus.CONVERGED,) * 5,
-        "misses": np.zeros((5, 1, 4)), "asked": np.ones((5, 1, 4), bool),
-        "away": [19.0], "size": 1.0, "between": (), "jumps": (), "steadier": None,
+        "misses": np.zeros((5, 1, 4)), "active": np.ones((5, 1, 4), bool),
+        "away": [19.0], "size": 1.0, "moving_between": (), "jumps": (),
+        "steadier": None,
         "on_limits": {},
     }  # fmt: skip
     return SimpleNamespace(**{**given, **keys})
@@ -678,7 +679,7 @@ def test_a_pin_that_snaps_where_its_goal_comes_out_of_reach_may_be_eased(
     misses, wanted = np.zeros((5, 1, 4)), np.ones((5, 1, 4), bool)
     misses[1:3, 0, 0] = missed
     wanted[2, 0, 0] = asked
-    own = told(misses=misses, asked=wanted)
+    own = told(misses=misses, active=wanted)
     goal = replace(own.problem.goals[0], soft=soft)
     own.tracks.goals = (track(name="hand", goal=goal),)
     names = own.problem.rig.names
@@ -755,8 +756,8 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
     interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
     assert ClipPath.best(own, interval, paths, costs) == "best"
-    assert asked.pop() == ([[11, 12]], {"closed": False, "opened": False})
+    assert asked.pop() == ([[11, 12]], {"fixed_end": False, "free_start": False})
     ClipPath.best(
         own, interval, paths, costs, fixed_end=True, free_start=True, source_weight=0.5
     )
-    assert asked.pop() == ([[17, 18]], {"closed": True, "opened": True})
+    assert asked.pop() == ([[17, 18]], {"fixed_end": True, "free_start": True})

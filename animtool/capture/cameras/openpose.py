@@ -230,13 +230,13 @@ def _missed(
     """
     baseline = camera_b.position - camera_a.position
     largest = 0.0
-    for own_rays, other_rays, camera, scale in (
+    for ray_set, opposite_rays, camera, scale in (
         (rays_a, rays_b, camera_a, size_a),
         (rays_b, rays_a, camera_b, size_b),
     ):
-        normal = np.cross(baseline, other_rays)
+        normal = np.cross(baseline, opposite_rays)
         with np.errstate(invalid="ignore", divide="ignore"):
-            sine = np.abs(np.einsum("mi,mi->m", own_rays, normal))
+            sine = np.abs(np.einsum("mi,mi->m", ray_set, normal))
             sine = sine / np.linalg.norm(normal, axis=1)
         is_finite = np.isfinite(sine)
         if is_finite.sum() < MIN_SHARED:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.clip.keyed_curve import clip_of, is_of_curve
-from animtool.clip.reduction.points import SHELL, joint_bounds
+from animtool.clip.reduction.points import SHELL_DISTANCE, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
@@ -236,7 +236,7 @@ def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:
     bound = float(bounds[joint])
     if path == "translation":
         return bound
-    return bound / max(SHELL, float(_reach(take)[joint]))
+    return bound / max(SHELL_DISTANCE, float(_reach(take)[joint]))
 
 
 def _reach(take: Take) -> FloatArray:

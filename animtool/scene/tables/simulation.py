@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
 from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
@@ -267,7 +267,7 @@ def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
     world = motion.world(rig)
-    shell = attached_points(rig, SHELL)[body.joints, :, None]
+    shell = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
     all_points: FloatArray = points.reshape(motion.frames, -1, 3)
