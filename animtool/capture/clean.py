@@ -126,7 +126,7 @@ def bridged(signal: FloatArray, is_known: BoolArray, *, rotation: bool) -> Float
         aligned[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = aligned
     run = lowpass_rotations if rotation else lowpass
-    interpolated = run(signal, BRIDGE_CUTOFF, 1.0, order=3, known=is_known)
+    interpolated = run(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
     return np.where(is_known[:, None], signal, interpolated)
 
 

@@ -229,10 +229,10 @@ def _stance(
     drift = lowpass(np.stack(smooth_height, axis=1), DRIFT_FREQUENCY, rate)
     position_sums /= np.maximum(contact_counts, 1)[:, None]
     position = lowpass(
-        position_sums[:, :2], STEP_FREQUENCY, rate, known=contact_counts > 0
+        position_sums[:, :2], STEP_FREQUENCY, rate, valid=contact_counts > 0
     )
     height = lowpass(
-        position_sums[:, 2], DRIFT_FREQUENCY, rate, known=contact_counts > 0
+        position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=contact_counts > 0
     )
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],

@@ -14,7 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 from animtool.motion.scores import PassScores, Score
 
 # Scores above this multiple of a good take's value need a look [1].
@@ -149,5 +149,5 @@ def _runs(
     samples = values.get(name)
     if samples is None:
         return ()
-    joined_runs = joined(runs(samples > bound), JOIN_FRAMES)
+    joined_runs = merge_runs(runs(samples > bound), JOIN_FRAMES)
     return tuple((first, end - 1) for first, end in joined_runs)

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.capture.markers.geometry import MarkerDistances, distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
 
 # Minimum frames of an exchange; a shorter one is a spike.
@@ -350,7 +350,7 @@ def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, in
     visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
     # A few normal frames between exchanged ones are a spike.
-    for first, end in joined(runs(crossed), MIN_SWAP):
+    for first, end in merge_runs(runs(crossed), MIN_SWAP):
         frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP:
             continue

@@ -10,7 +10,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import euler, so3
-from animtool.maths.additive import scaled, shifted, turned
+from animtool.maths.additive import add_offset, add_rotation, multiply_scale
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -187,16 +187,18 @@ class ReducedPose:
         j, base, local = track.index, self.base, track.local(values)
         if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
-                local if base is None else turned(base.rotations[:, j], local)
+                local if base is None else add_rotation(base.rotations[:, j], local)
             )
         elif track.kind is ChannelKind.TRANSLATION:
             self.translations[:, j] = (
-                local if base is None else shifted(base.translations[:, j], local)
+                local if base is None else add_offset(base.translations[:, j], local)
             )
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
             base_scales = None if base is None else base.scales
             self.scales[:, j] = (
-                local if base_scales is None else scaled(base_scales[:, j], local)
+                local
+                if base_scales is None
+                else multiply_scale(base_scales[:, j], local)
             )
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
@@ -224,12 +226,14 @@ def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
     translations, rotations, scales = motion.dense()
     if base_pose.scales is not None:
         scales = (
-            base_pose.scales if scales is None else scaled(base_pose.scales, scales)
+            base_pose.scales
+            if scales is None
+            else multiply_scale(base_pose.scales, scales)
         )
     return ReducedPose(
         rig,
-        shifted(base_pose.translations, translations),
-        turned(base_pose.rotations, rotations),
+        add_offset(base_pose.translations, translations),
+        add_rotation(base_pose.rotations, rotations),
         None if scales is None else np.ascontiguousarray(scales),
         base_pose,
     )
