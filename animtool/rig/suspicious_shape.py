@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
 # Joints that every body with limbs has.
-HINGES = re.compile("knee|elbow", re.IGNORECASE)
+HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
 # Nothing that is animated is larger, and no body is smaller; a wrong unit is off by a
 # factor of 39 or more [m].
 MAX_SIZE, MIN_BODY = 30.0, 0.05
@@ -58,7 +58,7 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
 def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     """Warn of a size that fits another unit better (RIG217)."""
     unit = rig.meters_per_unit
-    is_body = any(map(HINGES.search, rig.names))
+    is_body = any(map(HINGE_NAMES.search, rig.names))
     low = MIN_BODY if is_body else (MIN_SIZE if unit == 1.0 else unit)
     if not size or low <= size <= MAX_SIZE:
         return

@@ -30,7 +30,7 @@ class Shown(BaseModel):
     ],
 )
 def test_a_hint_is_made_of_what_was_written(key: str, given: Any, hint: str) -> None:
-    assert form_hint(Shown, {key: given}, (key,), listed=True) == hint
+    assert form_hint(Shown, {key: given}, (key,), expects_list=True) == hint
 
 
 class Pair(BaseModel):
@@ -70,4 +70,4 @@ class Lists(BaseModel):
 def test_a_mapping_becomes_the_entries_of_a_list(
     key: str, given: Any, hint: str
 ) -> None:
-    assert form_hint(Lists, {key: given}, (key,), listed=True) == hint
+    assert form_hint(Lists, {key: given}, (key,), expects_list=True) == hint
