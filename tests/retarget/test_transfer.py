@@ -122,18 +122,25 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert not own.separate(1, 1)
 
 
+# No joint follows another.
+NONE = np.full(13, -1)
+
+
 def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
-    assert _scale(body(), body(2.0)) == pytest.approx(2)
-    assert _scale(body(), body(1.0, 0.6)) == pytest.approx(1.05 / 0.85)
+    assert _scale(body(), body(2.0), NONE) == pytest.approx(2)
+    assert _scale(body(), body(1.0, 0.6), NONE) == pytest.approx(1.05 / 0.85)
 
     def armed(person: RoledSkeleton) -> RoledSkeleton:
         roles = tuple("" if "_" in r and r != "upper_arm_l" else r for r in ROLES)
         return replace(person, roles=roles)
 
     longer = armed(body(3.0))
-    assert _scale(armed(body()), longer) == pytest.approx(3)
+    assert _scale(armed(body()), longer, NONE) == pytest.approx(3)
     nothing = replace(body(), roles=("",) * 13)
-    assert _scale(nothing, nothing) == 1
+    assert _scale(nothing, nothing, NONE) == 1
+    larger = replace(body(2.0), roles=("",) * 13)
+    assert _scale(nothing, larger, NONE) == 1
+    assert _scale(nothing, larger, np.arange(13)) == pytest.approx(2)
 
 
 def test_middles_and_what_hangs_below() -> None:
