@@ -211,7 +211,8 @@ def pierced_pairs(
 
     Pairs within solids are not counted.
     """
-    count = _pierced(points, triangles)
+    own = np.ascontiguousarray(triangles, np.int64)
+    count = _kernels.pierced_edges(np.ascontiguousarray(points), own)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
@@ -219,16 +220,7 @@ def pierced_pairs(
         close = solid.triangles[near.all(axis=1)]
         if not len(close):
             continue
-        used, close = np.unique(close, return_inverse=True)
-        close = close.reshape(-1, 3)
-        both = np.concatenate([points, solid.points[used]])
-        every = np.concatenate([triangles, close + len(points)])
-        count += _pierced(both, every) - _pierced(solid.points[used], close)
-        count -= _pierced(points, triangles)
+        both = np.concatenate([points, solid.points])
+        others = np.asarray(close + len(points), np.int64)
+        count += _kernels.pierced_edges(both, own, others)
     return count
-
-
-def _pierced(points: FloatArray, triangles: IntArray) -> int:
-    return _kernels.pierced_edges(
-        np.ascontiguousarray(points), np.ascontiguousarray(triangles, np.int64)
-    )
