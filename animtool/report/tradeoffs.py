@@ -37,7 +37,7 @@ _ROWS = Table(
         "rms mm": "[{?by_rms}{error.rms:milli}]",
         "median mm": "[{?by_rms}{error.median:milli}]",
         "rms deg": "{error.angle:degrees}",
-        "lone %": "[{?has_lone}{error.unmatched:hundredths}]",
+        "lone %": "[{?has_unmatched}{error.unmatched:hundredths}]",
         "energy %": "{energy_drift:share}",
         "stretch %": "{self:stretch}",
         "depth mm": "{self:depth}",
@@ -175,7 +175,7 @@ def table_parts(part: TrialTable) -> TableParts:
     rows, left = table_cells(part, _ROWS, _PRINTERS)
     classes = [
         "chosen" if row.chosen else "recommended" if row.recommended else ""
-        for row in part.tried
+        for row in part.applicable
     ]
     head, advice = render(part, _HEAD, _PRINTERS), render(part, _ADVICE, _PRINTERS)
     return TableParts(head, rows, left, classes, advice)

@@ -123,7 +123,7 @@ class Actor:
         self.target = body.targets(first)[0]
         self._contacts = CharacterColliders(
             capsules,
-            capsules.sizes(first.world),
+            capsules.world_radii(first.world),
             (depths, self._skins.depths(first, self.target, settings.radius)),
             settings.radius,
             settings.options.friction,

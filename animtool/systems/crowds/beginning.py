@@ -108,5 +108,5 @@ def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
         message = "the ground must be a mesh, a height_field or, without a shape, a "
         message += "plane"
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
-    points, faces = shape.welded()
+    points, faces = shape.weld()
     return frame, Terrain(points[faces])

@@ -12,7 +12,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
-from animtool.sim.checks import check_fit
+from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
@@ -217,7 +217,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         wrapped(np.stack([points, members.velocities]), spec.domain),
         spacing,
     )
-    check_fit(Equations(system), integrator)
+    check_supported(Equations(system), integrator)
     shows = [part.get("shows") for part in parts]
     # Species with the same meshes share them.
     cycles = {show: show() for show in shows if show is not None}

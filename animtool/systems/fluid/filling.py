@@ -248,7 +248,7 @@ class Nozzle:
 
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
         """Return layers released at given times, at a later one ``(2, K M, 3)``."""
-        now, before = self._poses.over(times), self._poses.over(times - BRIEF)
+        now, before = self._poses.at_times(times), self._poses.at_times(times - BRIEF)
         size, emitter_velocity = (
             len(self._layer_points),
             (now[:, :3] - before[:, :3]) / BRIEF,

@@ -15,7 +15,12 @@ from animtool.core.quantities import floored, plain
 from animtool.core.record import dataclass
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
-from animtool.sim.colliders.bodies import Wrenches, by_system, owners_of, pushed_rows
+from animtool.sim.colliders.bodies import (
+    Wrenches,
+    body_owners,
+    by_system,
+    pushable_rows,
+)
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel
@@ -259,8 +264,8 @@ class Fluid:
             solid = self._solid(t0)
             motion, pressed, pushes, dense = _kernels.fluid_steps(
                 solid.arrays(t0, t0 + each),
-                owners_of(around.bodies, len(solid)),
-                pushed_rows(around.bodies, t0, t0 + each),
+                body_owners(around.bodies, len(solid)),
+                pushable_rows(around.bodies, t0, t0 + each),
                 motion,
                 pull,
                 self._spec.spacing,

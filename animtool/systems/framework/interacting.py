@@ -15,7 +15,7 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.motion.frames import PointsFrame
-from animtool.sim.checks import check_fit
+from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Poses
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import integrate
@@ -153,7 +153,7 @@ class Interacting(ABC, Generic[State, Sums]):
     def begin(self) -> None:
         """Check the method, and set colour ranges from the first state."""
         first = self.initial()
-        check_fit(Equations(self._system(first)), self._integrator)
+        check_supported(Equations(self._system(first)), self._integrator)
         if self._spec.colour is not None:
             quantities = self._quantities(first, self._begin)
             self._colouring = Colouring.of(self._spec.colour, quantities)

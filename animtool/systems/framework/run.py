@@ -256,7 +256,7 @@ class SimulationRun(EntryRun):
 
     def push(self, t: float, who: int, wrenches: Wrenches) -> None:
         """Queue a push of bodies at a time [s] by the pusher's index."""
-        if wrenches.now.any() and t > self.begin + ON_STEP * self.step_length:
+        if wrenches.impulses.any() and t > self.begin + ON_STEP * self.step_length:
             self._pushes.append((t, who, wrenches))
 
     def receive(self) -> Reached[Any]:

@@ -100,8 +100,8 @@ class TiedBodies(BodyColliders):
             return rows
 
         now, moved = (
-            earlier(wrenches.now, fraction),
-            earlier(wrenches.moved, fraction**2),
+            earlier(wrenches.impulses, fraction),
+            earlier(wrenches.delayed, fraction**2),
         )
         return self.system.pushed(state, Wrenches(now, moved))
 

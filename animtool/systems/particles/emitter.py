@@ -175,7 +175,7 @@ class Emitter(Emission, Checked):
                 so3.rotate(row[3:], points) + row[:3],
                 so3.rotate(row[3:], velocities),
             )
-        now, before = self.poses.over(times), self.poses.over(times - _BRIEF)
+        now, before = self.poses.at_times(times), self.poses.at_times(times - _BRIEF)
         positions = so3.rotate(now[:, 3:], points) + now[:, :3]
         earlier = so3.rotate(before[:, 3:], points) + before[:, :3]
         emitter_velocity = (positions - earlier) * (self.inherit / _BRIEF)

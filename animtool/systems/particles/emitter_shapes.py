@@ -112,8 +112,8 @@ class MeshSurface:
 
     def points(self, uniforms: FloatArray) -> Placed:
         """Return points, uniform by area."""
-        welded, corners = self.mesh.welded()
-        a, b, c = welded[corners].swapaxes(0, 1)
+        points, corners = self.mesh.weld()
+        a, b, c = points[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
         ends = np.cumsum(areas)

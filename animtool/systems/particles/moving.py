@@ -254,7 +254,7 @@ class DivergenceCheck:
             some = self._particles.select(which)
             self._first[:, which] = energies(self._setup, some, state[:, which])[0]
 
-    def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"

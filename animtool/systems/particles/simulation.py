@@ -13,13 +13,18 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
-from animtool.sim.checks import check_fit, check_start, ending, step_notices
+from animtool.sim.checks import (
+    check_start,
+    check_supported,
+    step_warnings,
+    stop_warning,
+)
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
-from animtool.sim.integrators.implicit import Before
+from animtool.sim.integrators.implicit import PreviousStep
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import check_options
 from animtool.sim.run import Run
@@ -60,7 +65,7 @@ class ParticleRunState:
     born: int = 0  # number born so far
     missed: int = 0  # number without room so far
     # The method's memory, valid as long as the same particles live.
-    memory: object = field(default=None, metadata=later(Before))
+    memory: object = field(default=None, metadata=later(PreviousStep))
     # The next trial step [s].
     trial: float | None = field(default=None, metadata=later())
 
@@ -100,7 +105,7 @@ class ParticleSimulation:
         self._taken = 0  # steps of the method so far
         self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._integrator = check_options(setup.options)
-        check_fit(Equations(self._system(_NOBODY)), self._integrator)
+        check_supported(Equations(self._system(_NOBODY)), self._integrator)
         self._watch = DivergenceCheck(setup, self.colliders)
         self._fastest: FloatArray | None = None
         self._too_long: list[Fault] = []
@@ -195,7 +200,7 @@ class ParticleSimulation:
         if not faster.any():
             return
         self._fastest = modes
-        self._too_long = step_notices(
+        self._too_long = step_warnings(
             Equations(system),
             self._integrator,
             self.setup.options,
@@ -210,7 +215,10 @@ class ParticleSimulation:
         # Forces that are not finite at the start are no divergence.
         check_start(run.equations, *samples[0])
         stats = stats_of(run, status, samples)
-        why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
+        why = [
+            *self._too_long,
+            stop_warning(self._integrator, self.setup.options, stats),
+        ]
         raise StoppedError(
             [replace(each, severity=Severity.ERROR) for each in why], stats
         )

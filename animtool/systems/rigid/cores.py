@@ -171,7 +171,7 @@ def filled(triangles: FloatArray) -> SolidProperties:
 
 def convex(mesh: Mesh, hull: SolidProperties) -> bool:
     """Return whether a closed mesh equals its hull, by volume."""
-    points, triangles = mesh.welded()
+    points, triangles = mesh.weld()
     inside = abs(filled(points[triangles]).volume)
     return abs(inside - hull.volume) <= CONVEX * hull.volume
 

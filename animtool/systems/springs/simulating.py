@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, warning
 from animtool.core.quantities import floored, length_text, plain
-from animtool.sim.checks import Watch, check_times
+from animtool.sim.checks import EnergyWatch, check_times
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Checkpoint, Stats, Status
@@ -223,7 +223,7 @@ class SpringRun:
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
         # The system without torn springs, and their number.
         self.left, self._gone = system, 0
-        self._watch = Watch(system, bounds)
+        self._watch = EnergyWatch(system, bounds)
         self._exclude_torn()
         self._watch.start(grid.time, grid.state.motion)
 
@@ -313,7 +313,7 @@ class SpringRun:
         if gone != self._gone:
             self._gone = gone
             self.left = self.system.without_springs(self.system.torn(torn))
-            self._watch.look_at(self.left)
+            self._watch.watch_system(self.left)
 
     def _advance(self, cells: int) -> None:
         begun, self.wrenches = self._entered(), []
@@ -323,7 +323,7 @@ class SpringRun:
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()
-            self.sign = self._watch.sign(t, state.motion)
+            self.sign = self._watch.divergence(t, state.motion)
             if begun.solver is Solver.XPBD:
                 ratio = self.left.stretch(t, state.motion)
                 self.longest = max(self.longest, ratio or 0.0)

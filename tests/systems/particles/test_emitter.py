@@ -197,7 +197,7 @@ def test_places_by_their_chances() -> None:
     surface = MeshSurface(Mesh(corners, [[0, 1, 2], [0, 3, 2]]))
     chances = np.array([[0.24, 0.25, 0.5], [0.24, 0.75, 1.0], [0.26, 0.5, 0.25]])
     x, out = surface.points(chances)
-    places, rows = surface.mesh.welded()
+    places, rows = surface.mesh.weld()
     expected = []
     for which, u, v in ((0, 0.25, 0.5), (0, 0.25, 0.0), (1, 0.5, 0.25)):
         a, b, c = places[rows[which]]

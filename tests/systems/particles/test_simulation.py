@@ -141,7 +141,7 @@ def test_steps_are_judged_again_where_motions_are_faster_by_a_twentieth(
         asked.append(float(times[0]))
         return []
 
-    monkeypatch.setattr("animtool.systems.particles.simulation.step_notices", notices)
+    monkeypatch.setattr("animtool.systems.particles.simulation.step_warnings", notices)
     own = simulation(Emitter(bursts=[(0.0, 1)], mass=2.0), forces=[DOWN])
 
     class System:
