@@ -25,7 +25,7 @@ _HEAD: tuple[Line, ...] = (
     "  work: number of {unit}",
 )
 _ROWS = Table(
-    "tried",
+    "applicable",
     {
         "": "{self:marks}",
         "method": "{setting.method}",

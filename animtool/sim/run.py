@@ -123,7 +123,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     >>> step_grid(0.5, 1.0, 0.2).h
     0.16666666666666666
     >>> step_grid(0.1 + 0.2, 0.6, 0.1)
-    Division(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
+    StepGrid(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
     """
     first, last = start / step, end / step
     first_index, last_index = round(first), round(last)

@@ -60,7 +60,7 @@ class Poses:
     def at_times(self, times: FloatArray) -> FloatArray:
         """Return origins and quaternions ``(F, 7)`` at times ``(F,)`` [s].
 
-        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).over(np.array([0.5, 9]))
+        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).at_times(np.array([0.5, 9]))
         array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
                [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
         """

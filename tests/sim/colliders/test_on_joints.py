@@ -33,7 +33,7 @@ def test_capsules_go_with_their_joints() -> None:
     (arm,) = rig_colliders(rig, world, [0, 1], like)
     assert (arm.name, arm.friction) == ("arm", 0.5)
     shape = Capsule(0.1, 0.4, (1, 0, 0), (0.2, 0, 0))
-    assert_allclose(arm.shape.world_radii(), shape.world_radii(), atol=1e-15)
+    assert_allclose(arm.shape.sizes(), shape.sizes(), atol=1e-15)
     ready = Colliders([arm])
     tips = [[0.5, 1, 0], [0, 1.5, 0]]
     assert_allclose(ready.sample(tips, 0.0).distances[0, 0], 0, atol=1e-12)
@@ -51,7 +51,7 @@ def test_capsules_are_as_large_as_the_first_frame_has_them(length: float) -> Non
     world = forward(rig, [[[0, 0, 0]]] * 2, [[turn], [turn]], scales)
     (arm,) = rig_colliders(rig, world, [0, 1])
     shape = Capsule(0.2, 2 * length, (0, 0, 1), (0, 0.6, 0))
-    assert_allclose(arm.shape.world_radii(), shape.world_radii(), atol=1e-15)
+    assert_allclose(arm.shape.sizes(), shape.sizes(), atol=1e-15)
     assert not arm.faults("")
 
 

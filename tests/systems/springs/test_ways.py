@@ -18,7 +18,7 @@ from animtool.sim.trials.trial import Figure, Setting, Trial
 @pytest.fixture(autouse=True)
 def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     # How long anything takes is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
 
 
 def trial(folder: Path, stiffness: float = 200.0, **keys: Any) -> Trial:
