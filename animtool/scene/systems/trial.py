@@ -221,7 +221,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     complete = len(known) == len(snapshots) and _same(snapshots)
     return TrialOutcome(
         seconds,
-        run.taken if last.steps is None else last.steps,
+        run.steps_taken if last.steps is None else last.steps,
         snapshots,
         status,
         reason,

@@ -54,7 +54,7 @@ class MovingBodies(Protocol):
         [1/(kg m²)].
         """
 
-    def pushed_by(self, pusher: Pusher) -> None:
+    def register_pusher(self, pusher: Pusher) -> None:
         """Register a system that applies impulses to the bodies."""
 
     def push(self, t: float, wrenches: Wrenches) -> None:

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
 from animtool.systems.attach.settings import AttachSettings
-from animtool.systems.framework.bounds import BOUND
+from animtool.systems.framework.bounds import MAX_VALUE
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
@@ -107,7 +107,7 @@ def stepped(motion: FloatArray, passages: IntArray | None = None) -> AttachState
     Raises:
         ToleranceError: It is not finite or out of bounds (SIM102).
     """
-    if not np.abs(motion).max(initial=0.0) <= BOUND:
+    if not np.abs(motion).max(initial=0.0) <= MAX_VALUE:
         far = np.abs(motion[0])
         number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
         message = f"the simulation blew up: particle {number} is at "

@@ -174,7 +174,7 @@ def _without_overlaps(
     faults = []
     if moved_far.any():
         message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
-        message += f"other, {agents.named(int(np.argmax(moved_far)))} first: moved "
+        message += f"other, {agents.label(int(np.argmax(moved_far)))} first: moved "
         message += f"apart by up to {moved.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:

@@ -42,7 +42,7 @@ def clear_starts(
             break
     moved = np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
     if moved.any():
-        first = agents.named(int(np.argmax(moved)))
+        first = agents.label(int(np.argmax(moved)))
         message = f"{counted(int(moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))

@@ -120,7 +120,7 @@ class SharedBodies:
         motion[wrenches.impulses.any(axis=1), 13] = 0.0
         return replace(state, motion=motion)
 
-    def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
+    def push_to(self, state: RigidState, other: RigidState) -> Wrenches:
         """Return the impulses that lead from one state to another."""
         before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
         turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))

@@ -17,7 +17,7 @@ from animtool.motion.frames import PointsFrame
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.systems.framework.run import ON_STEP
+from animtool.systems.framework.run import STEP_TOLERANCE
 from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
@@ -140,7 +140,7 @@ class SpringSimulation:
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
         """Return the state a cell later, or within it; raise SIM102, SIM105."""
-        if dt >= (1 - ON_STEP) * self.step_length:
+        if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
         run = self._run(state, t)
         motion = run.within(dt / self.step_length)

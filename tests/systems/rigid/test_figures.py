@@ -209,7 +209,7 @@ def test_pushes_of_others_are_felt_by_mass_and_inertia(tmp_path: Path) -> None:
     now = rng.normal(0, 0.3, (count, 6))
     moved = rng.normal(0, 1e-4, (count, 6))
     after = simulation.pushed(state, Wrenches(now, moved))
-    back = simulation.push_between(state, after)
+    back = simulation.push_to(state, after)
     np.testing.assert_allclose(back.impulses, now, atol=1e-9)
     # A turn of a hundredth is less than a millionth off what is added to it.
     np.testing.assert_allclose(back.delayed, moved, atol=1e-6)
