@@ -228,7 +228,7 @@ def _sample_population(
             inherit=0.0,
             seed=population.seed,
         )
-        points = emitter.drawn_at(begin, count)[0]
+        points = emitter.sample_at(begin, count)[0]
     starts = frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
     lateral_offsets = np.zeros(count)

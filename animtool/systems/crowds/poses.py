@@ -310,8 +310,10 @@ def _gait_swing(
     # Feet stay flat after standing, and lift less in quick steps.
     standing = state.still[is_swinging]
     stride = state.spans[is_swinging, k] / state.rates[is_swinging]
-    usual_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free[is_swinging]
-    hurry = 1 - np.minimum(stride / usual_time, 1.0)
+    typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free[
+        is_swinging
+    ]
+    hurry = 1 - np.minimum(stride / typical_time, 1.0)
     landing = swing_progress(
         np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
     )

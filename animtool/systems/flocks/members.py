@@ -157,7 +157,7 @@ def _start_motion(
         seed=species.seed,
     )
     count = species.count if points is None else len(points)
-    points_drawn, velocities_drawn = emitter.drawn_at(begin, count)
+    points_drawn, velocities_drawn = emitter.sample_at(begin, count)
     if points is None:
         return points_drawn, velocities_drawn
     for name, array in (("points", points), ("velocities", velocities)):

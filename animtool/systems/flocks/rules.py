@@ -42,11 +42,11 @@ def rules_of(members: Members) -> list[FlockRule]:
     rules = []
     names = [species.name for species in members.entries]
     for index, species in enumerate(members.entries):
-        own_members = _members_of(members, [index])
+        subject_members = _members_of(members, [index])
         flock_members = [index, *(names.index(name) for name in species.joins)]
         rules.append(
             _flocking(
-                species, own_members, _members_of(members, sorted({*flock_members}))
+                species, subject_members, _members_of(members, sorted({*flock_members}))
             )
         )
         for flee in species.flees:
@@ -54,7 +54,7 @@ def rules_of(members: Members) -> list[FlockRule]:
             push = (flee.weight, flee.radius)
             rules.append(
                 FlockRule(
-                    own_members, targets, flee.radius, -1.0, 0, _OFF, _OFF, push,
+                    subject_members, targets, flee.radius, -1.0, 0, _OFF, _OFF, push,
                     species.repulsion.softening,
                 )
             )  # fmt: skip
@@ -63,7 +63,15 @@ def rules_of(members: Members) -> list[FlockRule]:
             pull = (chase.weight, chase.radius)
             rules.append(
                 FlockRule(
-                    own_members, targets, chase.radius, -1.0, 1, pull, _OFF, _OFF, 0.0
+                    subject_members,
+                    targets,
+                    chase.radius,
+                    -1.0,
+                    1,
+                    pull,
+                    _OFF,
+                    _OFF,
+                    0.0,
                 )
             )
     return [rule for rule in rules if _has_effect(rule)]

@@ -68,7 +68,7 @@ def test_it_begins_with_the_energy_that_forces_give_it() -> None:
     total, _, known = fluid(forces=[wind, DOWN])._energy(state)
     assert (total, known) == (pytest.approx(kinetic + MASS * 64), False)
     stokes = find_force("viscosity")(viscosity=0.1)
-    found = fluid(forces=[stokes])._pull(state, 0.0)
+    found = fluid(forces=[stokes])._accelerations(state, 0.0)
     # Each has a radius of half the spacing.
     assert_allclose(found, -6 * np.pi * 0.1 * 0.25 * V / MASS)
     assert own.incompatibility(state, 0.0) == ""
@@ -229,7 +229,7 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
     assert_allclose(asked, [0.16, 0.08, 0.04], rtol=0.05)
     asked.clear()
     with pytest.raises(StoppedError) as error:
-        own._stop_long(state, 2.0, 0.96, "why", 3.0, [])
+        own._stop_too_long(state, 2.0, 0.96, "why", 3.0, [])
     (fault,) = error.value.faults
     assert (fault.code, fault.severity) == ("SIM102", Severity.ERROR)
     assert "blew up at 2.96 s: why" in fault.message
@@ -237,7 +237,7 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
     for shorter, notices in ((1000.0, []), (3.0, None)):
         asked.clear()
         with pytest.raises(StoppedError) as error:
-            own._stop_long(state, 2.0, 0.96, "why", shorter, notices)
+            own._stop_too_long(state, 2.0, 0.96, "why", shorter, notices)
         assert (asked, str(error.value.faults[0].hint)[:10]) == ([], "use weaker")
     fast = replace(state, motion=np.stack([X, V * 1e6]))
     with pytest.raises(StoppedError, match="more than 4096 substeps"):

@@ -181,7 +181,7 @@ def test_pulls_and_speeds_about_a_point_are_keplers(softening: float) -> None:
     assert (r[0], r[-1], len(r)) == pytest.approx((5e-5, 12, 4096))
     squares = 2 * 3 * r**2 / (r**2 + softening**2) ** 1.5
     assert_allclose(own.circular**2, squares, rtol=1e-6)
-    assert_allclose(own.pull, squares / r, rtol=1e-6)
+    assert_allclose(own.acceleration, squares / r, rtol=1e-6)
     if not softening:
         assert_allclose(own.escape**2, 2 * 2 * 3 / r, rtol=1e-4)
     alone = MassProfile(galaxy(nucleus=3), 2.0, 0.0)
@@ -192,7 +192,7 @@ def test_all_parts_of_a_galaxy_pull() -> None:
     ball = {"mass": 2, "radius": 1, "cutoff": 4, "count": 9}
     parts = {"bulge": ball, "halo": {**ball, "mass": 5}, "disc": {**ball, "mass": 3}}
     own = MassProfile(galaxy(nucleus=1, **parts), 2.0, 0.0)
-    at = [np.interp(9.0, own.r, each) for each in (own.pull, own.circular)]
+    at = [np.interp(9.0, own.r, each) for each in (own.acceleration, own.circular)]
     assert at[0] == pytest.approx(2 * 11 / 81, rel=1e-4)
     far = own.r[-1]
     disc = float(disc_speeds(own.galaxy.disc, np.array([far]))[0])  # type: ignore[arg-type]
