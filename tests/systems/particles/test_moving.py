@@ -140,7 +140,7 @@ def test_bodies_take_what_meets_their_own_shapes(
         velocities=np.full((8, 3), 5.0),
         contacts=SimpleNamespace(colliders=hit),
     )
-    found = ParticleForces._shared(whole, 2.0, 0.25, "free", done)  # type: ignore[arg-type]
+    found = ParticleForces._exchange_momentum(whole, 2.0, 0.25, "free", done)  # type: ignore[arg-type]
     assert took == [
         (0, 2.0, [-3, -2, -1, 0, 1, -1, -1, -1], "free", "masses"),
         (2, 2.0, [-6, -5, -4, -3, -2, -1, 0, 2], "free", "masses"),
