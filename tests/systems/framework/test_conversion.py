@@ -173,9 +173,7 @@ def test_a_joint_counts_what_it_moves_by(tmp_path: Path, kind: str, units: str) 
     turning = kind == "pin"
     np.testing.assert_allclose(joint.drive.stiffness, 2 * (length**2 if turning else 1))
     np.testing.assert_allclose(joint.drive.damping, 3 * (length**2 if turning else 1))
-    np.testing.assert_allclose(
-        joint.drive.most, 4 * (length**2 if turning else length)
-    )
+    np.testing.assert_allclose(joint.drive.most, 4 * (length**2 if turning else length))
     np.testing.assert_allclose(body.spin, [0, angle, 0])
     np.testing.assert_allclose(body.at, [0, 50 * length, 0])
 
