@@ -265,7 +265,7 @@ def evaluate_channels(
     curves: list[ClipChannel] = []
     turning: list[ClipChannel] = []
     for channel in channels:
-        if _is_static(channel):
+        if is_static(channel):
             values[channel.target] = _turned(channel, channel.values[:1])
         elif channel.values.shape[1] == 4:
             turning.append(channel)
@@ -310,7 +310,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
     return values
 
 
-def _is_static(channel: ClipChannel) -> bool:
+def is_static(channel: ClipChannel) -> bool:
     """Return whether all keys and handles have the first key's value."""
     constant = bool((channel.values == channel.values[0]).all())
     return constant and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()

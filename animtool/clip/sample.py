@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +21,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
+if TYPE_CHECKING:
+    from animtool.motion.driver_run import DriverRun
+
 # Excess below this is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
+# Joint values gathered in a call: few calls, at most 8 MB.
+ROWS_AT_ONCE = 2**18
 
 
 Parts = dict[str, FloatArray]
@@ -34,6 +40,7 @@ class ClipNotice:
     fault: Fault  # it, without a place
     target: str  # ``control/NAME`` or ``joint/NAME``
     frame: float | None = None  # where it is worst; None where it is of all frames
+    amount: float = 0.0  # by how much there [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +87,7 @@ def sample_channels(
     """
     values = evaluate_channels(channels, times)
     sampled = sample_values(values, rig, times, clamp=clamp)
-    named = [_with_keys(notice, channels, rig, times) for notice in sampled.targeted]
+    named = [with_keys(notice, channels, rig, times) for notice in sampled.targeted]
     return replace(sampled, targeted=named)
 
 
@@ -88,7 +95,7 @@ def sample_channels(
 MAX_NAMED = 8
 
 
-def _with_keys(
+def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
     """Return a notice with the key frames at which a control is out of range."""
@@ -125,11 +132,18 @@ def sample_values(
     times: FloatArray,
     *,
     clamp: bool = False,
+    run: DriverRun | None = None,
 ) -> SampledMotion:
     """Return the motion of a rig from target values; see `sample_channels`.
 
-    ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
-    rotations as quaternions.
+    Args:
+        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
+            rotations as quaternions.
+        rig: Its rig.
+        times: Of the values ``(F,)``.
+        clamp: Bring controls into their ranges and joints into their limits.
+        run: Evaluates the rig's drivers and keeps their notices, where the times go on
+            from earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []
@@ -161,9 +175,10 @@ def sample_values(
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
-        run = DriverRun(rig, replaced=True)
-        motion = run.drive(motion, times, coordinates)
-        notices += [ClipNotice(*notice) for notice in run.targeted()]
+        own = run or DriverRun(rig, replaced=True)
+        motion = own.drive(motion, times, coordinates)
+        if run is None:
+            notices += [ClipNotice(*notice) for notice in own.targeted()]
     return SampledMotion(motion, notices)
 
 
@@ -215,7 +230,8 @@ def _range_notices(
             hint = None if clamp else _CLAMP
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
-            notices.append(ClipNotice(fault, target, float(frame)))
+            amount = float(abs(excess[worst]))
+            notices.append(ClipNotice(fault, target, float(frame), amount))
     return notices
 
 
@@ -343,9 +359,13 @@ class _Joints:
                 constant[j] = values[0]
                 continue
             animated.append(j)
-            columns.append(so3.align_signs(values) if name == "rotations" else values)
-        shape = (count, 0, rest.shape[1])
-        moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
+            columns.append(values)
+        moving = np.zeros((count, len(columns), rest.shape[1]))
+        size = max(1, ROWS_AT_ONCE // max(count, 1))
+        for begin in range(0, len(columns), size):
+            rows = np.stack(columns[begin : begin + size], axis=1)
+            rows = so3.align_signs(rows) if name == "rotations" else rows
+            moving[:, begin : begin + size] = rows
         return Channel(constant, np.array(animated, np.int64), moving)
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
@@ -402,7 +422,8 @@ class _Joints:
         hint = None if self.clamp else _CLAMP
         fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
         frame = float(self.times[worst])
-        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame))
+        target = f"joint/{joint.name}"
+        self.notices.append(ClipNotice(fault, target, frame, float(excess[worst])))
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
