@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -152,13 +152,11 @@ class _BlockLayout:
             motion: Of the block.
             skip: Number of its frames that the block before has.
         """
-        return replace(
-            motion,
-            **{
-                part: self._arranged(part, getattr(motion, part), motion.frames, skip)
-                for part in self.moving
-            },
-        )
+        arranged: dict[str, Any] = {
+            part: self._arranged(part, getattr(motion, part), motion.frames, skip)
+            for part in self.moving
+        }
+        return replace(motion, **arranged)
 
     def _arranged(
         self, part: str, channel: Channel | None, frames: int, skip: int
