@@ -78,7 +78,7 @@ class _BlockSampler:
         if self.rig.is_driven:
             from animtool.motion.driver_run import DriverRun
 
-            self._run = DriverRun(self.rig, replaced=True)
+            self._run = DriverRun(self.rig, report_replaced=True)
 
     def sample(self, times: FloatArray) -> Motion:
         """Return the motion at times."""
@@ -100,7 +100,7 @@ class _BlockSampler:
             with_keys(notice, self.channels, self.rig, times)
             for notice in self._worst.values()
         ]
-        driven = [] if self._run is None else self._run.targeted()
+        driven = [] if self._run is None else self._run.located_notices()
         return [*notices, *(ClipNotice(*notice) for notice in driven)]
 
 
