@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
@@ -220,8 +221,16 @@ def _sampled(
         beyond = (times.codes - float(plan.start)) * ratio
         outside = (beyond < 0) | (beyond > clock.count - 1)
         samples = np.where(outside, beyond, samples)
-    motion = curve(float(first) + samples * float(stream.step))
-    return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
+    at = float(first) + samples * float(stream.step)
+    motions = curve.blocks(at) if isinstance(curve, KeyedCurve) else iter([curve(at)])
+    return TimedTake(_with_codes(times.codes, motions), stream.rig, times)
+
+
+def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
+    done = 0
+    for motion in motions:
+        yield codes[done : done + motion.frames], motion
+        done += motion.frames
 
 
 def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
