@@ -18,7 +18,7 @@ from animtool.core.errors import (
     Severity,
     listed,
 )
-from animtool.core.files.output import protect_inputs
+from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import distinct
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
@@ -32,7 +32,6 @@ from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import (
-    STDOUT,
     Outline,
     OutputEntry,
     check_outline,
@@ -60,11 +59,11 @@ MAX_NAMED = 6
 
 def plan_stage(
     source: Source | Sequence[Source],
-    output: Path | str | None,
+    output: Path | str,
     options: BakeOptions | None = None,
 ) -> BakePlan:
-    """Return the plan of a bake to one USD file; None is stdout."""
-    outline = outlined(source, STDOUT if output is None else output, options)
+    """Return the plan of a bake to one USD file, or `STDOUT`."""
+    outline = outlined(source, output, options)
     (plan,) = plan_outputs(outline)
     if isinstance(plan, BakePlan):
         return plan
@@ -158,7 +157,6 @@ def _planned(
     """Return the plan of an output from open sources."""
     scene = entry.scene
     if not entry.is_stage:
-        assert entry.path is not None
         writer = take_writer(entry.path)
         file = _planned_file(sources[0], streams[0], entry, writer, notices)
         if len(streams) == 1:
@@ -195,7 +193,6 @@ def _planned_file(
         options = replace(options, shot=replace(options.shot, fps=fps))
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
-    assert entry.path is not None
     stated_name = stream.details.get("take") or stream.details.get("name")
     called: tuple[str, ...] = (str(stated_name),) if stated_name else ()
     return FilePlan(take, entry.path, entry.base, entry.rig_file, names=called)
@@ -236,7 +233,6 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
     assert entry.scene is not None
     if not entry.is_stage:
-        assert entry.path is not None
         what = take_writer(entry.path).name
         message = f"a {what} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
@@ -275,18 +271,18 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
 def plan_takes(
     sources: Sequence[Path],
     streams: list[TakeStream],
-    path: Path | None,
+    path: Path,
     options: BakeOptions,
     notices: list[Fault],
     stated_names: tuple[str, ...] = (),
 ) -> BakePlan:
-    """Return the plan of takes in one USD file; None is stdout.
+    """Return the plan of takes in one USD file, or `STDOUT`.
 
-    own_names: what the takes are called; empty is as their files are.
+    stated_names: what the takes are called; empty is as their files are.
     """
     form = form_of(options)
     library = form is LayerForm.LIBRARY
-    added = library and path is not None and path.exists()
+    added = library and path != STDOUT and path.exists()
     target = _target(path if added else options.rig_layer, options.prim_path)
     mappings: list[RigJointMap | None] = [None] * len(streams)
     if target is not None:

@@ -25,7 +25,7 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import protect_inputs
+from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -51,7 +51,6 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import map_names, open_rig
@@ -271,7 +270,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if a clip of the output can refer to its file."""
-    if output is None or output == STDOUT:
+    if output in {None, STDOUT}:
         return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
     return rig if is_named(rig, "rig") and inside else None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import is_text
+from animtool.core.files.output import STDOUT, is_text
 from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
@@ -129,7 +129,7 @@ class UsdJob:
     """Settings of `write_usd`."""
 
     form: LayerForm  # stage, split or layer
-    output: Path | None  # the file; None writes usda to stdout
+    output: Path  # the file, or `STDOUT` for usda
     rig: Rig  # the joints, as the blocks have them
     names: UsdNames  # their USD names
     joints: list[str]  # their paths as the Skeleton has them
@@ -139,6 +139,11 @@ class UsdJob:
     target: RigTarget | None = None  # the rig of a layer
     bones: bool = False  # add geometry that shows the joints
     shot: Shot | None = None  # the shot that is written; None is no shot
+
+    @property
+    def where(self) -> str | None:
+        """Path of the file in faults; None for stdout."""
+        return None if self.output == STDOUT else str(self.output)
 
 
 @dataclass(frozen=True, slots=True)
