@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameRange
 from animtool.maths.runs import joined, runs
 from animtool.motion.scores import PassScores, Score
 
@@ -40,24 +41,23 @@ class FrameNumbers:
     Attributes:
         start: Number of the first.
         step: From one frame of the take to the next.
-        first: First that the output has; None is that of the take.
-        last: Likewise.
+        frames: Those that the output has; None is all of the take.
 
-    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), 1001, 1010).run(48, 60)
+    >>> ten = FrameRange(1001, 1010)
+    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), ten).run(48, 60)
     (1010, 1010)
     """
 
     start: Fraction = Fraction(1)
     step: Fraction = Fraction(1)
-    first: int | None = None
-    last: int | None = None
+    frames: FrameRange | None = None
 
     def run(self, first: int, last: int) -> tuple[int, int] | None:
         """Return output numbers of a run of frames from 0; None if all are cut."""
         low = math.floor(self.start + first * self.step)
         high = math.ceil(self.start + last * self.step)
-        low = low if self.first is None else max(low, self.first)
-        high = high if self.last is None else min(high, self.last)
+        if self.frames is not None:
+            low, high = max(low, self.frames.first), min(high, self.frames.last)
         return (low, high) if low <= high else None
 
 

@@ -36,7 +36,7 @@ from animtool.scene.sources.away import no_frames
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.props.writer import PropSamples
-    from animtool.usd.rigs.target import RigJointMap
+    from animtool.usd.rigs.joint_map import RigJointMap
 
 TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 

@@ -49,7 +49,8 @@ from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
-    from animtool.usd.rigs.target import RigJointMap, RigTarget
+    from animtool.usd.rigs.joint_map import RigJointMap
+    from animtool.usd.rigs.target import RigTarget
     from animtool.usd.takes.over_rig import OverRig
 
 # An output that is ready to be written.
@@ -284,35 +285,12 @@ def plan_takes(
     library = form is LayerForm.LIBRARY
     added = library and path != STDOUT and path.exists()
     target = _target(path if added else options.rig_layer, options.prim_path)
-    mappings: list[RigJointMap | None] = [None] * len(streams)
-    if target is not None:
-        from animtool.usd.takes.over_rig import over_rig
-
-        notices += target.notices
-        up = target.skeleton.rig.up
-        layer = str(target.path)
-        mapped = [
-            over_rig(
-                reorient(one, up),
-                target.placement,
-                options.placement,
-                layer,
-                target.skeleton.rig,
-            )
-            for one in streams
-        ]
-        streams = [rig_mapping.stream for rig_mapping in mapped]
-        mappings = [
-            _mapped(rig_mapping, target, options, notices) for rig_mapping in mapped
-        ]
+    mappings: Sequence[RigJointMap | None]
+    if target is None:
+        streams = _on_stage(sources, streams, options, notices)
+        mappings = [None] * len(streams)
     else:
-        kept = options.placement != "drop"
-        for source, one in zip(sources, streams, strict=True):
-            notices += placement_notice(one.rig, str(source), kept=kept)
-        if not kept:
-            streams = [at_stage_origin(stream) for stream in streams]
-        up = options.to_up or streams[0].rig.up
-        streams = [reorient(stream, up) for stream in streams]
+        streams, mappings = _on_rig(streams, target, options, notices)
     if options.root_motion and not streams[0].rig.joints:
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
@@ -388,10 +366,47 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
     return PointPrims(open_character(take, target))
 
 
+def _on_stage(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    options: BakeOptions,
+    notices: list[Fault],
+) -> list[TakeStream]:
+    """Return takes as a stage has them: all with the same up axis, placed or not."""
+    kept = options.placement != "drop"
+    for source, stream in zip(sources, streams, strict=True):
+        notices += placement_notice(stream.rig, str(source), kept=kept)
+    if not kept:
+        streams = [at_stage_origin(stream) for stream in streams]
+    up = options.to_up or streams[0].rig.up
+    return [reorient(stream, up) for stream in streams]
+
+
+def _on_rig(
+    streams: list[TakeStream],
+    target: RigTarget,
+    options: BakeOptions,
+    notices: list[Fault],
+) -> tuple[list[TakeStream], list[RigJointMap]]:
+    """Return takes in the space of a rig layer, with the joints that they move."""
+    from animtool.usd.takes.over_rig import over_rig
+
+    notices += target.notices
+    rig, layer = target.skeleton.rig, str(target.path)
+    over = [
+        over_rig(
+            reorient(stream, rig.up), target.placement, options.placement, layer, rig
+        )
+        for stream in streams
+    ]
+    mappings = [_mapped(one, target, options, notices) for one in over]
+    return [one.stream for one in over], mappings
+
+
 def _mapped(
     over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> RigJointMap:
-    from animtool.usd.rigs.target import map_joints
+    from animtool.usd.rigs.joint_map import map_joints
 
     mapping = map_joints(
         over_rig.stream.rig,

@@ -66,7 +66,8 @@ from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.usd.rigs.target import RigJointMap, RigTarget
+    from animtool.usd.rigs.joint_map import RigJointMap
+    from animtool.usd.rigs.target import RigTarget
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.
 PIECE = 256

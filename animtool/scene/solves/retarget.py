@@ -167,11 +167,7 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 
             target = open_target(job.bake.rig_layer, job.bake.prim_path)
             start = start if target.start is None else target.start
-    frame_range = job.bake.frame_range
-    ends = (
-        (None, None) if frame_range is None else (frame_range.first, frame_range.last)
-    )
-    return FrameNumbers(start, Fraction(fps) / rate, *ends)
+    return FrameNumbers(start, Fraction(fps) / rate, job.bake.frame_range)
 
 
 def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:

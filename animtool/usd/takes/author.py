@@ -376,7 +376,8 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
-    from animtool.usd.rigs.target import map_joints, open_target
+    from animtool.usd.rigs.joint_map import map_joints
+    from animtool.usd.rigs.target import open_target
     from animtool.usd.takes.over_rig import over_rig
 
     target = open_target(layer, prim_path)
