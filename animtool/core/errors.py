@@ -85,6 +85,10 @@ class Fault:
         hint = self.hint and worded(self.hint, calling)
         return replace(self, message=message, hint=hint, brief=brief)
 
+    def in_file(self, path: object) -> Fault:
+        """Return a copy at a file, unless it names one."""
+        return self if self.path else replace(self, path=str(path))
+
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
@@ -160,6 +164,15 @@ class OptionError(AnimtoolError):
     """An option, or a combination of options, is invalid."""
 
     exit_code = ExitCode.USAGE
+
+
+@contextmanager
+def faults_in(path: object) -> Iterator[None]:
+    """Add a file to faults that name none."""
+    try:
+        yield
+    except (FormatError, OptionError) as error:
+        raise type(error)([fault.in_file(path) for fault in error.faults]) from error
 
 
 def refuse(

@@ -324,9 +324,9 @@ class Retargeting:
                 if foot not in solved.clamped or ball is None:
                     continue
                 bone = ball.offset
-                if ball.joint >= 0:
+                if ball.toe >= 0:
                     back = so3.conjugate(rotations.world[rows, foot])
-                    tip = about[rows, ball.joint] - about[rows, foot]
+                    tip = about[rows, ball.toe] - about[rows, foot]
                     bone = so3.rotate(back, tip)
                 requested, actual = placed.rotations[k][at], solved.world[rows, foot]
                 off = so3.rotate(requested, bone) - so3.rotate(actual, bone)

@@ -116,7 +116,7 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used = {pair.source for pair in pairs.values()}
     used |= {j for chain in chains for j in chain.source}
-    driven = {*pairs, *(twist.joint for twist in twists)}
+    driven = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),

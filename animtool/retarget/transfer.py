@@ -87,7 +87,7 @@ class Transfer:
         for twist in joint_map.twists:
             below = _below(target, twist.bone)
             if below >= 0:
-                twists.append((twist.joint, twist.bone, below, twist.fraction))
+                twists.append((twist.target, twist.bone, below, twist.fraction))
         scale = _scale(source, target)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
@@ -101,7 +101,7 @@ class Transfer:
         for side in sides:
             balls = [each.balls.get(side) for each in both]
             # Feet with other toes roll differently, even if they are as long.
-            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+            if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
             bones = [each.leg_bones(side) for each in both]
             if len(bones[0]) != len(bones[1]):

@@ -20,19 +20,13 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
 from animtool.formats.c3d.layout import (
-    Evidence,
     Layout,
     LayoutResult,
     choose_layout,
     contradicted,
 )
-from animtool.formats.c3d.sections import (
-    BLOCK,
-    MalformedError,
-    Processor,
-    Sections,
-    read_sections,
-)
+from animtool.formats.c3d.plausibility import judge
+from animtool.formats.c3d.sections import BLOCK, MalformedError, Sections, read_sections
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
 
@@ -113,56 +107,6 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
         )
         return None
     return f"{match[1] or '+'}{match[2]}"
-
-
-# Whether numbers of a C3D file look like positions over frames.
-
-# Runs of consecutive frames that are judged, and their length.
-RUNS = 8
-RUN_FRAMES = 8
-# Positions of captures, in whichever unit: beyond are numbers of something else.
-MAX_COORDINATE = 1e6
-MIN_COORDINATE = 1e-12
-MAX_WORD = 32768.0
-
-
-def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Return how plausible a layout's numbers are as positions over frames."""
-    if layout.points == 0:
-        return Evidence(0.0, math.nan)
-    length = min(RUN_FRAMES, layout.frames)
-    begins = np.linspace(0, layout.frames - length, RUNS).astype(np.int64)
-    size = layout.width * layout.row
-    runs = []
-    for begin in sorted(set(begins.tolist())):
-        at = layout.begin + size * begin
-        piece = data[at : at + size * length]
-        kept = 4 * layout.points
-        rows = processor.rows(piece, layout.width, layout.row, kept)
-        runs.append(rows.reshape(length, layout.points, 4))
-    return _evidence(np.array(runs), layout.width)
-
-
-def _evidence(runs: FloatArray, width: int) -> Evidence:
-    """Return the plausibility of runs of frames ``(R, L, M, 4)``."""
-    positions, words = runs[..., :3], runs[..., 3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        sizes = np.abs(positions)
-        wrong = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
-        if width == 4:
-            beyond = ~(sizes < MAX_COORDINATE)
-            tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
-            wrong |= (beyond | tiny).any(axis=-1)
-        visible = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
-    if not visible.any():
-        return Evidence(float(wrong.mean()), 1.0)
-    spread = float(np.sqrt(positions[visible].var(axis=0).sum()))
-    both = visible[:, 1:] & visible[:, :-1]
-    if not both.any() or spread == 0.0:
-        return Evidence(float(wrong.mean()), math.nan)
-    positions = np.where(visible[..., None], positions, 0.0)
-    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
-    return Evidence(float(wrong.mean()), float(steps.mean()) / spread)
 
 
 # Groups of labels under which models write angles and forces as if they were points.

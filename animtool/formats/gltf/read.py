@@ -10,16 +10,12 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
-from animtool.formats.gltf.animations import Animation, TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
+from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import build_rig, scale_notice
-from animtool.formats.gltf.sampling import (
-    NativeKeys,
-    clip_stream,
-    moves,
-    sampler_of,
-)
+from animtool.formats.gltf.sampling import NativeKeys, clip_stream, moves, sampler_of
 from animtool.formats.gltf.timing import distinct_clip_names, frames_of
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig

@@ -24,7 +24,7 @@ _SLIDE = re.compile(
 class Coordinate:
     """One scalar coordinate of a joint."""
 
-    joint: int  # its index
+    joint_index: int
     part: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
     axis: int = 0  # of a rotation or translation
 
@@ -80,14 +80,14 @@ def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
 
 
 def _dotted(rig: Rig, one: Coordinate) -> str:
-    name = f"{rig.joints[one.joint].name}.{one.part}"
+    name = f"{rig.joints[one.joint_index].name}.{one.part}"
     if one.part in {"angle", "slide"}:
         return name
     return f"{name}.{'xyz'[one.axis]}"
 
 
 def _short(rig: Rig, one: Coordinate) -> str:
-    name, axis = rig.joints[one.joint].name, "xyz"[one.axis]
+    name, axis = rig.joints[one.joint_index].name, "xyz"[one.axis]
     suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(one.part, "")
     return f"{name}{suffix}"
 
@@ -141,9 +141,9 @@ def rows_to_coordinates(
         if joint.type in (JointType.BALL, JointType.FREE):
             coordinates[:, slice_.stop - 1] = 1.0
     for one, column in zip(columns, values.T, strict=True):
-        slice_ = slices[one.joint]
+        slice_ = slices[one.joint_index]
         if one.part == "rotation":
-            angles = rotations.setdefault(one.joint, np.zeros((len(values), 3)))
+            angles = rotations.setdefault(one.joint_index, np.zeros((len(values), 3)))
             angles[:, one.axis] = column
         else:
             at = slice_.start + (one.axis if one.part == "translation" else 0)
@@ -162,12 +162,12 @@ def rows_of_coordinates(
     values = np.zeros((len(coordinates), len(columns)))
     rotations: dict[int, FloatArray] = {}
     for c, one in enumerate(columns):
-        slice_ = slices[one.joint]
+        slice_ = slices[one.joint_index]
         if one.part == "rotation":
-            if one.joint not in rotations:
+            if one.joint_index not in rotations:
                 quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
-                rotations[one.joint] = euler.from_quaternion(quaternions, ORDER)
-            values[:, c] = rotations[one.joint][:, one.axis]
+                rotations[one.joint_index] = euler.from_quaternion(quaternions, ORDER)
+            values[:, c] = rotations[one.joint_index][:, one.axis]
         else:
             at = slice_.start + (one.axis if one.part == "translation" else 0)
             values[:, c] = (

@@ -223,7 +223,7 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = rows_to_coordinates(rig, columns, values)
-    moved = {rig.joints[one.joint].name for one in columns}
+    moved = {rig.joints[one.joint_index].name for one in columns}
     local = local_from_coordinates(rig, following(rig, coordinates, moved))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)

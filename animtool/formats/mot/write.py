@@ -69,13 +69,13 @@ def mot_text(take: Take) -> TakeText:
     values = rows_of_coordinates(rig, columns, coordinates)
     static = {
         j
-        for j in {one.joint for one in columns if one.part == "translation"}
+        for j in {one.joint_index for one in columns if one.part == "translation"}
         if not np.round(values[:, _translations(columns, j)], DECIMALS).any()
     }
     kept = [
         c
         for c, one in enumerate(columns)
-        if one.part != "translation" or one.joint not in static
+        if one.part != "translation" or one.joint_index not in static
     ]
     columns = [columns[c] for c in kept]
     values = values[:, kept]
@@ -94,7 +94,7 @@ def _translations(columns: list[Coordinate], joint: int) -> list[int]:
     return [
         c
         for c, one in enumerate(columns)
-        if one.joint == joint and one.part == "translation"
+        if one.joint_index == joint and one.part == "translation"
     ]
 
 

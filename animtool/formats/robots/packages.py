@@ -17,7 +17,6 @@ _PACKAGES = {"package", "model"}
 # Folders above a file that are looked at for its package.
 MAX_ABOVE = 12
 PACKAGE = "package.xml"
-MAX_PACKAGE_BYTES = 1_000_000
 
 
 class OutsideError(ValueError):

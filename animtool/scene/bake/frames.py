@@ -14,19 +14,14 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
 from animtool.edit.between import Between
-from animtool.edit.resample import (
-    SampleTimes,
-    dropped_notice,
-    plan_samples,
-    sample,
-)
+from animtool.edit.resample import SampleTimes, dropped_notice, plan_samples, sample
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice

@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
-from animtool.core.errors import (
-    AnimtoolError,
-    Fault,
-    OptionError,
-    Severity,
-    listed,
-)
+from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import distinct
 from animtool.core.rates import rate_label
@@ -361,7 +355,8 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
         from animtool.scene.bake.joint_prims import JointPrims
 
         return JointPrims()
-    from animtool.scene.bake.point_prims import PointPrims, open_character
+    from animtool.scene.bake.deformed_character import open_character
+    from animtool.scene.bake.point_prims import PointPrims
 
     return PointPrims(open_character(take, target))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -18,10 +17,10 @@ from animtool.core.clock import Clock, FrameSpan
 from animtool.core.config import project_roots
 from animtool.core.errors import (
     Fault,
-    FormatError,
     OptionError,
     Severity,
     ToleranceError,
+    faults_in,
     listed,
     refuse_warnings,
 )
@@ -229,16 +228,6 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     return int(index)
 
 
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Add a file to faults that name none."""
-    try:
-        yield
-    except (FormatError, OptionError) as error:
-        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
-        raise type(error)(faults) from error
-
-
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """Solve a job and write its output.
 
@@ -281,7 +270,7 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
-    with naming(job.rig):
+    with faults_in(job.rig):
         solved = solve_take(
             context.take,
             context.tracks,

@@ -92,7 +92,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
     beyond = tuple(
-        replace(notice, path=notice.path or str(path))
+        notice.in_file(path)
         for notice in take.notices
         if notice not in full_take.notices
     )
