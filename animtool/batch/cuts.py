@@ -48,6 +48,7 @@ from animtool.core.errors import (
     Severity,
     counted,
     excerpt,
+    first_faults,
     listed,
 )
 from animtool.core.files.reading import MatchedFile
@@ -201,12 +202,8 @@ class _CutReader:
         """Return the shots of clips."""
         for entry in entries:
             self.clip(entry)
-        if len(self.faults) > MAX_FAULTS:
-            rest = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
-            rest_fault = Fault("DOC011", rest, str(self.path))
-            self.faults[MAX_FAULTS:] = [rest_fault]
         if self.faults:
-            raise FormatError(self.faults)
+            raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
 
     def say(self, code: str, message: str, warn: bool) -> None:

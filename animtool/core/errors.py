@@ -238,6 +238,19 @@ class ToleranceError(AnimtoolError):
     exit_code = ExitCode.TOLERANCE
 
 
+def first_faults(
+    faults: Sequence[Fault], most: int, path: str | None = None, more: str = ""
+) -> list[Fault]:
+    """Return the first faults and, if there are more, one that counts the others.
+
+    more: What else to say of these.
+    """
+    if len(faults) <= most:
+        return list(faults)
+    rest = f"{len(faults) - most} more faults are not shown{more}"
+    return [*faults[:most], Fault("DOC011", rest, path)]
+
+
 def listed(items: Sequence[object], most: int = 5) -> str:
     """Return the first items, separated by commas, with an ellipsis for more.
 
