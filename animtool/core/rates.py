@@ -23,7 +23,7 @@ METADATA_TOLERANCE = Fraction(5, 1_000_000)
 FRAME_TIME_EXPONENTS = (-9, 6)
 LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
-# Captures and displays are slower; a larger rate is rather a number of another meaning.
+# Captures and displays are slower; a larger number is probably not a frame rate.
 MAX_PLAUSIBLE_RATE = 2000
 # Taken first where a time is printed so coarsely that several integers fit.
 MAX_DIGITS = 100

@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import LARGEST, range_faults, ranges_of, within
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import KeyInterpolation, Weight, parse_choice, weights_at
 from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.systems.framework.fields import (
@@ -186,10 +186,10 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
     checks["what"] = partial(_check_what, options)
     checks["wind"] = partial(_check_finite, options.wind, "wind")
     checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
-    checks["lead"] = partial(chosen, Lead, options.lead, "lead")
+    checks["lead"] = partial(parse_choice, Lead, options.lead, "lead")
     checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
     checks["interpolation"] = partial(
-        chosen, KeyInterpolation, options.interpolation, "interpolation"
+        parse_choice, KeyInterpolation, options.interpolation, "interpolation"
     )
     checks["save"] = partial(_check_save, options)
     checks["save_at"] = partial(_check_finite, options.save_at, "save_at")

@@ -10,7 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.faces import sides, triangulated
+from animtool.maths.faces import directed_edges, triangulated
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
@@ -104,7 +104,7 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
     from scipy.sparse.csgraph import connected_components
 
     triangles, count = triangulated(counts, indices), int(indices.max(initial=-1)) + 1
-    side_corners = sides(counts, indices)
+    side_corners = directed_edges(counts, indices)
     numbers = np.sort(side_corners, axis=1) @ [count, 1]
     _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
     open_ = side_corners[often[which.reshape(-1)] == 1]

@@ -21,7 +21,7 @@ from animtool.core.errors import (
 )
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.motion.passes import Around, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import ColliderBuilder, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor
@@ -248,7 +248,7 @@ def simulate(
     early: int = 0,
     keeps: bool = True,
     progress: Callable[[float], None] | None = None,
-    around: Around | None = None,
+    around: ColliderBuilder | None = None,
 ) -> TakeStream:
     """Simulate attachments of a rig through a take, block by block.
 
@@ -374,10 +374,10 @@ def _run(
         stream,
         options,
         context.folder,
-        early=context.early,
-        keeps=context.keeps,
+        early=context.prepended_frames,
+        keeps=context.writes_files,
         progress=context.progress,
-        around=context.around,
+        around=context.build_colliders,
     )
 
 
