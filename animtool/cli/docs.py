@@ -22,7 +22,7 @@ SITE = Path(__file__).parents[2] / "build/site"
 
 
 @dataclass(frozen=True, slots=True)
-class PageReport:
+class DocsPage:
     """A page, with its text if it was asked for by name."""
 
     entry: PageEntry
@@ -34,15 +34,15 @@ class PageReport:
 class DocsReport:
     """The pages, or one of them."""
 
-    pages: list[PageReport]
+    pages: list[DocsPage]
     json_keys: ClassVar[str] = "'docs' pages"
 
 
 def _report(topic: str | None) -> DocsReport:
     if topic is None:
-        return DocsReport([PageReport(page) for page in _entries()])
+        return DocsReport([DocsPage(page) for page in _entries()])
     page = _page_of(topic)
-    return DocsReport([PageReport(page, _text(page))])
+    return DocsReport([DocsPage(page, _text(page))])
 
 
 @command(
