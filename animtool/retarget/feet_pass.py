@@ -7,10 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+)
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.motion.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import (
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
 from animtool.motion.take import Take, TakeStream
 from animtool.retarget.legs import leg_of
 from animtool.retarget.options import RetargetOptions
@@ -39,7 +48,7 @@ def no_body_warning(error: OptionError) -> Fault:
 
 
 def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take with planted feet locked in place; legs and hips adapt."""
+    """Return a take with its feet planted in place; legs and hips adapt."""
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
     try:
@@ -60,13 +69,15 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
         if parent in legs:
             legs.add(j)
     joints, root = np.array(sorted(legs)), np.array([max(skeleton.first("hips"), 0)])
-    old = take.motion
-    locked = replace(
-        old,
-        rotations=old.rotations.put(joints, motion.rotations.gather(joints)),
-        translations=old.translations.put(root, motion.translations.gather(root)),
+    source_motion = take.motion
+    planted_motion = replace(
+        source_motion,
+        rotations=source_motion.rotations.put(joints, motion.rotations.gather(joints)),
+        translations=source_motion.translations.put(
+            root, motion.translations.gather(root)
+        ),
     )
-    return replace(take, motion=locked)
+    return replace(take, motion=planted_motion)
 
 
 FEET = Pass(

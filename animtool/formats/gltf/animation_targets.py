@@ -10,7 +10,9 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import MeshEntry
+from animtool.formats.gltf.meshes import (
+    MeshEntry,
+)
 from animtool.formats.gltf.nodes import VISIBILITY
 
 POINTER = "KHR_animation_pointer"
@@ -41,8 +43,8 @@ class ChannelTarget:
     node: int
     mesh: int
     path: TargetPath
-    part: int
-    width: int  # numbers of a value
+    weight_index: int
+    width: int  # numbers per value
 
 
 def channel_target(
@@ -57,34 +59,36 @@ def channel_target(
     if path is None:
         target.missing("path")
     if path == "pointer":
-        return _pointed(target, nodes, meshes, left_out)
+        return _pointer_target(target, nodes, meshes, left_out)
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
         message = f"unknown path {excerpt(path)}: the channel is ignored"
         target.notes.warn("GLT106", target.at("path"), message)
         return None
     if node < 0:
-        # What it moves is for an extension, or for nobody.
+        # Without a node, the target belongs to an extension, or is ignored.
         return None
-    return _of_node(target, nodes, meshes, node, TargetPath(path))
+    return _node_target(target, nodes, meshes, node, TargetPath(path))
 
 
-def _of_node(
+def _node_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
     node: int,
     path: TargetPath,
-    part: int = -1,
+    weight_index: int = -1,
 ) -> ChannelTarget | None:
     if path is TargetPath.WEIGHTS:
         mesh = nodes[node].mesh
         count = meshes[mesh].targets if mesh >= 0 else 0
-        if part >= count or not count:
+        if weight_index >= count or not count:
             message = f"node {node} has {count} morph targets: the channel is ignored"
             target.notes.warn("GLT106", target.pointer, message)
             return None
-        return ChannelTarget(node, -1, path, part, count if part < 0 else 1)
+        return ChannelTarget(
+            node, -1, path, weight_index, count if weight_index < 0 else 1
+        )
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
@@ -98,7 +102,7 @@ _NODE = re.compile(
 _MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
-def _pointed(
+def _pointer_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
@@ -122,17 +126,21 @@ def _pointed(
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
         if match[3] is None or path is TargetPath.WEIGHTS:
-            part = -1 if match[3] is None else int(match[3][:9])
-            return _of_node(target, nodes, meshes, node, path, part)
+            weight_index = -1 if match[3] is None else int(match[3][:9])
+            return _node_target(target, nodes, meshes, node, path, weight_index)
     elif match := _MESH.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         count = meshes[mesh].targets
-        part = -1 if match[2] is None else int(match[2][:9])
-        if count and part < count:
+        weight_index = -1 if match[2] is None else int(match[2][:9])
+        if count and weight_index < count:
             return ChannelTarget(
-                -1, mesh, TargetPath.WEIGHTS, part, count if part < 0 else 1
+                -1,
+                mesh,
+                TargetPath.WEIGHTS,
+                weight_index,
+                count if weight_index < 0 else 1,
             )
     left_out[excerpt(text)] = None
     return None

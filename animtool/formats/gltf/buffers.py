@@ -35,7 +35,7 @@ class Buffers:
 
     def size(self, index: int) -> int:
         """Return the stated length of a buffer [bytes]."""
-        return self.items[index].size("byteLength", least=1)
+        return self.items[index].size("byteLength", minimum=1)
 
     def has_data(self, index: int) -> bool:
         """Return whether a buffer has bytes, which no other program fills."""
@@ -86,15 +86,15 @@ class Buffers:
         """Return the path of a URI, inside the folder of the glTF."""
         where = buffer.at("uri")
         try:
-            parts = urlsplit(uri)
-            name = unquote_to_bytes(parts.path).decode("utf-8")
+            url = urlsplit(uri)
+            name = unquote_to_bytes(url.path).decode("utf-8")
         except ValueError:
             self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
-        if parts.scheme or parts.netloc:
+        if url.scheme or url.netloc:
             message = f"{excerpt(uri)} is on another machine or uses another scheme"
             hint = "animtool downloads nothing: put the file next to the glTF"
             self.notes.fail("GLT007", where, message, hint)
-        if not name or "\0" in name or "\\" in name or parts.query or parts.fragment:
+        if not name or "\0" in name or "\\" in name or url.query or url.fragment:
             self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
         folder = self.folder.resolve()
         try:
@@ -132,11 +132,11 @@ class Buffers:
 
 def decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
-    head, comma, text = uri.partition(",")
+    media_type, comma, text = uri.partition(",")
     where = item.at("uri")
-    if not comma or not _DATA.fullmatch(head):
+    if not comma or not _DATA.fullmatch(media_type):
         item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
-    if not head.endswith(";base64"):
+    if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)

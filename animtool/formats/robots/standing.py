@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.ik.sub_rig import following
+from animtool.ik.sub_rig import with_mimics
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
@@ -21,7 +21,7 @@ RATE = Fraction(24)
 def zero_coordinates(rig: Rig) -> FloatArray:
     """Return coordinates ``(1, Q)`` at 0, or at the nearest limit.
 
-    Joints that follow others are where those put them.
+    Mimic joints follow their leaders.
     """
     slices = coordinate_slices(rig)
     q = np.zeros((1, slices[-1].stop if slices else 0))
@@ -30,17 +30,17 @@ def zero_coordinates(rig: Rig) -> FloatArray:
             q[0, slice_.stop - 1] = 1.0
         elif isinstance(joint.limits, RangeLimit):
             q[0, slice_] = joint.limits.clamped(q[0, slice_])
-    return following(rig, q, rig.names)
+    return with_mimics(rig, q, rig.names)
 
 
-def standing(rig: Rig, format_name: str) -> TakeStream:
+def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:
     """Return a one-frame take of a robot at zero coordinates."""
     local = local_from_coordinates(rig, zero_coordinates(rig))
     motion = Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )
-    one = Fraction(1)
-    stream = TakeStream(rig, RATE, one, one, iter([motion]))
+    single_frame = Fraction(1)
+    stream = TakeStream(rig, RATE, single_frame, single_frame, iter([motion]))
     stream.notices += rig.notices
     stream.details = {"format": format_name}
     return stream
