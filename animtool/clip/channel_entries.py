@@ -273,14 +273,19 @@ class ChannelReader:
         self, at: Location, model: CurveModel, width: int, even: bool
     ) -> FloatArray | None:
         rows = []
+        shown: set[str] = set()  # hints that hold for the whole channel
         for k, key in enumerate(_each(model)):
             row = key.v if isinstance(key.v, list) else [key.v]
             if width == 3 and len(row) == 1 and even:
                 row = row * 3
             if len(row) != width:
                 location = (*at, "keys", k, "v")
-                message = f"{counted(len(row), 'number')} instead of {width}"
-                self.document.add("CLIP007", location, message)
+                hint = _form_hint(model, len(row), width)
+                if hint not in shown:
+                    message = f"{counted(len(row), 'number')} instead of {width}"
+                    hint = hint or self.document.decimal_commas(location, width)
+                    self.document.add("CLIP007", location, message, hint)
+                    shown |= {hint} if hint else set()
                 continue
             rows.append(row)
         if len(rows) < len(_each(model)):
@@ -332,6 +337,15 @@ class ChannelReader:
             message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
+
+
+def _form_hint(model: CurveModel, count: int, width: int) -> str | None:
+    """Return a hint where a rotation's keys have the form of another kind."""
+    if width == 4 and count == 3:
+        return "add 'euler: XYZ' to the channel, or write quaternions [w, x, y, z]"
+    if model.euler and count == 4:
+        return "remove 'euler' for quaternions, or write three angles"
+    return None
 
 
 def _each(model: CurveModel) -> list[KeyModel]:

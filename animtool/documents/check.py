@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,13 +11,13 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
-from animtool.core.errors import Fault, counted, excerpt
+from animtool.core.errors import Fault, excerpt
 from animtool.core.names import KINDS, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import form_hint
-from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES
+from animtool.documents.forms import example_hint, form_hint
+from animtool.documents.other_words import AXES, OTHER_KEYS
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -26,6 +25,12 @@ from animtool.documents.placeholders import (
     models_of,
     placeholder_of,
     replaced,
+)
+from animtool.documents.value_faults import (
+    expected_structures,
+    type_fault,
+    value_hint,
+    values_message,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.documents.yaml_values import flow_value
@@ -99,16 +104,17 @@ def validated(document: Document, model: type[Model]) -> Model:
             _Faults(document, model, value).mend(error)
 
 
-def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
-    """Return location and message of each fault in a value outside of a model."""
+def wrong_values(value: Any, error: ValidationError) -> Located:
+    """Return the fault of each wrong value outside of a model."""
     merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
     inner = {
         location[:depth] for location, _ in merged for depth in range(len(location))
     }
     return [
-        (location, "; or ".join(dict.fromkeys(map(_words, faults))))
+        (location, Fault("SCN002", values_message(faults), hint=hint))
         for (location, _), faults in merged.items()
         if location not in inner
+        for hint in [value_hint(location[-1], faults) if location else None]
     ]
 
 
@@ -120,8 +126,17 @@ def unknown_options(
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
         if key not in names
-        for hint in [nearest(key, names)]
+        for hint, _ in [_key_meant(key, names)]
     ]
+
+
+def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
+    """Return a hint for an unknown key, and the key that was likely meant."""
+    plain = key.replace("_", "").lower()
+    other = next((one for one in OTHER_KEYS.get(plain, ()) if one in names), None)
+    if other is not None:
+        return f"the key is {other!r}", other
+    return nearest(key, names), similar(key, names)
 
 
 def record_of_options(
@@ -131,11 +146,20 @@ def record_of_options(
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
     known = {key: value for key, value in options.items() if key in names}
+    keys = {name: name for name in known}
+    for (key, *_), _fault in faults:
+        # A misspelt key is not missing too.
+        meant = _key_meant(str(key), names)[1]
+        if meant is not None and meant not in known:
+            known[meant], keys[meant] = options[str(key)], str(key)
     try:
         return TypeAdapter(kind).validate_python(known), faults
     except ValidationError as error:
         wrong = wrong_values(known, error)
-    return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
+    return None, faults + [
+        ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
+        for at, fault in wrong
+    ]
 
 
 def renamed_options(
@@ -185,6 +209,7 @@ class _Faults:
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
+        known = frozenset(self.document.doubts)
         # In this order: a misspelt key is not missing too.
         for location, _ in by_kind.pop("extra_forbidden", ()):
             self._unknown_key(location)
@@ -192,7 +217,7 @@ class _Faults:
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
             # Of a union, the member whose faults lie deepest was meant.
-            if key[0] not in inner:
+            if key[0] not in inner | (self.document.doubts - known):
                 self._wrong_value(key[0], merged[key])
         if len(errors) > MAX_MENDED:
             self.document.check()
@@ -213,17 +238,26 @@ class _Faults:
             return
         if self._of_another_kind(location):
             return
+        if str(key).startswith("-"):
+            self._tight_dash(location, node)
+            return
         message = f"unknown key {excerpt(str(key))}"
-        plain = str(key).replace("_", "").lower()
-        meant = next((k for k in OTHER_KEYS.get(plain, ()) if k in names), None)
-        hint = f"the key is {meant!r}" if meant else nearest(str(key), names)
+        hint, meant = _key_meant(str(key), names)
         self.document.add("DOC020", location, message, hint, at_key=True)
-        meant = meant or similar(str(key), names)
         if meant and meant not in node:
             # Its names may be referenced, but whether it was meant is unknown.
             node[meant] = left
             self.document.spellings[*around, meant] = str(key)
             self.document.guesses.add((*around, meant))
+
+    def _tight_dash(self, location: Location, around: dict[str, Any]) -> None:
+        """Record an entry of a list that was read as a key."""
+        *outer, key = location
+        hint = f"write '- {str(key)[1:].strip()}: …'"
+        self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
+        for other, value in list(around.items()):
+            if value is None:  # the list's key
+                self._put_placeholder((*outer, other))
 
     def _missing_key(self, around: Location, key: str) -> None:
         location = (*around, key)
@@ -234,8 +268,6 @@ class _Faults:
         self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
-        sizes = [fault for fault in faults if fault["type"] in _SIZES]
-        texts = dict.fromkeys(_words(fault) for fault in sizes or faults)
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
             written = similar(tag, map(str, faults[0]["input"]))
@@ -245,26 +277,31 @@ class _Faults:
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
-        if not self._of_another_kind(location):
-            hint = (
-                _entry_hint(location, faults[0])
-                or _choice_hint(faults)
-                or self._form_hint(location, faults)
-            )
-            self.document.add("DOC022", location, _either(texts), hint)
+        value = faults[0]["input"]
+        if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
+            self._tight_dash((*location, next(iter(value))), {})
+        elif not self._of_another_kind(location):
+            hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
+            hint = hint or self._form_hint(location, faults)
+            self.document.add("DOC022", location, values_message(faults), hint)
         self._put_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return a hint with the right form where a mapping or list is expected."""
-        expected = {_KINDS.get(fault["type"]) for fault in faults}
-        if not expected & _STRUCTURES:
-            return None
-        axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None and expected == {_KINDS["list_type"]}:
+        """Return a hint with the right form of a key's value."""
+        value, structures = faults[0]["input"], expected_structures(faults)
+        commas = self.document.decimal_commas(location)
+        if structures and commas is not None:
+            return commas
+        axis = AXES.get(str(value).upper())
+        if axis is not None and structures == {"a list"}:
             numbers = flow_value([round(number) for number in axis])
-            return f"write three numbers: {faults[0]['input']} is {numbers}"
-        listed = expected & _STRUCTURES == {_KINDS["list_type"]}
-        return form_hint(self.model, self.value, location, listed=listed)
+            return f"write three numbers: {value} is {numbers}"
+        if structures:
+            listed = structures == {"a list"}
+            return form_hint(self.model, self.value, location, listed=listed)
+        if type_fault(faults):
+            return example_hint(self.model, self.value, location)
+        return None
 
     def _of_another_kind(self, location: Location) -> bool:
         """Return whether only some kinds have a key while the kind is unknown."""
@@ -312,135 +349,11 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(steps)
 
 
-def _missing_message(last: int | str, value: Any) -> str:
-    """Return a message for a missing key or list item."""
-    if isinstance(last, str):
-        return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
-
-
-def _either(texts: Iterable[str]) -> str:
-    """Join the messages of a union's members into one."""
-    first, *others = texts
-    start, negation, _ = first.partition(" is not ")
-    if (
-        others
-        and negation
-        and all(text.startswith(start + negation) for text in others)
-    ):
-        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
-        return f"{start} is neither {' nor '.join(kinds)}"
-    return "; or ".join((first, *others))
-
-
-# Faults of values outside an enumeration.
-_CHOICES = {"literal_error", "enum", "union_tag_invalid"}
-
-
-def _words(fault: Any) -> str:
-    """Return the message of a fault, with the value."""
-    value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(value) if isinstance(value, str) else _shown(value)
-    if kind in {"too_short", "too_long", "string_too_long"}:
-        length = context.get("min_length", context.get("max_length"))
-        noun = "letter" if isinstance(value, str) else "item"
-        return f"{counted(len(value), noun)} where {_are(length)} needed"
-    if kind == "missing":
-        return _missing_message(fault["loc"][-1], value)
-    if kind == "union_tag_not_found":
-        return f"key {context['discriminator']} is missing"
-    if kind in _CHOICES:
-        allowed = context.get("expected", context.get("expected_tags"))
-        tag = excerpt(str(context["tag"])) if "tag" in context else shown
-        return f"{tag} is not one of {allowed}"
-    if kind in _KINDS:
-        return f"{shown} is not {_KINDS[kind]}"
-    return _value_fault(shown, fault)
-
-
-def _value_fault(shown: str, fault: Any) -> str:
-    """Return the message for a value of the right type but out of range."""
-    context, kind = fault.get("ctx", {}), fault["type"]
-    if kind == "extra_forbidden":
-        return f"unknown key {excerpt(str(fault['loc'][-1]))}"
-    bound = context.get(_BOUNDS.get(kind))
-    if bound is not None and abs(bound) >= LARGE:
-        return f"{shown} is beyond {bound:g}"
-    if bound is not None and 0 < bound <= SMALL:
-        above = fault["input"] > 0
-        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
-    if kind == "value_error":
-        return str(context["error"])
-    return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _choice_hint(faults: list[Any]) -> str | None:
-    """Return a hint with the nearest allowed value."""
-    for fault in faults:
-        context = fault.get("ctx", {})
-        value = context.get("tag", fault["input"])
-        allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICES and isinstance(value, str):
-            names = re.findall(r"'([^']*)'", str(allowed))
-            other = OTHER_VALUES.get(value.lower())
-            if other in names:
-                return f"{value!r} is called {other!r} here"
-            meant = similar(value, names)
-            if meant is not None:
-                return f"did you mean {meant!r}?"
-    return None
-
-
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return a hint on how to write an entry that is only a name, such as a pass."""
-    value, expected = fault["input"], _KINDS.get(fault["type"])
-    if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
+    value = fault["input"]
+    if fault["type"] != "dict_type" or not isinstance(location[-1], int):
         return None
     if not isinstance(value, str) or not value.isidentifier():
         return None
     return f"write '{value}: {{}}'"
-
-
-def _are(count: int) -> str:
-    return f"{count} is" if count == 1 else f"{count} are"
-
-
-# Larger bounds are general limits, not the key's.
-LARGE = 1e9
-# A bound at most this small is how "above 0" is checked.
-SMALL = 1e-30
-_BOUNDS = {"less_than_equal": "le", "greater_than_equal": "ge"}
-_KINDS = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-    "string_type": "text",
-    "string_pattern_mismatch": "a name on one line, without tabs",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "path_type": "the name of a file",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "a mapping of keys",
-    "model_type": "a mapping of keys",
-    "model_attributes_type": "a mapping of keys",
-}
-
-
-# Faults of lists that are of the right type: what else a union takes was not meant.
-_SIZES = {"too_short", "too_long"}
-# Types of containers.
-_STRUCTURES = {"a list", "a mapping of keys"}
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict | list | tuple):
-        return excerpt(flow_value(value))[1:-1]
-    return excerpt(str(value)).strip("'")

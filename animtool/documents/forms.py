@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any, get_args, get_origin
 
@@ -18,10 +18,12 @@ from animtool.documents.placeholders import (
     models_of,
 )
 from animtool.documents.yaml_text import flow_text
+from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
 MAX_FORM = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _TWO = 2
 
 
@@ -73,17 +75,35 @@ def form_hint(
     return f"{word} {text}" if len(text) <= MAX_FORM else None
 
 
+def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
+    """Return a hint with the example of a key whose value is a scalar."""
+    match = field_at(model, value, location)
+    if match is None or match[0] != len(location):
+        return None
+    example = (match[1].examples or [None])[0]
+    around: Any = value
+    for step in location[:-1]:
+        around = around[step]
+    entry = around.get(location[-1]) if isinstance(around, dict) else None
+    unit = _UNIT.fullmatch(example) if isinstance(example, str) else None
+    if unit is not None and type(entry) in (int, float):
+        return f"add a unit, such as {entry}{unit[1]}"
+    if example is None or isinstance(example, bool | list | tuple | dict):
+        return None
+    text = flow_text(str(location[-1]), example)
+    return f"for example {text}" if len(text) <= MAX_FORM else None
+
+
 # Names of the ends of a range in other tools, the lower one first.
 _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
 
 
 def _meant(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
-    if not isinstance(example, list | tuple):
+    if not isinstance(example, list | tuple) or not example:
         return None
-    ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
-    if ends is not None and len(example) == _TWO:
-        return [float(one) if "." in one else int(one) for one in ends.groups()]
+    if isinstance(value, str):
+        return _listed(value.strip(), example)
     if isinstance(value, dict) and len(example) == _TWO:
         named = [value.get(key) for key in _ENDS if key in value]
         return named if len(named) == len(value) == _TWO else None
@@ -93,9 +113,28 @@ def _meant(value: Any, example: Any) -> list[Any] | None:
         if len(example) > _TWO and len(along) == 1:
             side = -1 if example[along[0]] < 0 < value else 1
             return [side * value if i in along else 0 for i in range(len(example))]
-    if isinstance(value, list) and example and isinstance(example[0], list):
-        return [value] if len(value) == len(example[0]) else None
+    if isinstance(value, list):
+        return _nested(value, example)
     return None
+
+
+def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
+    """Return a list as an entry of the list that is meant, or without a step."""
+    if isinstance(example[0], list):
+        return [value] if len(value) == len(example[0]) else None
+    is_range = len(value) == _TWO + 1 and len(example) == _TWO
+    return value[:_TWO] if is_range and value[0] < value[1] else None
+
+
+def _listed(text: str, example: Sequence[Any]) -> list[Any] | None:
+    """Return a text of numbers, or of one name, as the list that is meant."""
+    if all(isinstance(one, str) for one in example):
+        return [text]
+    ends = _PAIR.fullmatch(text)
+    parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
+    numbers = [plain_scalar(part) for part in parts if part]
+    are_numbers = all(isinstance(one, int | float) for one in numbers)
+    return numbers if are_numbers and len(numbers) == len(example) else None
 
 
 def _holds(example: Any, value: Any) -> bool:

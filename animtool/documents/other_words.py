@@ -76,5 +76,11 @@ OTHER_KEYS = {
     "interpolation": ("interp",),
     "target": ("effector",),
     "from": ("source",),
-    "pos": ("position",),
+    "pos": ("position", "translate"),
+    "rot": ("orientation", "rotate"),
+    "trans": ("translate",),
+    "orient": ("orientation", "rotate"),
+    "begin": ("range", "first"),
+    "stop": ("range", "last"),
+    "out": ("output",),
 }

@@ -20,7 +20,8 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_faults import YamlFault, yaml_fault
+from animtool.documents.yaml_faults import yaml_fault
+from animtool.documents.yaml_slips import YamlFault
 
 # Hand-written files nest five or six deep.
 DEEPEST = 50
@@ -47,6 +48,8 @@ _NUMBER = re.compile(
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
 )
 _BASES = {"octal": 8, "hexadecimal": 16}
+# A key that lacks a space: `{t:25}`.
+_TIGHT_KEY = re.compile(r"([A-Za-z_][\w.]*):([^\s/\\].*)")
 _NUMERIC = frozenset("+-.0123456789")
 _NAMED = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -123,6 +126,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
             fault = YamlFault(message, None, 1, 1)
             hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
+            fault = fault._replace(message="'${' without the name of a variable")
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:
@@ -305,6 +309,10 @@ class _Open:
 
     value: Any  # content so far
     key: str | None = None  # of a mapping, the key whose value is next
+    plain: str = ""  # that key as it is written without quotes
+    spot_of_key: tuple[int, int] = (1, 1)  # its position
+    # The value before it, as read and as written without quotes, and its position.
+    last: tuple[Any, str, tuple[int, int]] = (None, "", (0, 0))
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it is in flow style
     timed: bool = False  # whether it is what the key of a list of times holds
@@ -328,13 +336,22 @@ class _Open:
             self.value.append(value)
             return
         if self.key is not None:
+            if value is None and not plain and self.flow:
+                self._tight_key(reader)
             self.value[self.key] = value
             self.key = None
+            self.last = value, plain, position
             if self.flow and (self.pieces or "(" in plain):
                 self._piece(value, position, reader, plain)
             return
         if self.timed and type(value) in (int, float):
             self.times.append((value, position))
+            value = f"\0{position}"
+        elif self._is_decimal(plain, position):
+            whole, spot = self.last[1:]
+            message = f"'{whole},{plain}' has a decimal comma"
+            hint = f"write {whole}.{plain}, with a decimal point"
+            reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
@@ -352,10 +369,27 @@ class _Open:
             hint = f"the first is on line {self.keys[value]}"
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
-        self.key = value
+        self.key, self.plain, self.spot_of_key = value, plain, position
         if self.pieces:
             self.pieces.append(plain)
             self.brackets += _open_brackets(plain)
+
+    def _tight_key(self, reader: _YamlReader) -> None:
+        """Report a key that contains its value, for want of a space."""
+        match = _TIGHT_KEY.fullmatch(self.plain)
+        if match is not None:
+            message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
+            reader.fault("DOC001", message, self.spot_of_key, f"{hint}{match[2]}'")
+
+    def _is_decimal(self, plain: str, position: tuple[int, int]) -> bool:
+        """Return whether a key is the decimals of the number before it."""
+        value, before, (line, column) = self.last
+        return (
+            self.flow
+            and plain.isdigit()
+            and type(value) is int
+            and position == (line, column + len(before) + 1)
+        )
 
     def close(self, reader: _YamlReader) -> None:
         """Report once that times are mapping keys; show the right form."""

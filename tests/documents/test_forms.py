@@ -26,6 +26,8 @@ class Shown(BaseModel):
         ("range", "3-9", "write range: [3, 9]"),
         ("range", "-4 - 12", "write range: [-4, 12]"),
         ("range", "3", "for example range: [1, 48]"),
+        ("range", [1, 25, 2], "write range: [1, 25]"),
+        ("gravity", "0 -9.81 0", "write gravity: [0, -9.81, 0]"),
         ("spans", [1, 40], "write spans: [[1, 40]]"),
     ],
 )
