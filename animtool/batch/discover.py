@@ -313,7 +313,7 @@ def _check_variables(
         # Each holds its faults until the items are built.
         used |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used - taken)
+    check_unused(variables, used - taken, spec.path)
 
 
 @dataclass(slots=True)
@@ -524,8 +524,20 @@ def _nothing(spec: BatchSpec) -> NoMatchError:
         return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = _suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
-    hint = f"folders are searched for {', '.join(suffixes)}"
+    hint = _other_case(spec, suffixes)
+    hint = hint or f"folders are searched for {', '.join(suffixes)}"
     return NoMatchError(Fault("BAT005", message, path, (), hint))
+
+
+def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
+    """Return a hint for a pattern whose suffix files have in the other case."""
+    for text in spec.inputs:
+        stem, dot, suffix = text.rpartition(".")
+        for other in (suffix.lower(), suffix.upper()):
+            meant = f"{stem}{dot}{other}"
+            if dot and other != suffix and _meant(spec.folder, meant, suffixes):
+                return f"did you mean {meant!r}?"
+    return None
 
 
 def _suffixes(spec: BatchSpec) -> Sequence[str]:

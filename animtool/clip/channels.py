@@ -22,7 +22,7 @@ from animtool.maths.curves import (
 )
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
-from animtool.rig.joints import KEYED_PARTS, nearest_part, split_part
+from animtool.rig.joints import KEYED_PARTS, part_hint, split_part
 from animtool.rig.skeleton import Rig
 
 
@@ -105,34 +105,13 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
     """Return the fault of a joint target without a known part."""
-    hint = f"write a joint's name and one of .{', .'.join(KEYED_PARTS)}"
-    hint = nearest_part(name, KEYED_PARTS) or hint
     joint, _, part = name.rpartition(".")
     if not joint or rig is None or joint not in rig.names or name in rig.names:
+        kind = rig.joints[rig.index(name)].type if rig and name in rig.names else None
+        hint = part_hint(name, KEYED_PARTS, kind)
         return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
-    kind = rig.joints[rig.index(joint)].type
-    fitting = [each for each, types in KEYED_PARTS.items() if kind in types]
-    meant = _OTHER_PARTS.get(part.lower())
-    if meant in fitting:
-        hint = f"the part is .{meant}"
-    else:
-        hint = nearest_part(name, fitting) or ""
-        hint = hint or f"a {kind} joint has .{', .'.join(fitting)}"
+    hint = part_hint(name, KEYED_PARTS, rig.joints[rig.index(joint)].type)
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
-
-
-# Parts of a joint in other tools.
-_OTHER_PARTS = {
-    "position": "translation",
-    "translate": "translation",
-    "location": "translation",
-    "pos": "translation",
-    "rotate": "rotation",
-    "rotation_euler": "rotation",
-    "orientation": "rotation",
-    "rot": "rotation",
-    "quaternion": "rotation",
-}
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:

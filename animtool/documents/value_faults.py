@@ -91,14 +91,14 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     value = faults[0]["input"]
     kinds = {_KINDS.get(fault["type"]) for fault in faults}
     if kinds & {"a number", "a whole number"}:
-        return _number_hint(key, value)
+        return number_hint(key, value)
     if "true or false" in kinds:
         switch = _SWITCHES.get(str(value).lower())
         return switch and f"write {switch}"
     return _choice_hint(faults)
 
 
-def _number_hint(key: str | int, value: Any) -> str | None:
+def number_hint(key: str | int, value: Any) -> str | None:
     """Return a hint with the number that a text or list means."""
     if isinstance(value, list) and len(value) == 1:
         return f"write {flow_value(value[0])}"

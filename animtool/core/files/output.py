@@ -200,7 +200,7 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
         other = taken.get(name_key(output.final))
         if other is not None and same_file(output.final, other):
             message = "is an input of this command"
-            hint = "choose another -o"
+            hint = f"choose another {argument('output')}"
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 

@@ -14,6 +14,7 @@ from animtool.core.errors import (
     FormatError,
     OptionError,
     Severity,
+    counted,
     excerpt,
     naming,
 )
@@ -170,9 +171,13 @@ def _matched(
             at.append(c)
             columns.append(one)
     if not columns:
-        message = f"{rig.name!r} has no coordinate of this file, such as {lost[0]!r}"
+        option = argument("source.rig")
+        message = f"{option}: rig {rig.name!r} has none of the "
+        message += f"{counted(len(lost), 'coordinate')}, such as {lost[0]!r}"
         near = similar(lost[0], known)
-        hint = f"did you mean {near}?" if near else "columns have the names of joints"
+        hint = f"read it with the rig that it was made for, or without {option}; "
+        hint += "animtool retarget transfers the take to another"
+        hint = f"did you mean {near}?" if near else hint
         raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
     check_once(table.path, tuple(columns), tuple(table.names[c] for c in at), None)
     return at, columns, lost
