@@ -12,6 +12,7 @@ import click
 
 from animtool.cli.groups import LazyGroup
 from animtool.core.errors import Fault
+from animtool.documents.other_words import OTHER_VALUES
 
 # Options of other commands and tools, and ours.
 OTHER_OPTIONS = {
@@ -45,7 +46,7 @@ OTHER_OPTIONS = {
     "--code": ("--select",),
 }
 # Less similar names are other options.
-CUTOFF = 0.75
+CUTOFF, SURE = 0.75, 0.9
 # Names of a command's first argument in other tools.
 _INPUTS = {"input", "in", "source", "src", "file", "i", "path"}
 # Kinds of files by their names, and the option that takes one.
@@ -77,10 +78,12 @@ def explained(error: click.ClickException) -> click.ClickException:
         first = extra[1].split()[0]
         hint = _argument_hint(first, context)
         if hint is None:
-            return error
+            hint = f"{context.command_path} -h shows what it takes"
         text = f"Unexpected argument {first!r}; {hint}"
     elif choice := _CHOICE.search(error.format_message()):
-        near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), 1)
+        names = re.findall(r"'([^']*)'", choice[2])
+        other = OTHER_VALUES.get(choice[1].lower())
+        near = [other] if other in names else get_close_matches(choice[1], names, 1)
         if not near:
             return error
         text = f"{error.format_message().rstrip('.')}; did you mean {near[0]!r}?"
@@ -90,7 +93,11 @@ def explained(error: click.ClickException) -> click.ClickException:
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
-    """Return the fault of a file that cannot be read with the option that names it."""
+    """Return a fault with the option that it is about: of a field, or of a file."""
+    if fault.where and not fault.lines:
+        for option in _options(context.command):
+            if option.name == fault.where or f"--{fault.where}" in option.opts:
+                return replace(fault, where=option.opts[-1])
     if not fault.code.startswith("IO") or fault.where or fault.path is None:
         return fault
     for option in _options(context.command):
@@ -114,12 +121,12 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     argument = _argument_named(bare, command)
     if argument is not None:
         yield f"{argument} is an argument: {path} {argument}"
-    near = get_close_matches(name, flags, 1, CUTOFF)
+    owner = next(_owners(name, context), None)
+    near = get_close_matches(name, flags, 1, SURE if owner else CUTOFF)
     if near:
         yield f"did you mean {near[0]!r}?"
     if bare in {"o", "output"}:
         yield "the result goes to stdout; add > FILE"
-    owner = next(_owners(name, context), None)
     if owner is not None:
         yield f"{owner} has it, {path} does not"
     if "--set" in flags and name.startswith("--"):

@@ -79,8 +79,25 @@ local_rotation, scale
         return group
     if group != "joint" or not name:
         hint = "write control/NAME, shape/NAME or joint/NAME.PART"
+        hint = _full_target(target, rig) or hint
         return Fault("CLIP001", f"{target!r} is not a target", hint=hint)
     return _joint_kind(name, rig)
+
+
+def _full_target(text: str, rig: Rig | None) -> str | None:
+    """Return a hint with the target that the bare name of a part of a rig means."""
+    if rig is None:
+        return None
+    for kind, names in (("control", rig.control_names), ("shape", rig.shape_names)):
+        if text in names:
+            return f"write {kind}/{text}"
+    joint = text if text in rig.names else text.rpartition(".")[0]
+    if joint not in rig.names:
+        return None
+    joint_type = rig.joints[rig.index(joint)].type
+    parts = [part for part, types in KEYED_PARTS.items() if joint_type in types]
+    written = text[len(joint) + 1 :]
+    return f"write joint/{joint}.{written if written in parts else parts[0]}"
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
@@ -105,6 +122,10 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
     """Return the fault of a joint target without a known part."""
+    joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
+    if part and rig is not None and joint in rig.names:
+        hint = f"write joint/{joint}.{part}"
+        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
     joint, _, part = name.rpartition(".")
     if not joint or rig is None or joint not in rig.names or name in rig.names:
         kind = rig.joints[rig.index(name)].type if rig and name in rig.names else None

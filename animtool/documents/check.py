@@ -11,7 +11,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
-from animtool.core.errors import Fault, excerpt
+from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.names import KINDS, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
@@ -28,6 +28,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.value_faults import (
     expected_structures,
+    is_angles,
     type_fault,
     value_hint,
     values_message,
@@ -42,6 +43,8 @@ else:
 
 # Faulty values to replace before checking stops.
 MAX_MENDED = 200
+# Unknown keys of an entry of which one is named, and not each.
+MIN_UNKNOWN = 2
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
@@ -211,13 +214,18 @@ class _Faults:
             by_kind.setdefault(faults[0]["type"], []).append(key)
         known = frozenset(self.document.doubts)
         # In this order: a misspelt key is not missing too.
-        for location, _ in by_kind.pop("extra_forbidden", ()):
-            self._unknown_key(location)
+        unknown = [location for location, _ in by_kind.pop("extra_forbidden", ())]
+        entries = {at[:-1] for at in unknown if at[:-1] and isinstance(at[-2], int)}
+        strange = {at for at in sorted(entries, key=str) if self._no_known_key(at)}
+        for location in unknown:
+            if location[:-1] not in strange:
+                self._unknown_key(location)
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
             # Of a union, the member whose faults lie deepest was meant.
-            if key[0] not in inner | (self.document.doubts - known):
+            new = self.document.doubts - known
+            if key[0] not in inner | new and key[0][:-1] not in new:
                 self._wrong_value(key[0], merged[key])
         if len(errors) > MAX_MENDED:
             self.document.check()
@@ -243,12 +251,43 @@ class _Faults:
             return
         message = f"unknown key {excerpt(str(key))}"
         hint, meant = _key_meant(str(key), names)
+        if hint.startswith("allowed"):
+            hint = self._key_of_sibling(around, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
         if meant and meant not in node:
             # Its names may be referenced, but whether it was meant is unknown.
             node[meant] = left
             self.document.spellings[*around, meant] = str(key)
             self.document.guesses.add((*around, meant))
+
+    def _key_of_sibling(
+        self, around: Location, node: dict[str, Any], key: str
+    ) -> str | None:
+        """Return a hint at the mapping beside an unknown key that has it."""
+        for sibling, value in node.items():
+            within = value[0] if isinstance(value, list) and value else value
+            inner = (0,) if within is not value else ()
+            if isinstance(within, dict):
+                location = (*around, sibling, *inner)
+                if key in fields_at(self.model, self.value, location):
+                    return f"it is a key of {sibling!r}: write it there"
+        return None
+
+    def _no_known_key(self, around: Location) -> bool:
+        """Record once that a list's entry has no key that is allowed."""
+        node = self.value
+        for step in around:
+            node = node[step]
+        names = fields_at(self.model, self.value, around)
+        unknown = [key for key in node if key not in names]
+        if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
+            return False
+        if any(_key_meant(str(key), names)[1] for key in unknown):
+            return False
+        message = f"no known key in {_cut_names(unknown)}"
+        self.document.add("DOC020", around, message, f"allowed: {', '.join(names)}")
+        self._put_placeholder(around)
+        return True
 
     def _tight_dash(self, location: Location, around: dict[str, Any]) -> None:
         """Record an entry of a list that was read as a key."""
@@ -267,6 +306,18 @@ class _Faults:
             self.document.add("DOC021", around, f"key {key!r} is missing")
         self._put_placeholder(location)
 
+    def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
+        """Record once that a list has another form than its entries show."""
+        *outer, last = location
+        if not isinstance(last, int) or not outer or not expected_structures(faults):
+            return False
+        hint = form_hint(self.model, self.value, tuple(outer), listed=True)
+        if hint is None or not hint.startswith("write "):
+            return False
+        self.document.add("DOC022", tuple(outer), values_message(faults), hint)
+        self._put_placeholder(tuple(outer))
+        return True
+
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
@@ -278,6 +329,8 @@ class _Faults:
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         value = faults[0]["input"]
+        if self._wrong_entry(location, faults):
+            return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
             self._tight_dash((*location, next(iter(value))), {})
         elif not self._of_another_kind(location):
@@ -292,6 +345,8 @@ class _Faults:
         commas = self.document.decimal_commas(location)
         if structures and commas is not None:
             return commas
+        if is_angles(faults):
+            return "write a quaternion [w, x, y, z]"
         axis = AXES.get(str(value).upper())
         if axis is not None and structures == {"a list"}:
             numbers = flow_value([round(number) for number in axis])
@@ -324,6 +379,10 @@ class _Faults:
         annotation = annotation_at(self.model, self.value, location)
         self.document.doubts.add(location)
         replaced(self.value, location, placeholder_of(annotation))
+
+
+def _cut_names(names: Sequence[Any]) -> str:
+    return listed([excerpt(str(name)) for name in names])
 
 
 def _by_location(

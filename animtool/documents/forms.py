@@ -55,7 +55,7 @@ def form_hint(
     examples = info.examples or [None]
     example, rest = examples[0], location[depth:]
     if listed and isinstance(entry, dict) and not rest and not _meant(entry, example):
-        example = [entry]
+        example = _entries_of(entry, example)
     forms = _forms(annotation_of(info))
     name = rest[0] if rest else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
@@ -69,10 +69,21 @@ def form_hint(
     key = str(location[depth - 1])
     meant = None if rest else _meant(entry, example)
     if meant is not None:
-        return f"write {flow_text(key, meant)}"
+        return f"write {_short(key, meant)}"
     text = flow_text(key, example)
+    if listed and isinstance(entry, dict) and not rest and isinstance(example, list):
+        return f"write {_short(key, example)}"
     word = "write" if _holds(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_FORM else None
+
+
+def _short(key: str, entries: Sequence[Any]) -> str:
+    """Return a key with its list on one line, cut after the first entries."""
+    for count in range(len(entries), 0, -1):
+        text = flow_text(key, list(entries[:count]))
+        if len(text) <= MAX_FORM or count == 1:
+            return text if count == len(entries) else f"{text[:-1]}, …]"
+    return flow_text(key, list(entries))
 
 
 def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
@@ -118,10 +129,32 @@ def _meant(value: Any, example: Any) -> list[Any] | None:
     return None
 
 
+def _entries_of(entry: dict[str, Any], example: Any) -> list[Any]:
+    """Return a mapping as the list that is meant: an entry a key, or one entry."""
+    first = example[0] if isinstance(example, list) and example else None
+    if not isinstance(first, dict) or len(entry.keys() & first.keys()) > 0:
+        return [entry]
+    if len(first) == 1:  # such as a pass
+        return [{key: value} for key, value in entry.items()]
+    inner = [value for value in entry.values() if isinstance(value, dict)]
+    if "name" in first and len(inner) == len(entry):
+        return [{"name": key, **value} for key, value in entry.items()]
+    ends = list(first)
+    if len(ends) == _TWO and all(isinstance(value, str) for value in entry.values()):
+        return [dict(zip(ends, pair, strict=True)) for pair in entry.items()]
+    return [entry]
+
+
 def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
     """Return a list as an entry of the list that is meant, or without a step."""
     if isinstance(example[0], list):
         return [value] if len(value) == len(example[0]) else None
+    keys = list(example[0]) if isinstance(example[0], dict) else []
+    rows = [row for row in value if isinstance(row, list) and len(row) == len(keys)]
+    if keys and rows and len(rows) == len(value):
+        return [dict(zip(keys, row, strict=True)) for row in value]
+    if len(keys) == 1 and all(isinstance(row, dict) for row in value):
+        return [{key: row[key]} for row in value for key in row]
     is_range = len(value) == _TWO + 1 and len(example) == _TWO
     return value[:_TWO] if is_range and value[0] < value[1] else None
 

@@ -65,13 +65,20 @@ def fitting(faults: Sequence[Any]) -> list[Any]:
     return list(faults)
 
 
-def expected_structures(faults: Iterable[Any]) -> set[str]:
+def expected_structures(faults: Sequence[Any]) -> set[str]:
     """Return which of a list and a mapping the faults ask for."""
     meant = fitting(faults)
     kinds = {_KINDS.get(fault["type"], "") for fault in meant}
     if any(fault["type"] in _SIZES for fault in meant):
         kinds.add("a list")
     return kinds & _STRUCTURES
+
+
+def is_angles(faults: Sequence[Any]) -> bool:
+    """Return whether a value has three numbers where a quaternion is needed."""
+    value = faults[0]["input"]
+    least = {fault.get("ctx", {}).get("min_length") for fault in fitting(faults)}
+    return isinstance(value, list) and len(value) == 3 and least == {4}
 
 
 def type_fault(faults: Iterable[Any]) -> bool:
@@ -110,10 +117,16 @@ def number_hint(key: str | int, value: Any) -> str | None:
     if re.fullmatch(r"[-+]?\d*,\d+", text):
         return f"write {text.replace(',', '.')}, with a decimal point"
     match = _UNITED.fullmatch(text)
-    seconds = _SECONDS.get(match[2].lower()) if match and key == "seconds" else None
-    if match and seconds is not None:
-        return f"write {float(match[1]) * seconds:g}, in seconds"
-    return match and f"write {match[1]}, without a unit"
+    return match and _unit_hint(key, float(match[1]), match[2].lower())
+
+
+def _unit_hint(key: str | int, number: float, unit: str) -> str:
+    """Return a hint for a number with a unit."""
+    if key == "t":
+        return "times of keys are frames, without a unit"
+    if key == "seconds" and unit in _SECONDS:
+        return f"write {number * _SECONDS[unit]:g}, in seconds"
+    return f"write {number:g}, without a unit"
 
 
 def _missing_message(last: int | str, value: Any) -> str:
@@ -191,7 +204,10 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
-            other = OTHER_VALUES.get(value.lower())
+            folded = next((n for n in names if n.lower() == value.lower()), None)
+            if folded is not None:
+                return f"write {folded}"
+            other = OTHER_VALUES.get(value.lower().replace("_", ""))
             if other in names:
                 return f"{value!r} is called {other!r} here"
             meant = similar(value, names)

@@ -93,6 +93,9 @@ def version_of(
             (DOC012).
     """
     named = [name for name in KINDS if name in document.value]
+    stated_kind = kind_named(document.path, "")
+    if kind is None and stated_kind in table and stated_kind not in named:
+        kind = stated_kind
     named_kind = kind or next((name for name in named if name in table), "")
     if named_kind not in named or _of_another_kind(document, named_kind, named[0]):
         other = other_format("DOC009", document.path, DOCUMENT)
@@ -101,7 +104,7 @@ def version_of(
         message = "the first line is missing"
         first = kind_named(document.path, kind or "rig")
         hint = f"write `{first}: animtool/1` above line 1"
-        if named:
+        if named and not (kind == kind_named(document.path, "") and named == ["rig"]):
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {named[0]} file"
             hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
@@ -119,7 +122,8 @@ def version_of(
         document.add("DOC012", (named_kind,), message, hint)
     else:
         message = f"{named_kind} is {excerpt(str(stated))}"
-        document.add("DOC009", (named_kind,), message, f"allowed: animtool/{last}")
+        hint = f"write {named_kind}: animtool/{last}"
+        document.add("DOC009", (named_kind,), message, hint)
     document.check()
     raise AssertionError(stated)
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, NoReturn, cast
 import yaml
 
 from animtool.core.errors import Fault, FormatError, excerpt
-from animtool.core.names import VARIABLE_NAME, unreadable
+from animtool.core.names import KINDS, VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
@@ -367,6 +367,8 @@ class _Open:
         elif value in self.keys:
             message = f"duplicate key {excerpt(value)}"
             hint = f"the first is on line {self.keys[value]}"
+            if self.keys[value] == 1 and value in KINDS:
+                hint += ", and states what the file is"
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
         self.key, self.plain, self.spot_of_key = value, plain, position

@@ -447,7 +447,9 @@ class PartReader:
         has_unnamed = self.document.has_unnamed(_LISTS[kind])
         if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
-            self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
+            self.document.add(
+                code, at, f"unknown {kind} {name!r}", nearest(name, names)
+            )
         return False
 
     def _below(self, root: str, tip: str) -> bool:

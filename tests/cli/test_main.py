@@ -68,7 +68,7 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["schema", "rigs"], "did you mean 'rig'?"),
         (["docs", "--topic", "ik"], "animtool docs TOPIC"),
         (["ik", "a.rig.yaml", "b.targets.yaml"], "--targets b.targets.yaml"),
-        (["retarget", "a.bvh", "b.usdc"], "-o b.usdc"),
+        (["retarget", "a.bvh", "b.usdc", "--to", "c.bvh"], "-o b.usdc"),
         (["bake", "a.bvh", "--range", "1,10,2"], "1-10x2"),
     ],
 )

@@ -170,8 +170,10 @@ def _check_folder(folder: Path, path: Path) -> None:
     except OSError as error:
         raise output_error(path, error) from error
     if missing:
-        message = f"cannot be written: {str(folder)!r} {missing}"
+        message = f"cannot be written: its folder {str(folder)!r} {missing}"
         hint = "make the folder first"
+        if missing == "is not a folder":
+            hint = f"choose another {argument('output')}"
         raise OutputError(Fault("OUT002", message, str(path), (), hint))
     if not os.access(folder, os.W_OK | os.X_OK):
         message = f"cannot be written: no permission in {str(folder)!r}"

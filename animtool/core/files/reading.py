@@ -214,10 +214,9 @@ def unexpanded_hint(text: str) -> str | None:
 def _folder_hint(path: Path) -> str | None:
     """Return a hint at the first file in a folder; None for other paths."""
     try:
-        files = sorted(
-            one for one in islice(path.iterdir(), MAX_NAMES) if one.is_file()
-        )
-    except OSError:
+        entries = islice(path.iterdir(), MAX_NAMES)
+        files = sorted(entry for entry in entries if entry.is_file())
+    except (OSError, ValueError):
         return None
     return f"name a file in it, such as {files[0]}" if files else "name a file"
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, clause
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
@@ -171,7 +171,8 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
         return f"{start} renumbers the take first: {argument('frame_range', text)}"
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
-        return f"{start} numbers the first frame of the take {frames.first}"
+        text = f"{start} numbers the first frame of the take {frames.first}"
+        return clause(text) or None
     return None
 
 

@@ -65,8 +65,8 @@ class OutputEntry:
         if self.location is None or fault.code == "OUT001":
             return fault
         if fault.path == str(self.path):
-            file = {"where": "file"} if fault.code.startswith("OUT") else {}
-            fault = replace(fault, path=None, **file)
+            where = "file" if fault.code.startswith("OUT") else fault.where
+            fault = replace(fault, path=None, where=where)
         return self.location.locate(fault)
 
     @property
