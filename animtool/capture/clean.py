@@ -124,7 +124,7 @@ def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArr
         aligned[known] = so3.align_signs(signal[known], signal[known][0])
         signal = aligned
     run = lowpass_rotations if rotation else lowpass
-    across = run(signal, ACROSS, 1.0, order=3, known=known)
+    across = run(signal, ACROSS, 1.0, order=3, valid=known)
     return np.where(known[:, None], signal, across)
 
 

@@ -161,9 +161,9 @@ def sample_values(
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
-        run = DriverRun(rig, replaced=True)
+        run = DriverRun(rig, report_replaced=True)
         motion = run.drive(motion, times, coordinates)
-        notices += [ClipNotice(*notice) for notice in run.targeted()]
+        notices += [ClipNotice(*notice) for notice in run.located_notices()]
     return SampledMotion(motion, notices)
 
 

@@ -41,14 +41,14 @@ if TYPE_CHECKING:
 else:
     ModelMetaclass = type(BaseModel)
 
-# Faulty values to replace before checking stops.
-MAX_MENDED = 200
+# Faulty values to replace by placeholders before validation stops.
+MAX_REPLACED = 200
 # Unknown keys of an entry of which one is named, and not each.
 MIN_UNKNOWN = 2
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
-Located = list[tuple[Location, Fault]]  # faults with their locations in a value
+LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
 class _KeyedModels(ModelMetaclass):
@@ -65,8 +65,10 @@ class _KeyedModels(ModelMetaclass):
 
 def model_field(key: Key, default: Any = MISSING) -> Any:
     """Return the field of a key in a model of a file."""
-    stated = {} if default is MISSING else {"default": default}
-    return pydantic.Field(description=key.description, examples=[key.example], **stated)
+    field_options = {} if default is MISSING else {"default": default}
+    return pydantic.Field(
+        description=key.description, examples=[key.example], **field_options
+    )
 
 
 class FileModel(BaseModel, metaclass=_KeyedModels):
@@ -104,26 +106,28 @@ def validated(document: Document, model: type[Model]) -> Model:
         except ValidationError as error:
             if value is document.value:
                 value = copy.deepcopy(value)
-            _Faults(document, model, value).mend(error)
+            _Faults(document, model, value).replace_faulty(error)
 
 
-def wrong_values(value: Any, error: ValidationError) -> Located:
+def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
     """Return the fault of each wrong value outside of a model."""
-    merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
-    inner = {
-        location[:depth] for location, _ in merged for depth in range(len(location))
+    by_location = _by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
+    ancestors = {
+        location[:depth]
+        for location, _ in by_location
+        for depth in range(len(location))
     }
     return [
         (location, Fault("SCN002", values_message(faults), hint=hint))
-        for (location, _), faults in merged.items()
-        if location not in inner
+        for (location, _), faults in by_location.items()
+        if location not in ancestors
         for hint in [value_hint(location[-1], faults) if location else None]
     ]
 
 
 def unknown_options(
     options: Mapping[str, Any], names: Collection[str], owner: str
-) -> Located:
+) -> LocatedFaults:
     """Return a fault for each option that its owner does not have."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
@@ -144,21 +148,21 @@ def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
 
 def record_of_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
-) -> tuple[Record | None, Located]:
+) -> tuple[Record | None, LocatedFaults]:
     """Return options as a record, with their faults; None where a value is wrong."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
-    known = {key: value for key, value in options.items() if key in names}
-    keys = {name: name for name in known}
+    known_options = {key: value for key, value in options.items() if key in names}
+    keys = {name: name for name in known_options}
     for (key, *_), _fault in faults:
         # A misspelt key is not missing too.
         meant = _key_meant(str(key), names)[1]
-        if meant is not None and meant not in known:
-            known[meant], keys[meant] = options[str(key)], str(key)
+        if meant is not None and meant not in known_options:
+            known_options[meant], keys[meant] = options[str(key)], str(key)
     try:
-        return TypeAdapter(kind).validate_python(known), faults
+        return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
-        wrong = wrong_values(known, error)
+        wrong = wrong_values(known_options, error)
     return None, faults + [
         ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
         for at, fault in wrong
@@ -171,29 +175,29 @@ def renamed_options(
     """Return options with old names replaced by new ones; warn of each.
 
     Args:
-        document: The file that has them.
-        at: Their location.
-        options: By name.
+        document: The file that contains them.
+        at: Their location in the file.
+        options: Values by name.
         kind: Kind of the document.
     """
-    renamed: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for key, value in options.items():
         name = new_key(kind, (*at, key), value)
         if name is None or name in options:
-            renamed[key] = value
+            result[key] = value
             continue
-        renamed[name] = value
+        result[name] = value
         _note_renamed(document, (*at, key), name)
-    return renamed
+    return result
 
 
 def _note_renamed(document: Document, location: Location, name: str) -> None:
     """Warn of a renamed key (DOC102)."""
-    *around, key = location
-    document.spellings[*around, name] = str(key)
+    *parent, key = location
+    document.spellings[*parent, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
     hint = f"animtool migrate FILE {flag('overwrite')} renames it"
-    document.warn("DOC102", (*around, name), message, hint)
+    document.warn("DOC102", (*parent, name), message, hint)
 
 
 @dataclass(slots=True)
@@ -204,13 +208,17 @@ class _Faults:
     model: type[BaseModel]  # model of the value
     value: Any  # the document's value, with placeholders
 
-    def mend(self, error: ValidationError) -> None:
+    def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a validation attempt and replace the faulty values."""
         errors = error.errors(include_url=False)
-        merged = _by_location(self.value, errors[:MAX_MENDED])
-        inner = {spot[:depth] for spot, _ in merged for depth in range(len(spot))}
+        by_location = _by_location(self.value, errors[:MAX_REPLACED])
+        ancestors = {
+            location[:depth]
+            for location, _ in by_location
+            for depth in range(len(location))
+        }
         by_kind: dict[str, list[tuple[Location, str]]] = {}
-        for key, faults in merged.items():
+        for key, faults in by_location.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
         known = frozenset(self.document.doubts)
         # In this order: a misspelt key is not missing too.
@@ -223,87 +231,88 @@ class _Faults:
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
-            # Of a union, the member whose faults lie deepest was meant.
+            # In a union, the author meant the member with the most deeply nested
+            # faults.
             new = self.document.doubts - known
-            if key[0] not in inner | new and key[0][:-1] not in new:
-                self._wrong_value(key[0], merged[key])
-        if len(errors) > MAX_MENDED:
+            if key[0] not in ancestors | new and key[0][:-1] not in new:
+                self._wrong_value(key[0], by_location[key])
+        if len(errors) > MAX_REPLACED:
             self.document.check()
 
     def _unknown_key(self, location: Location) -> None:
-        *outer, key = location
-        around = tuple(outer)
-        names = fields_at(self.model, self.value, around)
+        *steps, key = location
+        mapping = tuple(steps)
+        names = fields_at(self.model, self.value, mapping)
         node = self.value
-        for step in around:
+        for step in mapping:
             node = node[step]
-        left = node.pop(key)
+        value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
-        renamed = new_key(kind, location, left)
+        renamed = new_key(kind, location, value)
         if renamed in names and renamed not in node:
-            node[renamed] = left
+            node[renamed] = value
             _note_renamed(self.document, location, renamed)
             return
-        if self._of_another_kind(location):
+        if self._depends_on_kind(location):
             return
         if str(key).startswith("-"):
             self._tight_dash(location, node)
             return
         message = f"unknown key {excerpt(str(key))}"
-        hint, meant = _key_meant(str(key), names)
+        hint, intended = _key_meant(str(key), names)
         if hint.startswith("allowed"):
-            hint = self._key_of_sibling(around, node, str(key)) or hint
+            hint = self._key_of_sibling(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
-        if meant and meant not in node:
+        if intended and intended not in node:
             # Its names may be referenced, but whether it was meant is unknown.
-            node[meant] = left
-            self.document.spellings[*around, meant] = str(key)
-            self.document.guesses.add((*around, meant))
+            node[intended] = value
+            self.document.spellings[*mapping, intended] = str(key)
+            self.document.guesses.add((*mapping, intended))
 
     def _key_of_sibling(
-        self, around: Location, node: dict[str, Any], key: str
+        self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
         """Return a hint at the mapping beside an unknown key that has it."""
         for sibling, value in node.items():
             within = value[0] if isinstance(value, list) and value else value
             inner = (0,) if within is not value else ()
             if isinstance(within, dict):
-                location = (*around, sibling, *inner)
+                location = (*mapping, sibling, *inner)
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
         return None
 
-    def _no_known_key(self, around: Location) -> bool:
+    def _no_known_key(self, mapping: Location) -> bool:
         """Record once that a list's entry has no key that is allowed."""
         node = self.value
-        for step in around:
+        for step in mapping:
             node = node[step]
-        names = fields_at(self.model, self.value, around)
+        names = fields_at(self.model, self.value, mapping)
         unknown = [key for key in node if key not in names]
         if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
             return False
         if any(_key_meant(str(key), names)[1] for key in unknown):
             return False
         message = f"no known key in {_cut_names(unknown)}"
-        self.document.add("DOC020", around, message, f"allowed: {', '.join(names)}")
-        self._put_placeholder(around)
+        self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
+        self._put_placeholder(mapping)
         return True
 
-    def _tight_dash(self, location: Location, around: dict[str, Any]) -> None:
+    def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
         """Record an entry of a list that was read as a key."""
         *outer, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
         self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
-        for other, value in list(around.items()):
+        for other, value in list(mapping.items()):
             if value is None:  # the list's key
                 self._put_placeholder((*outer, other))
 
-    def _missing_key(self, around: Location, key: str) -> None:
-        location = (*around, key)
+    def _missing_key(self, mapping: Location, key: str) -> None:
+        location = (*mapping, key)
         if location in self.document.spellings:
             return
-        if not self._of_another_kind(location):
-            self.document.add("DOC021", around, f"key {key!r} is missing")
+        if not self._depends_on_kind(location):
+            self.document.add("DOC021", mapping, f"key {key!r} is missing")
         self._put_placeholder(location)
 
     def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
@@ -311,7 +320,7 @@ class _Faults:
         *outer, last = location
         if not isinstance(last, int) or not outer or not expected_structures(faults):
             return False
-        hint = form_hint(self.model, self.value, tuple(outer), listed=True)
+        hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
         if hint is None or not hint.startswith("write "):
             return False
         self.document.add("DOC022", tuple(outer), values_message(faults), hint)
@@ -321,10 +330,10 @@ class _Faults:
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
-            written = similar(tag, map(str, faults[0]["input"]))
-            if written is not None:
+            misspelt = similar(tag, map(str, faults[0]["input"]))
+            if misspelt is not None:
                 # A misspelt key is not missing too.
-                self._unknown_key((*location, written))
+                self._unknown_key((*location, misspelt))
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
@@ -333,7 +342,7 @@ class _Faults:
             return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
             self._tight_dash((*location, next(iter(value))), {})
-        elif not self._of_another_kind(location):
+        elif not self._depends_on_kind(location):
             hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
             hint = hint or self._form_hint(location, faults)
             self.document.add("DOC022", location, values_message(faults), hint)
@@ -352,21 +361,23 @@ class _Faults:
             numbers = flow_value([round(number) for number in axis])
             return f"write three numbers: {value} is {numbers}"
         if structures:
-            listed = structures == {"a list"}
-            return form_hint(self.model, self.value, location, listed=listed)
+            expects_list = structures == {"a list"}
+            return form_hint(
+                self.model, self.value, location, expects_list=expects_list
+            )
         if type_fault(faults):
             return example_hint(self.model, self.value, location)
         return None
 
-    def _of_another_kind(self, location: Location) -> bool:
-        """Return whether only some kinds have a key while the kind is unknown."""
+    def _depends_on_kind(self, location: Location) -> bool:
+        """Return whether a key exists in only some kinds, and the kind is faulty."""
         for depth, key in enumerate(location):
-            around = location[:depth]
+            mapping = location[:depth]
             unknown = self.document.doubts | self.document.guesses
-            if (*around, "type") in unknown and key != "type":
-                kinds = models_of(annotation_at(self.model, self.value, around))
-                having = [kind for kind in kinds if key in fields_of(kind)]
-                if having and len(having) < len(kinds):
+            if (*mapping, "type") in unknown and key != "type":
+                kinds = models_of(annotation_at(self.model, self.value, mapping))
+                kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
+                if kinds_with_key and len(kinds_with_key) < len(kinds):
                     return True
         return False
 
@@ -389,11 +400,11 @@ def _by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Group faults by location and missing key."""
-    merged: dict[tuple[Location, str], list[Any]] = {}
+    groups: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
-        missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        merged.setdefault((_within(value, fault), missing), []).append(fault)
-    return merged
+        missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
+        groups.setdefault((_within(value, fault), missing_key), []).append(fault)
+    return groups
 
 
 def _within(value: Any, fault: Any) -> Location:

@@ -21,10 +21,10 @@ from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
-MAX_FORM = 100
+MAX_EXAMPLE = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
 _UNIT = re.compile(r"\d+([A-Za-z]+)")
-_TWO = 2
+_RANGE_LENGTH = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,15 @@ class Forms:
 
 
 def form_hint(
-    model: type[BaseModel], value: Any, location: Location, *, listed: bool
+    model: type[BaseModel], value: Any, location: Location, *, expects_list: bool
 ) -> str | None:
     """Return a hint that shows how to write a key; None if its example is too long.
 
     Args:
         model: Model of the document.
-        value: The document.
-        location: Of the value.
-        listed: Whether a list is expected.
+        value: Content of the document.
+        location: Location of the faulty value.
+        expects_list: Whether a list is expected.
     """
     match = field_at(model, value, location)
     if match is None:
@@ -53,35 +53,36 @@ def form_hint(
     for step in location:
         entry = entry[step]
     examples = info.examples or [None]
-    example, rest = examples[0], location[depth:]
-    if listed and isinstance(entry, dict) and not rest and not _meant(entry, example):
+    example, inner_steps = examples[0], location[depth:]
+    is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
+    if is_mapping and not _converted(entry, example):
         example = _entries_of(entry, example)
     forms = _forms(annotation_of(info))
-    name = rest[0] if rest else entry
+    name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
     elif isinstance(entry, str) and _takes_file(annotation_of(info)):
-        # For a list, its entry.
-        several = rest or not models_of(annotation_of(info))
+        # In a list, show the form of one entry.
+        several = inner_steps or not models_of(annotation_of(info))
         example = [{"file": entry}] if several else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if rest else _meant(entry, example)
+    meant = None if inner_steps else _converted(entry, example)
     if meant is not None:
         return f"write {_short(key, meant)}"
     text = flow_text(key, example)
-    if listed and isinstance(entry, dict) and not rest and isinstance(example, list):
+    if is_mapping and isinstance(example, list):
         return f"write {_short(key, example)}"
-    word = "write" if _holds(example, entry) else "for example"
-    return f"{word} {text}" if len(text) <= MAX_FORM else None
+    word = "write" if _contains(example, entry) else "for example"
+    return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
 
 
 def _short(key: str, entries: Sequence[Any]) -> str:
     """Return a key with its list on one line, cut after the first entries."""
     for count in range(len(entries), 0, -1):
         text = flow_text(key, list(entries[:count]))
-        if len(text) <= MAX_FORM or count == 1:
+        if len(text) <= MAX_EXAMPLE or count == 1:
             return text if count == len(entries) else f"{text[:-1]}, …]"
     return flow_text(key, list(entries))
 
@@ -102,28 +103,28 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
     if example is None or isinstance(example, bool | list | tuple | dict):
         return None
     text = flow_text(str(location[-1]), example)
-    return f"for example {text}" if len(text) <= MAX_FORM else None
+    return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
 
 
-# Names of the ends of a range in other tools, the lower one first.
+# Keys that other tools use for the ends of a range, the lower end first.
 _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
 
 
-def _meant(value: Any, example: Any) -> list[Any] | None:
+def _converted(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple) or not example:
         return None
     if isinstance(value, str):
         return _listed(value.strip(), example)
-    if isinstance(value, dict) and len(example) == _TWO:
-        named = [value.get(key) for key in _ENDS if key in value]
-        return named if len(named) == len(value) == _TWO else None
+    if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
+        bounds = [value.get(key) for key in _ENDS if key in value]
+        return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
     if isinstance(value, int | float) and not isinstance(value, bool):
-        # A size along the one axis that the example has: gravity of 9.81 is downwards.
-        along = [i for i, one in enumerate(example) if one]
-        if len(example) > _TWO and len(along) == 1:
-            side = -1 if example[along[0]] < 0 < value else 1
-            return [side * value if i in along else 0 for i in range(len(example))]
+        # A magnitude along the only axis of the example: gravity of 9.81 points down.
+        axes = [i for i, number in enumerate(example) if number]
+        if len(example) > _RANGE_LENGTH and len(axes) == 1:
+            sign = -1 if example[axes[0]] < 0 < value else 1
+            return [sign * value if i in axes else 0 for i in range(len(example))]
     if isinstance(value, list):
         return _nested(value, example)
     return None
@@ -140,7 +141,9 @@ def _entries_of(entry: dict[str, Any], example: Any) -> list[Any]:
     if "name" in first and len(inner) == len(entry):
         return [{"name": key, **value} for key, value in entry.items()]
     ends = list(first)
-    if len(ends) == _TWO and all(isinstance(value, str) for value in entry.values()):
+    if len(ends) == _RANGE_LENGTH and all(
+        isinstance(value, str) for value in entry.values()
+    ):
         return [dict(zip(ends, pair, strict=True)) for pair in entry.items()]
     return [entry]
 
@@ -155,8 +158,8 @@ def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
         return [dict(zip(keys, row, strict=True)) for row in value]
     if len(keys) == 1 and all(isinstance(row, dict) for row in value):
         return [{key: row[key]} for row in value for key in row]
-    is_range = len(value) == _TWO + 1 and len(example) == _TWO
-    return value[:_TWO] if is_range and value[0] < value[1] else None
+    is_range = len(value) == _RANGE_LENGTH + 1 and len(example) == _RANGE_LENGTH
+    return value[:_RANGE_LENGTH] if is_range and value[0] < value[1] else None
 
 
 def _listed(text: str, example: Sequence[Any]) -> list[Any] | None:
@@ -170,27 +173,27 @@ def _listed(text: str, example: Sequence[Any]) -> list[Any] | None:
     return numbers if are_numbers and len(numbers) == len(example) else None
 
 
-def _holds(example: Any, value: Any) -> bool:
+def _contains(example: Any, value: Any) -> bool:
     """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(_holds(one, value) for one in (*example, *example.values()))
+        return any(_contains(item, value) for item in (*example, *example.values()))
     if isinstance(example, list | tuple):
-        return any(_holds(one, value) for one in example)
+        return any(_contains(item, value) for item in example)
     return bool(example == value)
 
 
 def _forms(annotation: Any) -> Forms | None:
     """Return the `Forms` annotation of a type or of a union's member."""
-    for note in getattr(annotation, "__metadata__", ()):
-        if isinstance(note, Forms):
-            return note
-    inner = (_forms(one) for one in get_args(annotation))
-    return next((one for one in inner if one is not None), None)
+    for constraint in getattr(annotation, "__metadata__", ()):
+        if isinstance(constraint, Forms):
+            return constraint
+    member_forms = (_forms(member) for member in get_args(annotation))
+    return next((member for member in member_forms if member is not None), None)
 
 
 def _takes_file(annotation: Any) -> bool:
     """Return whether a type's mapping has a `file` key."""
     models = models_of(annotation)
     if models:
-        return any("file" in fields_of(one) for one in models)
+        return any("file" in fields_of(model) for model in models)
     return get_origin(annotation) is list and _takes_file(get_args(annotation)[0])

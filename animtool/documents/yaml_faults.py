@@ -6,9 +6,8 @@ import re
 
 from animtool.documents.yaml_slips import YamlFault, find_slip
 
-# What the scanner of libyaml says, and what the author of a file can do about it. The
-# first that occurs in its message counts.
-_CLOSED = {
+# Messages of libyaml's scanner, and how to fix the file. The first match counts.
+_SCANNER_FAULTS = {
     "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
     "expected ',' or '}'": ("keys in { } are not closed", "add a comma or }"),
     "scanning a quoted scalar": ("a quote is not closed", "close it on the same line"),
@@ -40,10 +39,10 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     r"""Return the syntax fault of a text.
 
     Args:
-        text: The text.
+        text: Content of the file.
         problem: Message of the YAML scanner.
-        line: Its line, from 1.
-        column: Its column, from 1.
+        line: 1-based line of the fault.
+        column: 1-based column of the fault.
 
     >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
     ('line 2 is indented further than line 1', 'start it in column 1')
@@ -96,31 +95,33 @@ def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFaul
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _misaligned(lines, line, column)
-    known = next((fault for words, fault in _CLOSED.items() if words in problem), None)
-    message, advice = known or (f"invalid YAML: {problem}", None)
+    closed_fault = next(
+        (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
+    )
+    message, advice = closed_fault or (f"invalid YAML: {problem}", None)
     return YamlFault(message, advice, line, column)
 
 
 def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
     """Return the fault of a line whose indentation matches no line above it."""
-    here = lines[min(line, len(lines)) - 1]
-    indent, is_entry = _indent(here), here.lstrip().startswith("-")
-    others = [
+    line_text = lines[min(line, len(lines)) - 1]
+    indent, is_entry = _indent(line_text), line_text.lstrip().startswith("-")
+    indents = [
         _indent(text)
         for text in lines[: line - 1]
         if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
-    near = min(others, key=lambda other: abs(other - indent), default=None)
-    if near is None or near == indent:
+    nearest = min(indents, key=lambda candidate: abs(candidate - indent), default=None)
+    if nearest is None or nearest == indent:
         message = "this line does not belong to the block above it"
         return YamlFault(message, "align it with the lines of its block", line, column)
     if is_entry:
         message = f"the '-' on this line is in column {indent + 1}"
-        message += f"; the others of this list are in column {near + 1}"
+        message += f"; the others of this list are in column {nearest + 1}"
     else:
         message = f"this line starts in column {indent + 1}"
-        message += f"; the keys above it start in column {near + 1}"
-    return YamlFault(message, f"start it in column {near + 1}", line, indent + 1)
+        message += f"; the keys above it start in column {nearest + 1}"
+    return YamlFault(message, f"start it in column {nearest + 1}", line, indent + 1)
 
 
 def _bare_key(line: str) -> str | None:

@@ -202,12 +202,17 @@ def _full_difference(operation: additive.Difference) -> Operation:
     return apply
 
 
-_ADD = Operations(additive.shifted, additive.turned, additive.scaled, additive.shifted)
+_ADD = Operations(
+    additive.add_offset,
+    additive.add_rotation,
+    additive.multiply_scale,
+    additive.add_offset,
+)
 _SUBTRACT = Operations(
-    _full_difference(additive.unshifted),
-    _full_difference(additive.unturned),
-    _full_difference(additive.unscaled),
-    _full_difference(additive.unshifted),
+    _full_difference(additive.offset_delta),
+    _full_difference(additive.rotation_delta),
+    _full_difference(additive.scale_delta),
+    _full_difference(additive.offset_delta),
 )
 
 

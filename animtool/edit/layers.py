@@ -27,7 +27,12 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
-from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import (
+    KeyInterpolation,
+    Weight,
+    parse_choice,
+    weights_at,
+)
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
@@ -35,7 +40,7 @@ from animtool.motion.passes import (
     Pass,
     PassContext,
     Scope,
-    named_take,
+    required_take_path,
 )
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
@@ -112,7 +117,7 @@ def _blended(take: Take, options: BlendOptions, context: PassContext) -> Take:
 
 def _check_blend(options: BlendOptions) -> OptionChecks:
     return {
-        "take": lambda: named_take(options.take),
+        "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
         "delay": lambda: exact(options.delay, "delay"),
     }
@@ -292,9 +297,9 @@ def layer(
     """
     plan = _Plan(
         other,
-        chosen(LayerMode, mode, "mode"),
+        parse_choice(LayerMode, mode, "mode"),
         weight,
-        chosen(KeyInterpolation, interpolation, "interpolation"),
+        parse_choice(KeyInterpolation, interpolation, "interpolation"),
         _limited(take.rig, joints, children),
         delay,
     )
@@ -346,9 +351,9 @@ def _layered(
 ) -> TakeStream:
     plan = _Plan(
         context.take(options.take),
-        chosen(LayerMode, options.mode, "mode"),
+        parse_choice(LayerMode, options.mode, "mode"),
         options.weight,
-        chosen(KeyInterpolation, options.interpolation, "interpolation"),
+        parse_choice(KeyInterpolation, options.interpolation, "interpolation"),
         _limited(stream.rig, options.joints, options.children),
         options.delay,
     )
@@ -358,7 +363,7 @@ def _layered(
 def _check_layer(options: LayerOptions) -> OptionChecks:
     bounded = options.mode is LayerMode.OVERRIDE
     return {
-        "take": lambda: named_take(options.take),
+        "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=bounded),
         "delay": lambda: exact(options.delay, "delay"),
     }

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError, Severity, listed, percent
 from animtool.core.record import dataclass
 from animtool.edit.tree import joint_index
 from animtool.maths import so3
-from animtool.motion.keyed import chosen
+from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     EVERY_PART,
@@ -194,7 +194,7 @@ def mirror(
         OptionError: A pair names no joint (SCN012), or partners do not hang from
             partners (SCN019), or there is no such axis (SCN025).
     """
-    options = MirrorOptions(chosen(Axis, axis, "axis"), _tuples(pairs))
+    options = MirrorOptions(parse_choice(Axis, axis, "axis"), _tuples(pairs))
     return _mirrored(TakeStream.of(take), options).collect()
 
 
@@ -221,7 +221,7 @@ def _mirrored(
     _check_stated(rig, options.pairs, partners)
     kept = _kept(rig, partners)
     _check_tree(rig, partners, kept)
-    axis = "XYZ".index(chosen(Axis, options.axis, "axis"))
+    axis = "XYZ".index(parse_choice(Axis, options.axis, "axis"))
     names_by_kind = {
         kind: [part.name for part in getattr(rig, kind, ())]
         for kind in ("shapes", "controls")

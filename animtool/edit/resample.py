@@ -24,7 +24,7 @@ from animtool.maths import filters, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
-    EvenTime,
+    LinearTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -352,11 +352,11 @@ def _checks(options: ResampleOptions) -> OptionChecks:
     return {"fps": lambda: rate_option(fps)}
 
 
-def _even(options: ResampleOptions, clock: Clock) -> EvenTime | None:
+def _even(options: ResampleOptions, clock: Clock) -> LinearTime | None:
     if options.fps is None or options.lowpass:
         return None
     start = float(clock.start)
-    return EvenTime(start, float(rate_option(options.fps) / clock.fps), start)
+    return LinearTime(start, float(rate_option(options.fps) / clock.fps), start)
 
 
 PASS = Pass(

@@ -18,11 +18,16 @@ from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions, even_positions, nearby_positions
-from animtool.motion.keyed import KeyInterpolation, Keys, key_arrays, keyed
+from animtool.motion.keyed import (
+    KeyInterpolation,
+    Keys,
+    evaluate_keyed,
+    key_arrays,
+)
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
-    EvenTime,
+    LinearTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -226,11 +231,11 @@ def _scaled(take: Take, options: TimeScaleOptions, context: PassContext) -> Take
     return result
 
 
-def _even(options: TimeScaleOptions, clock: Clock) -> EvenTime | None:
+def _even(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
     if options.speed <= 0:
         return None
     pivot = float(clock.start) if options.pivot is None else options.pivot
-    return EvenTime(pivot, 1 / options.speed, pivot)
+    return LinearTime(pivot, 1 / options.speed, pivot)
 
 
 TIME_SCALE = Pass(
@@ -295,7 +300,7 @@ def time_warp(
     at = replace(clock, start=clock.start + low * clock.step, count=high - low + 1)
 
     def shown(times: FloatArray) -> FloatArray:
-        return keyed(key_times, values, times, interpolation)
+        return evaluate_keyed(key_times, values, times, interpolation)
 
     positions = nearby_positions((shown(at.times) - start) / step, clock.count)
     return _retimed(take, at, positions, shown)

@@ -19,7 +19,7 @@ from animtool.edit.travel import (
 )
 from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
 from animtool.maths import so3
-from animtool.motion.keyed import chosen
+from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
@@ -157,13 +157,13 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
-    chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
+    parse_choice = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
     hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
     frame = above(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
         raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
-    position = np.where(chosen, hips.position, root_frame.position)
+    position = np.where(parse_choice, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
     rotations = motion.rotations.gather(np.array([root]))[:, 0]
@@ -180,7 +180,7 @@ def _compact(take: Take) -> Take:
 
 
 def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
-    if chosen(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
+    if parse_choice(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
         return recompose_root(take, options.root, keep=options.keep)
     return extract_root(
         take, options.root, options.axes, yaw=options.yaw, hips=options.hips

@@ -405,10 +405,12 @@ def _refusal(message: str, where: str, hint: str | None = None) -> OptionError:
 
 
 def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
-    if context.segments is None:
+    if context.simulate_segments is None:
         message = "attaching a joint needs a scene with systems"
         raise _refusal(message, "system")
-    ends = context.segments(take, options.system, options.particle, context.progress)
+    ends = context.simulate_segments(
+        take, options.system, options.particle, context.progress
+    )
     return hang(take, options.joint, ends, options.axis)
 
 

@@ -7,9 +7,9 @@ scales       ``base * delta``
 weights      ``base + delta``, controls likewise
 ============ =====================================
 
-A delta that changes nothing has rotation identity, translation and weight 0 and
-scale 1. A weight [1] takes a part of the delta, may be beyond 1 or negative, and
-broadcasts against the values, whose last axis holds the components.
+The neutral delta has the identity rotation, translation and weight 0, and scale 1.
+A weight [1] scales the delta; it may be negative or above 1, and broadcasts against
+the values, whose last axis holds the components.
 """
 
 from __future__ import annotations
@@ -22,35 +22,36 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 
-# From the values of a source and a base to the delta between them.
+# Function of the values of a source and a base that returns the delta between them.
 Difference: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 
-def turned(
+def add_rotation(
     base: FloatArray, delta: FloatArray, weight: FloatArray | None = None
 ) -> FloatArray:
-    """Return rotations ``(..., 4)`` with a delta, weighted along the arc from identity.
+    """Return rotations ``(..., 4)`` with a delta applied, weighted by slerp.
 
-    >>> turned(np.array([0.6, 0, 0, 0.8]), np.array([0.6, 0, 0, 0.8])).round(2).tolist()
+    >>> half = np.array([0.6, 0, 0, 0.8])
+    >>> add_rotation(half, half).round(2).tolist()
     [0.96, 0.0, 0.0, 0.28]
     """
     if weight is None:
         return so3.multiply(base, delta)
-    part = so3.slerp(so3.IDENTITY, delta, weight[..., 0])
-    return so3.multiply(base, np.where(weight == 1, delta, part))
+    weighted = so3.slerp(so3.IDENTITY, delta, weight[..., 0])
+    return so3.multiply(base, np.where(weight == 1, delta, weighted))
 
 
-def shifted(
+def add_offset(
     base: FloatArray, delta: FloatArray, weight: FloatArray | None = None
 ) -> FloatArray:
-    """Return translations or weights ``(..., K)`` with a delta."""
+    """Return translations or weights ``(..., K)`` with a delta added."""
     return base + (delta if weight is None else weight * delta)
 
 
-def scaled(
+def multiply_scale(
     base: FloatArray, delta: FloatArray, weight: FloatArray | None = None
 ) -> FloatArray:
-    """Return scales ``(..., 3)`` with a delta.
+    """Return scales ``(..., 3)`` multiplied by a delta.
 
     Weighted in proportion, not by powers: scales may be negative.
     """
@@ -59,16 +60,16 @@ def scaled(
     return base * np.where(weight == 1, delta, 1 + weight * (delta - 1))
 
 
-def unturned(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the rotation delta with which `turned` gives ``source``."""
+def rotation_delta(source: FloatArray, base: FloatArray) -> FloatArray:
+    """Return the rotation delta from base to source, the inverse of `add_rotation`."""
     return so3.multiply(so3.conjugate(base), source) + 0.0
 
 
-def unshifted(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the delta with which `shifted` gives ``source``."""
+def offset_delta(source: FloatArray, base: FloatArray) -> FloatArray:
+    """Return the delta from base to source, the inverse of `add_offset`."""
     return source - base
 
 
-def unscaled(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the delta with which `scaled` gives ``source``; no base may be 0."""
+def scale_delta(source: FloatArray, base: FloatArray) -> FloatArray:
+    """Return the scale delta from base to source; no base may be 0."""
     return source / base

@@ -63,9 +63,8 @@ def fold(
     """Fold times into the range from ``start`` to ``end``.
 
     A time at an integer number of cycles belongs to the cycle nearer to the range:
-        after
-    it the value is the last key's, before it the first key's. A range without length is
-    held.
+    after the range it gets the last key's value, before it the first key's. In a range
+    of length 0, the value is held.
 
     >>> fold(np.array([-1.0, 4.0, 5.0]), 0.0, 4.0, post=Extrapolation.CYCLE).times
     array([0., 4., 1.])
@@ -77,14 +76,14 @@ def fold(
         outside = times < start if before else times > end
         if mode is Extrapolation.HOLD or not outside.any():
             continue
-        away = np.abs(times[outside] - edge)
+        distance = np.abs(times[outside] - edge)
         if mode is Extrapolation.LINEAR:
-            beyond[outside] = -away if before else away
+            beyond[outside] = -distance if before else distance
         elif length > 0:
-            cycles_away = np.ceil(away / length)
-            left = cycles_away * length - away  # to the far edge of that cycle
+            cycles_away = np.ceil(distance / length)
+            remainder = cycles_away * length - distance  # to the far edge of that cycle
             mirrored = (mode is Extrapolation.OSCILLATE) & (cycles_away % 2 == 1)
-            from_start = np.where(mirrored ^ before, left, length - left)
+            from_start = np.where(mirrored ^ before, remainder, length - remainder)
             inside[outside] = np.clip(start + from_start, start, end)
             if mode is Extrapolation.CYCLE_OFFSET:
                 cycles[outside] = -cycles_away if before else cycles_away
@@ -102,7 +101,7 @@ class SegmentKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """C scalar curves with K keys in all.
+    """C scalar curves with K keys in total.
 
     The segment after a key has the control values v, v + out dv, v' + in' dv', v'.
     A CUBIC segment is the cubic of these over time that runs evenly from key to key
@@ -178,20 +177,22 @@ def key_handles(
             outs[rows, 1:], ins[rows + 1, 1:] = slopes.catmull_rom(rows, third[:, None])
             continue
         for side, handles, free in ((1, outs, free_outs), (0, ins, free_ins)):
-            at, signed = rows + 1 - side, third if side else -third
+            key_rows, signed_thirds = rows + 1 - side, third if side else -third
             if interp is Interp.TCB:
-                handles[at, 1:] = slopes.tcb[side][at] * signed[:, None]
+                handles[key_rows, 1:] = (
+                    slopes.tcb[side][key_rows] * signed_thirds[:, None]
+                )
                 continue
-            for tangent, some in _tangent_groups(tangents, at, side):
-                key, length = at[some], signed[some]
+            for tangent, subset in _tangent_groups(tangents, key_rows, side):
+                key, length = key_rows[subset], signed_thirds[subset]
                 if tangent is Tangent.FREE and interp is not Interp.HERMITE:
                     handles[key] = free[key]
-                    kinds[rows[some][free[key, 0] != length]] = SegmentKind.BEZIER
+                    kinds[rows[subset][free[key, 0] != length]] = SegmentKind.BEZIER
                     continue
                 slope = (
                     _free_slopes(free[key])
                     if tangent is Tangent.FREE
-                    else slopes.by_rule(tangent, key, rows[some])
+                    else slopes.by_rule(tangent, key, rows[subset])
                 )
                 handles[key, 0], handles[key, 1:] = length, slope * length[:, None]
     return ins, outs, kinds
@@ -206,8 +207,10 @@ def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
         yield values[0], np.arange(len(values))
         return
     for value in dict.fromkeys(values):
-        equal = np.fromiter((one == value for one in values), np.bool_, len(values))
-        yield value, np.flatnonzero(equal)
+        matches = np.fromiter(
+            (other == value for other in values), np.bool_, len(values)
+        )
+        yield value, np.flatnonzero(matches)
 
 
 def _tangent_groups(
@@ -264,17 +267,17 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
     """Return every curve's values ``(C, F)`` at times ``(F,)``, in any order.
 
     At a key the value is the key's own, exactly. Each segment is solved from its
-    nearer key, so the error is about 2e-15 of the values and handles, with handles
-    of no length too. The exception is a curve that runs vertically inside a segment
-    (both handles as long as it): there a rounding of the time alone moves the value.
+    nearer key, so the error is about 2e-15 of the values and handles, even with
+    handles of length 0. The exception is a curve that is vertical inside a segment
+    (both handles as long as the segment): there, rounding the time changes the value.
 
-    A BEZIER handle longer than its segment is shrunk to it, slope kept, whatever
-    the other one is: then the time never runs backwards.
+    A BEZIER handle longer than its segment is shortened to it with the same slope,
+    independent of the other handle, so that time never runs backwards.
 
     Raises:
         ValueError: The arrays do not fit, times do not ascend within a curve, a
-            number is not finite, or a BEZIER handle points the wrong way. Handles are
-            looked at where a segment has some.
+            number is not finite, or a BEZIER handle points away from its segment.
+            Only handles of segments that use them are checked.
 
     >>> ease = Curves(
     ...     first=np.array([0, 2]),
@@ -293,19 +296,19 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
     at = as_floats(times, ("F",), "times")
     if not np.isfinite(at).all():
         raise ValueError("times must be finite")
-    going_on = _going_on(curves, at)
-    if not len(going_on):
-        return _clamped(curves, at[None])
-    starts, ends = _ends(curves)
+    extrapolated = _extrapolated_curves(curves, at)
+    if not len(extrapolated):
+        return _clamped_values(curves, at[None])
+    starts, ends = _end_keys(curves)
     rows = np.tile(at, (len(curves.pre), 1))
     beyond, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
-    for c in going_on:
+    for c in extrapolated:
         start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
         folded = fold(at, start, end, curves.pre[c], curves.post[c])
         rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    values = _clamped(curves, rows)
+    values = _clamped_values(curves, rows)
     values += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
     return values
@@ -331,51 +334,51 @@ def end_slopes(curves: Curves) -> FloatArray:
     >>> end_slopes(line).tolist()
     [[0.5, 0.5]]
     """
-    starts, ends = _ends(curves)
-    alone = starts == ends
-    after = np.where(alone, starts, starts + 1)
-    before = np.where(alone, ends, ends - 1)
+    starts, ends = _end_keys(curves)
+    single = starts == ends
+    second = np.where(single, starts, starts + 1)
+    second_last = np.where(single, ends, ends - 1)
     return np.stack(
         [
-            _slopes(curves, starts, after, curves.outs[starts]),
-            _slopes(curves, before, ends, -curves.ins[ends]),
+            _slopes(curves, starts, second, curves.outs[starts]),
+            _slopes(curves, second_last, ends, -curves.ins[ends]),
         ],
         axis=-1,
     )
 
 
 def _slopes(
-    curves: Curves, keys: IntArray, following: IntArray, handles: FloatArray
+    curves: Curves, keys: IntArray, next_keys: IntArray, handles: FloatArray
 ) -> FloatArray:
     """Return slopes of segments at the end with the given handles."""
-    spans = curves.times[following] - curves.times[keys]
+    spans = curves.times[next_keys] - curves.times[keys]
     kinds = curves.kinds[keys]
     spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
-    secants = (curves.values[following] - curves.values[keys]) / spans
+    secants = (curves.values[next_keys] - curves.values[keys]) / spans
     dt, dv = handles.T
-    pointing = (kinds == SegmentKind.BEZIER) & (dt > 0)
-    slopes = np.where(pointing, dv / np.where(dt > 0, dt, 1.0), secants)
+    has_length = (kinds == SegmentKind.BEZIER) & (dt > 0)
+    slopes = np.where(has_length, dv / np.where(dt > 0, dt, 1.0), secants)
     slopes = np.where(kinds == SegmentKind.CUBIC, 3.0 * dv / spans, slopes)
     return np.where(kinds == SegmentKind.HOLD, 0.0, slopes)
 
 
-def _ends(curves: Curves) -> tuple[IntArray, IntArray]:
+def _end_keys(curves: Curves) -> tuple[IntArray, IntArray]:
     return curves.first[:-1], curves.first[1:] - 1
 
 
-def _going_on(curves: Curves, at: FloatArray) -> IntArray:
+def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
     """Return the curves that are extrapolated without hold at some of the times."""
-    if not len(at):
+    if not len(times):
         return np.zeros(0, np.int64)
-    starts, ends = _ends(curves)
+    starts, ends = _end_keys(curves)
     pre = np.array([mode is not Extrapolation.HOLD for mode in curves.pre], bool)
     post = np.array([mode is not Extrapolation.HOLD for mode in curves.post], bool)
-    early = pre & (at.min() < curves.times[starts])
-    late = post & (at.max() > curves.times[ends])
-    return np.flatnonzero(early | late)
+    before = pre & (times.min() < curves.times[starts])
+    after = post & (times.max() > curves.times[ends])
+    return np.flatnonzero(before | after)
 
 
-def _clamped(curves: Curves, at: FloatArray) -> FloatArray:
+def _clamped_values(curves: Curves, times: FloatArray) -> FloatArray:
     """Return values ``(C, F)`` at ``(1, F)`` or ``(C, F)``, held outside the keys."""
     return _kernels.evaluate_curves(
         curves.first,
@@ -384,7 +387,7 @@ def _clamped(curves: Curves, at: FloatArray) -> FloatArray:
         curves.kinds,
         np.ascontiguousarray(curves.ins),
         np.ascontiguousarray(curves.outs),
-        at,
+        times,
     )
 
 
@@ -402,24 +405,24 @@ def _check(curves: Curves) -> None:
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, not {array.shape}")
     largest = curves.kinds.max(initial=0)
-    straight = largest <= SegmentKind.LINEAR
-    for name in ("times", "values") if straight else ("times", "values", "ins", "outs"):
+    linear = largest <= SegmentKind.LINEAR
+    for name in ("times", "values") if linear else ("times", "values", "ins", "outs"):
         array = getattr(curves, name)
-        # A finite sum is one of finite numbers.
+        # If the sum is finite, so is every number.
         if not math.isfinite(array.sum()) and not np.isfinite(array).all():
             raise ValueError(f"{name} must be finite")
-    late = curves.times[1:] <= curves.times[:-1]
-    late[first[1:-1] - 1] = False
-    if late.any():
+    not_ascending = curves.times[1:] <= curves.times[:-1]
+    not_ascending[first[1:-1] - 1] = False
+    if not_ascending.any():
         raise ValueError("times must ascend within a curve")
     if largest <= SegmentKind.CUBIC and curves.kinds.min(initial=0) >= 0:
         return
-    within = np.ones(keys, bool)  # whether a segment follows
-    within[first[1:] - 1] = False
-    kinds = curves.kinds[within]
+    has_segment = np.ones(keys, bool)  # whether a segment follows
+    has_segment[first[1:] - 1] = False
+    kinds = curves.kinds[has_segment]
     if ((kinds < SegmentKind.HOLD) | (kinds > SegmentKind.BEZIER)).any():
         raise ValueError("kinds must be of SegmentKind")
-    keys_before = np.flatnonzero(within & (curves.kinds == SegmentKind.BEZIER))
+    keys_before = np.flatnonzero(has_segment & (curves.kinds == SegmentKind.BEZIER))
     outs, ins = curves.outs[keys_before, 0], curves.ins[keys_before + 1, 0]
     if (outs < 0).any() or (ins > 0).any():
         raise ValueError("handles must point away from their key, into the segment")

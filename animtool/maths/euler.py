@@ -31,10 +31,10 @@ def axes_of(order: str) -> tuple[int, int, int]:
 
 
 def to_quaternion(angles: ArrayLike, order: str) -> FloatArray:
-    """Return quaternions ``(F, 4)`` of angles ``(F, 3)`` [deg], in the order given.
+    """Return quaternions ``(F, 4)`` of Euler angles ``(F, 3)`` [deg] of an order.
 
-    Angles of many turns lose nothing: they are reduced exactly, in degrees. Signs
-    are continuous along F, the first nearest to identity.
+    Angles beyond 360 degrees lose no precision: they are reduced exactly, in degrees.
+    Signs are continuous along F; the first is the one nearest to identity.
 
     >>> to_quaternion([[90, 0, 0]], "ZXY").round(4).tolist()
     [[0.0, 0.0, 0.7071, 0.7071]]
@@ -52,9 +52,9 @@ def to_quaternion(angles: ArrayLike, order: str) -> FloatArray:
 def from_quaternion(quaternions: ArrayLike, order: str) -> FloatArray:
     """Return angles ``(F, 3)`` [deg] of quaternions ``(F, 4)``, continuous along F.
 
-    Of the equal triples, each frame takes the one nearest to the frame before (the
-    first: nearest to zero), so spins add up over whole turns. At gimbal lock only
-    a sum or difference of the outer angles is determined: the first angle stays.
+    Of the equivalent triples, each frame uses the one nearest to the previous frame
+    (the first frame: nearest to zero), so revolutions accumulate. At gimbal lock only
+    the sum or difference of the outer angles is determined: the first angle is kept.
 
     >>> from_quaternion([[0, 0, 1, 0]], "XYZ").round(9).tolist()
     [[0.0, 0.0, 180.0]]

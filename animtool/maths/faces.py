@@ -8,26 +8,26 @@ from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
 
 
-def sides(counts: IntArray, indices: IntArray) -> IntArray:
+def directed_edges(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the directed edges of polygons: each corner and the next ``(C, 2)``.
 
     Args:
         counts: Corners of each ``(M,)``.
         indices: Corners, one polygon after the other ``(C,)``.
 
-    >>> sides(np.array([3]), np.array([5, 6, 7])).tolist()
+    >>> directed_edges(np.array([3]), np.array([5, 6, 7])).tolist()
     [[5, 6], [6, 7], [7, 5]]
     """
     ends = np.cumsum(counts)
-    following = np.roll(indices, -1)
-    following[ends - 1] = indices[ends - counts]
-    return np.stack([indices, following], axis=1)
+    next_corners = np.roll(indices, -1)
+    next_corners[ends - 1] = indices[ends - counts]
+    return np.stack([indices, next_corners], axis=1)
 
 
 def distinct_pairs(pairs: IntArray) -> IntArray:
     """Return distinct unordered pairs ``(P, 2)``, without pairs of equal numbers.
 
-    They ascend, and so do the numbers of each pair.
+    The pairs are sorted, and so are the numbers of each pair.
 
     >>> distinct_pairs(np.array([[2, 1], [1, 2], [0, 3], [4, 4]])).tolist()
     [[0, 3], [1, 2]]
@@ -46,11 +46,11 @@ def edges(counts: IntArray, indices: IntArray) -> IntArray:
     >>> edges(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3])).tolist()
     [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
     """
-    return distinct_pairs(sides(counts, indices))
+    return distinct_pairs(directed_edges(counts, indices))
 
 
 def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct edges of polygons ``(E, 2)``, and the faces on each ``(E,)``.
+    """Return the distinct edges of polygons ``(E, 2)`` and their face counts ``(E,)``.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -59,9 +59,9 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     >>> edge_counts(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3]))[1].tolist()
     [1, 2, 1, 1, 1]
     """
-    ends = np.sort(sides(counts, indices), axis=1)
-    edges, often = np.unique(ends, axis=0, return_counts=True)
-    return edges, often
+    ends = np.sort(directed_edges(counts, indices), axis=1)
+    edges, face_counts = np.unique(ends, axis=0, return_counts=True)
+    return edges, face_counts
 
 
 def closed(counts: IntArray, indices: IntArray) -> bool:
@@ -75,17 +75,17 @@ def closed(counts: IntArray, indices: IntArray) -> bool:
     >>> closed(np.full(4, 3), tetrahedron), closed(np.full(3, 3), tetrahedron[:9])
     (True, False)
     """
-    low, high = np.sort(sides(counts, indices), axis=1).astype(np.int64).T
+    low, high = np.sort(directed_edges(counts, indices), axis=1).astype(np.int64).T
     ends = np.sort(low * (high.max(initial=0) + 1) + high).reshape(-1)
-    pairs = ends[: len(ends) // 2 * 2].reshape(-1, 2)
-    twice = len(ends) % 2 == 0 and bool((pairs[:, 0] == pairs[:, 1]).all())
-    return twice and bool((np.diff(pairs[:, 0]) > 0).all())
+    duplicates = ends[: len(ends) // 2 * 2].reshape(-1, 2)
+    even = len(ends) % 2 == 0 and bool((duplicates[:, 0] == duplicates[:, 1]).all())
+    return even and bool((np.diff(duplicates[:, 0]) > 0).all())
 
 
-def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the indices of pairs of edges ``(C, 2)`` with the same ends.
+def coincident_edges(pairs: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the indices of all pairs of edges ``(C, 2)`` with the same ends.
 
-    >>> one, other = of_one_edge(np.array([[0, 1], [1, 2], [1, 0]]))
+    >>> one, other = coincident_edges(np.array([[0, 1], [1, 2], [1, 0]]))
     >>> one.tolist(), other.tolist()
     ([0], [2])
     """
@@ -94,12 +94,12 @@ def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
     ends = ends[order]
     edges = [np.zeros((0, 2), np.int64)]
     for gap in range(1, len(order)):
-        same = (ends[gap:] == ends[:-gap]).all(axis=1)
-        if not same.any():
+        equal = (ends[gap:] == ends[:-gap]).all(axis=1)
+        if not equal.any():
             break
-        edges.append(np.stack([order[:-gap][same], order[gap:][same]], axis=1))
-    one, other = np.concatenate(edges).T
-    return one, other
+        edges.append(np.stack([order[:-gap][equal], order[gap:][equal]], axis=1))
+    first, second = np.concatenate(edges).T
+    return first, second
 
 
 def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
@@ -124,7 +124,7 @@ def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
 def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     """Return the unit normal at each vertex ``(N, 3)``, faces weighted by area.
 
-    A vertex without a face, or with faces that cancel out, has the z axis.
+    A vertex without faces, or whose faces cancel out, gets the z axis.
 
     Args:
         points: ``(N, 3)``.
@@ -142,9 +142,9 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
         [np.bincount(corners, areas[:, axis], count) for axis in range(3)], axis=1
     )
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    flat = lengths[:, 0] <= np.finfo(np.float64).tiny
-    normals: FloatArray = sums / np.where(flat[:, None], 1.0, lengths)
-    normals[flat] = (0.0, 0.0, 1.0)
+    undefined = lengths[:, 0] <= np.finfo(np.float64).tiny
+    normals: FloatArray = sums / np.where(undefined[:, None], 1.0, lengths)
+    normals[undefined] = (0.0, 0.0, 1.0)
     return normals
 
 
@@ -170,11 +170,13 @@ def rigid_motion(before: ArrayLike, after: ArrayLike) -> tuple[FloatArray, Float
     ([0.0, 0.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     """
     start, end = np.asarray(before, np.float64), np.asarray(after, np.float64)
-    middle, target = start.mean(axis=0), end.mean(axis=0)
+    centre, target_centre = start.mean(axis=0), end.mean(axis=0)
     rotation = _best_rotation(
-        (start - middle).T @ (end - target), _scale(start) * _scale(end)
+        (start - centre).T @ (end - target_centre), _scale(start) * _scale(end)
     )
-    return rotation, np.asarray(target - so3.rotate(rotation, middle), np.float64)
+    return rotation, np.asarray(
+        target_centre - so3.rotate(rotation, centre), np.float64
+    )
 
 
 def _scale(points: FloatArray) -> float:
@@ -182,13 +184,13 @@ def _scale(points: FloatArray) -> float:
 
 
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
-    left, singular, right = np.linalg.svd(covariance)
+    left, singular, right_t = np.linalg.svd(covariance)
     if singular[0] <= FLAT**2 * scale:
         return so3.IDENTITY.copy()
     if singular[1] <= FLAT * singular[0]:
-        return _least_rotation(left[:, 0], right[0])
-    sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
-    return so3.from_matrix(right.T @ np.diag([1.0, 1.0, sign]) @ left.T)
+        return _least_rotation(left[:, 0], right_t[0])
+    sign = np.sign(np.linalg.det(left) * np.linalg.det(right_t))
+    return so3.from_matrix(right_t.T @ np.diag([1.0, 1.0, sign]) @ left.T)
 
 
 def _least_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -196,6 +198,6 @@ def _least_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
     axis = np.cross(a, b)
     angle = float(np.arctan2(np.linalg.norm(axis), a @ b))
     if not np.linalg.norm(axis) > 0:
-        # Any perpendicular axis will do for 180 degrees.
+        # At 180 degrees any perpendicular axis is valid.
         axis = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
     return so3.from_axis_angle(axis / np.linalg.norm(axis), angle)

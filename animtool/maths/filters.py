@@ -16,19 +16,18 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
-# Differences of this order are almost only noise: less than a hundred-thousandth of the
-# power of motion slower than a tenth of the rate remains.
+# Differences of this order are almost pure noise: they contain less than 1e-5 of the
+# power of motion slower than a tenth of the rate.
 NOISE_ORDER = 8
-# Range and number of cut-offs tried, as fractions of the rate.
-MIN_CUTOFF, MAX_CUTOFF, CUTOFFS = 0.005, 0.4, 24
+# Range and number of cut-offs to try, as fractions of the rate.
+MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT = 0.005, 0.4, 24
 # A filter that leaves more than this fraction of the noise power is not applied.
-WORTH = 0.8
-# Median of the square of one normal number [1].
+MAX_KEPT_NOISE = 0.8
+# Median of the square of a standard normal variable [1].
 MEDIAN_SQUARE = 0.454936
 # An axis with less than this fraction of the largest noise power has no noise.
-HINGE = 0.05
-# Coefficient of the median of a sum of squared normal numbers [1] (Wilson and
-# Hilferty).
+NOISY_AXIS_FRACTION = 0.05
+# Coefficient of the median of a chi-squared variable [1] (Wilson and Hilferty).
 _WILSON = 2 / 9
 
 
@@ -38,7 +37,7 @@ def lowpass(
     rate: float,
     *,
     order: int = 2,
-    known: BoolArray | None = None,
+    valid: BoolArray | None = None,
 ) -> FloatArray:
     """Return signals low-pass filtered without lag ``(F, ...)``.
 
@@ -47,7 +46,7 @@ def lowpass(
         cutoff: Frequency at which half of the amplitude is left [Hz].
         rate: Frames a second.
         order: Order of the penalised differences; higher cuts off sharper.
-        known: Mask of valid frames ``(F,)``, at least ``order``; others are
+        valid: Mask of valid frames ``(F,)``, at least ``order``; others are
             interpolated.
     """
     from scipy.linalg import solveh_banded
@@ -56,11 +55,11 @@ def lowpass(
     order = min(order, count - 1)
     if order < 1 or not values.size:
         return values.copy()
-    weights = np.ones(count) if known is None else known.astype(np.float64)
+    weights = np.ones(count) if valid is None else valid.astype(np.float64)
     stiffness = (2 * math.sin(math.pi * min(cutoff / rate, 0.5))) ** (-2 * order)
     bands = stiffness * _penalty(count, order)
     bands[0] += weights
-    origin = values[:1] if known is None else values[int(np.argmax(known))][None]
+    origin = values[:1] if valid is None else values[int(np.argmax(valid))][None]
     columns = ((values - origin).T * weights).T.reshape(count, -1)
     smooth = solveh_banded(bands, columns, lower=True, check_finite=False)
     return np.asarray(smooth.reshape(values.shape) + origin)
@@ -72,10 +71,10 @@ def lowpass_rotations(
     rate: float,
     *,
     order: int = 2,
-    known: BoolArray | None = None,
+    valid: BoolArray | None = None,
 ) -> FloatArray:
     """Return low-pass filtered rotations ``(F, ..., 4)`` of continuous sign."""
-    return so3.normalize(lowpass(rotations, cutoff, rate, order=order, known=known))
+    return so3.normalize(lowpass(rotations, cutoff, rate, order=order, valid=valid))
 
 
 def _penalty(count: int, order: int) -> FloatArray:
@@ -97,7 +96,7 @@ def _differences(order: int) -> FloatArray:
 def noise_level(values: FloatArray) -> float:
     """Return the standard deviation of the white noise in a signal ``(F, K)``.
 
-    Estimated from its fastest part by a median, so that a few jumps do not count.
+    Estimated as a median of its highest frequencies, so that a few jumps do not count.
 
     >>> rng = np.random.default_rng(1)
     >>> slow = np.sin(np.arange(2000)[:, None] / 20)
@@ -110,7 +109,7 @@ def noise_level(values: FloatArray) -> float:
 def rotation_noise(rotations: FloatArray) -> float:
     """Return the standard deviation of the white noise of rotations ``(F, 4)`` [rad].
 
-    It is per axis with noise: three, or one for a hinge.
+    It is the value for each noisy axis: three axes, or one for a hinge.
     """
     return 2 * math.sqrt(_noise(rotations, rotation=True)[0])
 
@@ -120,20 +119,22 @@ def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
         return 0.0, 1
-    fast = np.diff(values, order, axis=0)
+    differences = np.diff(values, order, axis=0)
     gain = math.comb(2 * order, order)
     if not rotation:
         # Static components have no noise.
         width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
         middle_power = width * (1 - _WILSON / width) ** 3
-        power = float(np.median((fast * fast).sum(axis=-1))) / middle_power
+        power = (
+            float(np.median((differences * differences).sum(axis=-1))) / middle_power
+        )
         return power / gain, width
     # Relative to the middle frame, noise is a rotation vector.
-    middle = values[order // 2 : order // 2 + len(fast)]
-    fast = so3.multiply(so3.conjugate(middle), fast)[:, :3]
-    along = fast @ np.linalg.eigh(fast.T @ fast)[1]
-    powers = np.median(along * along, axis=0) / MEDIAN_SQUARE / gain
-    width = max(1, int((powers > HINGE * powers.max()).sum()))
+    middle_frames = values[order // 2 : order // 2 + len(differences)]
+    differences = so3.multiply(so3.conjugate(middle_frames), differences)[:, :3]
+    components = differences @ np.linalg.eigh(differences.T @ differences)[1]
+    powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / gain
+    width = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
     return float(powers.sum()) / width, width
 
 
@@ -155,27 +156,31 @@ def best_cutoff(
     noise = variance * width
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
-    fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFFS)
-    waves = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
+    fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT)
+    frequencies = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     errors = []
     for fraction in fractions.tolist():
-        away = values - lowpass(values, fraction * rate, rate)
-        gains = 1 / (1 + (waves / math.sin(math.pi * fraction)) ** 4)
-        taken = float((away * away).sum()) / len(values)
-        errors.append(taken + (2 * float(gains.mean()) - 1) * noise)
+        removed = values - lowpass(values, fraction * rate, rate)
+        gains = 1 / (1 + (frequencies / math.sin(math.pi * fraction)) ** 4)
+        removed_power = float((removed * removed).sum()) / len(values)
+        errors.append(removed_power + (2 * float(gains.mean()) - 1) * noise)
     best = int(np.argmin(errors))
-    return float(fractions[best] * rate) if errors[best] < WORTH * noise else None
+    return (
+        float(fractions[best] * rate) if errors[best] < MAX_KEPT_NOISE * noise else None
+    )
 
 
 def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
-    """Return values ``(N, C)`` with missing ones (NaN) interpolated; 0 if all are.
+    """Return values ``(N, C)`` with NaN interpolated; columns of only NaN become 0.
 
-    ``times`` ``(N,)`` ascend. The first and last values extend to the ends.
+    ``times`` ``(N,)`` ascend. The first and last values are held to the ends.
     """
     filled = values.copy()
     for column in filled.T:
-        there = np.isfinite(column)
-        if not there.all():
-            known = there.any()
-            column[:] = np.interp(times, times[there], column[there]) if known else 0.0
+        valid = np.isfinite(column)
+        if not valid.all():
+            any_valid = valid.any()
+            column[:] = (
+                np.interp(times, times[valid], column[valid]) if any_valid else 0.0
+            )
     return filled

@@ -20,8 +20,8 @@ from animtool.maths.curves import cubic_curves, evaluate
 class FittedKeys:
     """K keys shared by D components, with cubic segments between them.
 
-    A segment's handles lie at thirds of it in time, so that time is linear in the
-    curve's parameter: as a Bézier curve and as a cubic over time it is the same.
+    The handles of a segment are at thirds of its time, so that time is linear in the
+    curve's parameter: the Bézier curve is also a cubic over time.
     """
 
     frames: IntArray  # of the keys, ascending ``(K,)`` [frame]
@@ -36,9 +36,9 @@ class FittedKeys:
         """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
         flags = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
-        before, behind = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
-        size = np.abs(before) + np.abs(behind)
-        flags[1:-1] = (np.abs(before - behind) <= 1e-9 * size + 1e-300).all(axis=1)
+        before, after = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
+        magnitude = np.abs(before) + np.abs(after)
+        flags[1:-1] = (np.abs(before - after) <= 1e-9 * magnitude + 1e-300).all(axis=1)
         return flags
 
 
@@ -53,32 +53,32 @@ def fit_keys(
 ) -> FittedKeys:
     """Return few keys whose cubic segments stay within a tolerance of samples.
 
-    From each key, galloping and bisection look for the longest segment that fits,
-    in O(F log F) for all. A segment begins and ends on samples; its two inner
-    control values are those of least squares, reweighted towards the least largest
-    error where that nearly fits. Then the two slopes at each key become one where
-    the tolerance allows.
+    From each key, galloping and bisection find the longest segment that fits, in
+    O(F log F) altogether. A segment begins and ends on samples; its two inner control
+    values come from least squares, reweighted to minimise the largest error where the
+    fit nearly succeeds. Then the two slopes at each key are merged where the tolerance
+    allows.
 
-    Limits: the search is greedy, so a few keys fewer may do. The bound holds at the
-    samples: two control values pass through any two samples, so of pure noise
-    every third sample stays a key, and between samples the curve may swing out, but
-    not beyond ``within``. A tolerance below 1e-13 of the values is less than their
-    rounding.
+    Limits: the search is greedy, so slightly fewer keys may be possible. The tolerance
+    holds at the samples. A segment passes exactly through any two inner samples, so
+    pure noise needs a key at every third sample, and between samples the curve may
+    overshoot, but not beyond ``within``. A tolerance below 1e-13 of the values is less
+    than their rounding.
 
     Args:
-        values: Even samples ``(F, D)``, F > 0, D > 0.
+        values: Evenly spaced samples ``(F, D)``, F > 0, D > 0.
         tolerance: Largest error > 0, in the unit of the values: a number, for the
             Euclidean norm over D; or one for each component ``(D,)``, for the norm of
             the errors over their tolerances.
         tolerance_scale: Factor of the tolerance at each frame ``(F,)``, > 0; None is 1.
-        anchors: Frames inside that are keys in any case, ascending [frame]. The keys
-            between two anchors depend on nothing outside, their slopes apart.
-        within: Least and largest of each component ``(D,)`` that curves keep to
-            between samples that do; infinite, or None, is none.
-        straight: Frames from which a straight segment leads to the next [frame].
+        anchors: Inner frames that always become keys, ascending [frame]. The keys
+            between two anchors, except for slopes, do not depend on other frames.
+        within: Lower and upper bound of each component ``(D,)``, which curves respect
+            between samples within it; infinite or None for no bound.
+        straight: Frames whose segment to the next frame is straight [frame].
 
     Returns:
-        One key where all samples are within the tolerance of the first.
+        The keys; a single one if all samples are within the tolerance of the first.
 
     Raises:
         ValueError: A shape does not fit, a value is not finite, a tolerance or its
@@ -119,7 +119,7 @@ def fit_keys(
         np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / limits)
         for bound in bounds
     )
-    at, ins, outs = _kernels.fit_cubics(
+    key_frames, ins, outs = _kernels.fit_cubics(
         samples / limits,
         scales,
         np.ascontiguousarray(anchors, np.int64),
@@ -127,7 +127,7 @@ def fit_keys(
         high,
         np.ascontiguousarray(straight, np.int64),
     )
-    return FittedKeys(at, samples[at], ins * limits, outs * limits)
+    return FittedKeys(key_frames, samples[key_frames], ins * limits, outs * limits)
 
 
 def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:

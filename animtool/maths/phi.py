@@ -26,25 +26,27 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
     [1.0, 0.001]
     """
-    distinct, back = np.unique(matrices, axis=0, return_inverse=True)
-    back = back.reshape(len(matrices))
-    one, two = _phi_functions(distinct)
-    return one[back], two[back]
+    distinct, inverse = np.unique(matrices, axis=0, return_inverse=True)
+    inverse = inverse.reshape(len(matrices))
+    phi1, phi2 = _phi_functions(distinct)
+    return phi1[inverse], phi2[inverse]
 
 
 def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(math.ceil(math.log2(norm / _NORM)), 0) if norm > 0 else 0
-    scaled, unit = matrices / 2.0**halvings, np.eye(matrices.shape[1])
-    size = norm / 2.0**halvings
-    terms = next((n for most, n in _TERMS if size <= most), _TERMS[-1][1])
-    two = np.broadcast_to(unit / math.factorial(terms + 2), matrices.shape)
+    scaled, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
+    scaled_norm = norm / 2.0**halvings
+    terms = next(
+        (n for max_norm, n in _TERMS if scaled_norm <= max_norm), _TERMS[-1][1]
+    )
+    phi2 = np.broadcast_to(identity / math.factorial(terms + 2), matrices.shape)
     for k in range(terms - 1, -1, -1):
-        two = scaled @ two + unit / math.factorial(k + 2)
-    one = unit + scaled @ two
-    exponential = unit + scaled @ one
+        phi2 = scaled @ phi2 + identity / math.factorial(k + 2)
+    phi1 = identity + scaled @ phi2
+    exponential = identity + scaled @ phi1
     for _ in range(halvings):
-        two = (exponential @ two + one + two) / 4
-        one = (exponential @ one + one) / 2
+        phi2 = (exponential @ phi2 + phi1 + phi2) / 4
+        phi1 = (exponential @ phi1 + phi1) / 2
         exponential = exponential @ exponential
-    return one, two
+    return phi1, phi2

@@ -1,4 +1,4 @@
-"""Detects pops: steps between frames that the motion around does not predict."""
+"""Detects pops: steps between frames that the surrounding motion does not predict."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 
-# Smaller deviations from the motion around are not pops [rad].
+# Smaller deviations from the surrounding motion are not pops [rad].
 MIN_ROTATION = math.radians(17.0)
 # No real motion rotates a joint this far in one frame [rad].
 FLIP = math.radians(120.0)
-# Roughness of a pop relative to the motion around: kicks, claps and landings at 24 to
-# 120 fps reach 6, and 20 degrees in a smooth walk 9 and more [1]. The roughness of the
-# motion is at least the noise of captures [rad].
-STANDS_OUT = 8.0
+# Roughness of a pop relative to the surrounding motion: kicks, claps and landings at 24
+# to 120 fps reach 6; a 20 degree pop in a smooth walk has 9 or more [1]. The roughness
+# of the motion is at least the noise of captures [rad].
+MIN_ROUGHNESS_RATIO = 8.0
 ROTATION_NOISE = math.radians(1.0)
 # Roughness of a pop relative to adjacent steps [1]; fast motion starts and stops over
 # several frames.
-ABOVE_NEIGHBOURS = 5.5
-# Deviation of a translation pop relative to the change of speed: a bouncing ball
-# reverses its speed in one step, which is no pop [1].
-ABOVE_CHANGE = 2.5
-# Part of the smallest pop that a smooth interpolation must leave unexplained [1].
-LEFT = 0.6
+MIN_NEIGHBOUR_RATIO = 5.5
+# Deviation of a translation pop relative to the change of velocity: a bouncing ball
+# reverses its velocity in one step, which is not a pop [1].
+MIN_CHANGE_RATIO = 2.5
+# Fraction of the smallest pop that smooth interpolation must leave unexplained [1].
+MIN_UNEXPLAINED = 0.6
 # A step belongs to fast motion if the adjacent one has this fraction of its length [1].
-ALONG = 0.4
-# Window of the motion around: seconds before and after, and least number of steps.
-REACH_SECONDS, MIN_STEPS = 0.12, 12
-# Steps next to a pop that are excluded from the motion around.
-GAP = 2
-# Fewer frames do not show what is typical.
+SIMILAR_SPEED = 0.4
+# Window of the surrounding motion: seconds before and after, minimum number of steps.
+WINDOW_SECONDS, MIN_STEPS = 0.12, 12
+# Steps next to a pop that are excluded from the surrounding motion.
+NEIGHBOURHOOD_GAP = 2
+# Fewer frames are too few to know typical motion.
 MIN_FRAMES = 8
 
 
@@ -50,16 +50,16 @@ def rotation_pops(
     if len(rotations) + 1 < MIN_FRAMES or not rotations.shape[1]:
         empty = np.zeros(rotations.shape[:2])
         return empty.astype(bool), empty
-    amounts = surprises(rotations, cuts)
-    flags = stands_out(rotations, amounts, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
-    # If every other step is a flip, none exceeds the motion around it.
+    deviations = prediction_errors(rotations, cuts)
+    mask = outliers(rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
+    # If every second step is a flip, none exceeds its surrounding motion.
     flips = np.linalg.norm(rotations, axis=2) > FLIP
-    flags |= flips & (amounts > MIN_ROTATION + 2.0 * np.median(amounts, axis=0))
-    return flags, amounts
+    mask |= flips & (deviations > MIN_ROTATION + 2.0 * np.median(deviations, axis=0))
+    return mask, deviations
 
 
 def translation_pops(
-    shifts: FloatArray, interval: float, cuts: BoolArray, least: float, noise: float
+    shifts: FloatArray, interval: float, cuts: BoolArray, smallest: float, noise: float
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of translation pops ``(S, N)``, and the deviations [m].
 
@@ -69,64 +69,64 @@ def translation_pops(
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
         empty = np.zeros(shifts.shape[:2])
         return empty.astype(bool), empty
-    amounts = surprises(shifts, cuts)
-    flags = stands_out(shifts, amounts, cuts, least, noise, interval)
-    return flags & (amounts > ABOVE_CHANGE * changes(shifts)), amounts
+    deviations = prediction_errors(shifts, cuts)
+    mask = outliers(shifts, deviations, cuts, smallest, noise, interval)
+    return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(shifts)), deviations
 
 
-def stands_out(
+def outliers(
     steps: FloatArray,
-    amounts: FloatArray,
+    deviations: FloatArray,
     cuts: BoolArray,
-    least: float,
+    smallest: float,
     noise: float,
     interval: float,
 ) -> BoolArray:
-    """Return a mask of deviations far above those around ``(S, N)``.
+    """Return a mask of deviations far above those of nearby steps ``(S, N)``.
 
     ``steps`` ``(S, N, 3)`` and their deviations, ``amounts`` ``(S, N)``.
     """
-    candidates = (amounts > least).any(axis=0)
-    flags = np.zeros(amounts.shape, bool)
+    candidates = (deviations > smallest).any(axis=0)
+    mask = np.zeros(deviations.shape, bool)
     if not candidates.any():
-        return flags
-    amounts = amounts[:, candidates]
-    steps = _without(steps[:, candidates], cuts)
+        return mask
+    deviations = deviations[:, candidates]
+    steps = _without_cuts(steps[:, candidates], cuts)
     # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
-        left, near_pops = _unexplained(steps, amounts)
-        reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
-        typical = noise + mean_around(left, reach, GAP)
-    flags[:, candidates] = (
-        (amounts > least)
-        & (left > LEFT * least)
-        & (left > STANDS_OUT * typical)
-        & (left > ABOVE_NEIGHBOURS * around(near_pops))
+        residuals, near_pop_residuals = _unexplained(steps, deviations)
+        reach = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
+        typical = noise + mean_around(residuals, reach, NEIGHBOURHOOD_GAP)
+    mask[:, candidates] = (
+        (deviations > smallest)
+        & (residuals > MIN_UNEXPLAINED * smallest)
+        & (residuals > MIN_ROUGHNESS_RATIO * typical)
+        & (residuals > MIN_NEIGHBOUR_RATIO * adjacent_level(near_pop_residuals))
     )
-    return flags
+    return mask
 
 
-def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return the deviation of each step from the steps around it ``(S, N)``.
+def prediction_errors(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+    """Return the deviation of each step from nearby steps ``(S, N)``.
 
-    The prediction is the mean of the middle two of the two steps before and the two
-    after, by component, so that one bad step does not spoil its neighbours.
+    The prediction is the trimmed mean of the two steps before and the two after, per
+    component, so that one bad step does not affect its neighbours.
 
     ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
     """
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
-    steps = _without(steps, cuts)
+    steps = _without_cuts(steps, cuts)
     a, b, c, d = (_shifted(steps, offset) for offset in (-2, -1, 1, 2))
-    most = np.maximum(np.maximum(a, b), np.maximum(c, d))
-    least = np.minimum(np.minimum(a, b), np.minimum(c, d))
-    return _lengths(steps - 0.5 * (a + b + c + d - most - least))
+    largest = np.maximum(np.maximum(a, b), np.maximum(c, d))
+    smallest = np.minimum(np.minimum(a, b), np.minimum(c, d))
+    return _lengths(steps - 0.5 * (a + b + c + d - largest - smallest))
 
 
 def _unexplained(
-    steps: FloatArray, amounts: FloatArray
+    steps: FloatArray, deviations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return deviations that smooth fast motion does not explain ``(S, N)``, twice.
+    """Return two arrays of deviations unexplained by smooth fast motion ``(S, N)``.
 
     Each step is predicted by cubics through four steps around it: the nearest ones, or
     without the one before or after, which a bad frame also disturbs; and by lines
@@ -135,21 +135,23 @@ def _unexplained(
     for steps next to a pop, which lines on their far sides do not contain.
     """
     a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
-    left = amounts
+    residuals = deviations
     for cubic in (
         (4.0 * (c + d) - b - e) / 6.0,
         c - 0.3 * b + 0.5 * e - 0.2 * f,
         d - 0.3 * e + 0.5 * b - 0.2 * a,
     ):
-        left = np.fmin(left, _lengths(steps - cubic))
-    by_lines = left
+        residuals = np.fmin(residuals, _lengths(steps - cubic))
+    line_residuals = residuals
     squares = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
-        off = _lengths(steps - (2.0 * nearer - farther))
-        along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * squares
-        left = np.where(along, np.fmin(left, off), left)
-        by_lines = np.fmin(by_lines, off)
-    return left, by_lines
+        line_errors = _lengths(steps - (2.0 * nearer - farther))
+        similar_speed = (
+            np.einsum("snc,snc->sn", nearer, nearer) > SIMILAR_SPEED**2 * squares
+        )
+        residuals = np.where(similar_speed, np.fmin(residuals, line_errors), residuals)
+        line_residuals = np.fmin(line_residuals, line_errors)
+    return residuals, line_residuals
 
 
 def _shifted(steps: FloatArray, offset: int) -> FloatArray:
@@ -162,7 +164,7 @@ def _lengths(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
-def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return steps with cuts replaced by the nearest other step."""
     if not cuts.any() or cuts.all():
         return steps
@@ -172,9 +174,9 @@ def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
 
 
 def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
-    """Return the mean of the rows within reach, without the nearest ``(S, N)``.
+    """Return the mean of rows up to ``reach`` away, without the nearest ``(S, N)``.
 
-    ``values`` ``(S, N)``.
+    ``values`` ``(S, N)``; rows less than ``gap`` away are left out.
     """
     count = len(values)
     total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
@@ -185,11 +187,12 @@ def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
     return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
 
 
-def around(values: FloatArray) -> FloatArray:
-    """Return the larger of the values adjacent to a step that may stay or return.
+def adjacent_level(values: FloatArray) -> FloatArray:
+    """Return the larger value of the steps adjacent to each, ignoring a return step.
 
-    A joint that jumps and stays makes one bad step, one that returns in the next frame
-    makes two: of the choices to skip such a neighbour, the smallest result counts.
+    A joint that jumps and stays has one bad step; one that returns in the next frame
+    has two. Of the ways to skip such a neighbour, the one with the smallest result is
+    used.
 
     ``values`` ``(S, N)``.
     """
@@ -201,11 +204,11 @@ def around(values: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(stays, np.minimum(comes_back, came_back)))
 
 
-def changes(steps: FloatArray) -> FloatArray:
-    """Return the change from the steps before to the steps after each ``(S, N)``.
+def velocity_changes(steps: FloatArray) -> FloatArray:
+    """Return the velocity change from the step before to the step after ``(S, N)``.
 
-    A bouncing ball continues in another direction, and a root that jumps continues as
-    before. As in `around`, the best choice of skipped neighbours counts.
+    A bouncing ball continues in another direction, but a root that jumps continues as
+    before. Neighbours are skipped as in `adjacent_level`.
 
     ``steps`` ``(S, N, 3)``.
     """

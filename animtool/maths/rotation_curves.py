@@ -31,8 +31,8 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
     [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
     """
-    several = np.ndim(keys) == 3
-    q = as_floats(keys, (count, "C", 4) if several else (count, 4), "keys")
+    batched = np.ndim(keys) == 3
+    q = as_floats(keys, (count, "C", 4) if batched else (count, 4), "keys")
     for fault, rows in (
         ("is not finite", ~np.isfinite(q).all(axis=-1)),
         ("is zero, not a rotation", ~q.any(axis=-1)),
@@ -46,12 +46,12 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
 def log_of_cover(q: ArrayLike) -> FloatArray:
     """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q with its sign.
 
-    Its length is at most 2π; q = (0, 0, 0, -1), where no axis is given, returns 0.
+    Its length is at most 2π; q = (0, 0, 0, -1), which has no axis, returns 0.
 
     >>> np.allclose(log_of_cover([0, 0, -1, 0]), [0, 0, -np.pi])
     True
     """
-    # q + 1 is twice the half of the rotation, up to its length.
+    # q + 1, normalised, is half the rotation.
     return 2.0 * so3.log(so3.normalize(np.asarray(q, np.float64) + so3.IDENTITY))
 
 
@@ -77,7 +77,7 @@ def squad(q: ArrayLike, u: ArrayLike) -> FloatArray:
         Unit quaternions ``(U, 4)``.
 
     Raises:
-        ValueError: The shapes are others, or a key is zero or not finite.
+        ValueError: A shape does not fit, or a key is zero or not finite.
 
     References:
         K. Shoemake, Quaternion calculus and fast animation, SIGGRAPH course notes,
@@ -116,13 +116,13 @@ def squad_by_velocities(
     outer = so3.multiply(start, so3.exp((leaving - step) / 2))
     inner = so3.multiply(end, so3.exp((step - arriving) / 2))
     u = np.asarray(u, np.float64)
-    along = so3.multiply(start, so3.exp(u[..., None] * step))
-    across = _arc(outer, inner, u)
-    return so3.normalize(_arc(along, across, 2 * u * (1 - u)))
+    direct_arc = so3.multiply(start, so3.exp(u[..., None] * step))
+    inner_arc = _arc(outer, inner, u)
+    return so3.normalize(_arc(direct_arc, inner_arc, 2 * u * (1 - u)))
 
 
 def hermite(ends: ArrayLike, velocities: ArrayLike, u: ArrayLike) -> FloatArray:
-    """Return cubic segments by the rotations and angular velocities at their ends.
+    """Return cubic segments from the rotations and angular velocities at their ends.
 
     The cumulative cubic Bézier form: q₀·exp(β₁ω₁)·exp(β₂ω₂)·exp(β₃ω₃). The order of the
     factors matters: swapping the ends does not quite reverse the curve, unless all
@@ -167,7 +167,7 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
         Unit quaternions ``(U, 4)``.
 
     Raises:
-        ValueError: The shapes are others, or a key is zero or not finite.
+        ValueError: A shape does not fit, or a key is zero or not finite.
 
     References:
         M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
@@ -185,7 +185,7 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
 
 
 def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the arc from a to b, sign to sign, at u."""
+    """Return the point at u of the arc from a to b, without aligning signs."""
     return so3.multiply(a, so3.exp(u[..., None] * rotation_between(a, b)))
 
 
@@ -217,7 +217,7 @@ class RotationKind(IntEnum):
 def spline(times: ArrayLike, keys: ArrayLike, at: ArrayLike) -> FloatArray:
     """Return the C1 spline through rotation keys, held outside their times.
 
-    The arguments, the errors and the limits are those of `evaluate_rotations`.
+    Arguments, errors and limits are those of `evaluate_rotations`.
 
     >>> keys = so3.from_axis_angle([0, 0, 1], [0.0, 0.5, 2.0])
     >>> np.allclose(spline([0, 1, 4], keys, [3])[0], so3.exp([0, 0, 1.5]))
@@ -249,11 +249,10 @@ def evaluate_rotations(
     the left by the shortest rotation from the first key to the last: q(t + T) =
     last·first⁻¹·q(t).
 
-    Limits: between neighbours more than 180 degrees apart the curve takes the short
-        arc;
-    at exactly 180 degrees, the arc of the given signs. Angular acceleration jumps at
-    keys; so does velocity between SLERP segments, at a STEP, and where the limit above
-    clips the velocity of a SLERP.
+    Limits: between neighbours more than 180 degrees apart the curve follows the short
+    arc; at exactly 180 degrees, the arc of the keys' signs. Angular acceleration jumps
+    at keys; so does velocity between SLERP segments, at a STEP, and where the limit
+    above clips the velocity of a SLERP.
 
     Args:
         times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
@@ -286,10 +285,10 @@ def evaluate_rotations(
     if not len(times):
         raise ValueError("a curve has at least one key")
     if (np.diff(times) <= 0).any():
-        late = int((np.diff(times) <= 0).argmax()) + 1
-        raise ValueError(f"times must ascend; that of key {late} is {times[late]}")
-    several = np.ndim(keys) == 3
-    shape = (len(times), "C", 4) if several else (len(times), 4)
+        key = int((np.diff(times) <= 0).argmax()) + 1
+        raise ValueError(f"times must ascend; that of key {key} is {times[key]}")
+    batched = np.ndim(keys) == 3
+    shape = (len(times), "C", 4) if batched else (len(times), 4)
     rows = as_floats(keys, shape, "keys")
     kinds = np.asarray(kinds)
     if kinds.shape not in {(), times.shape}:
@@ -300,13 +299,13 @@ def evaluate_rotations(
     folded = fold(at, times[0], times[-1], pre, post)
     rotations = _kernels.evaluate_rotations(
         times,
-        rows if several else rows[:, None],
+        rows if batched else rows[:, None],
         np.broadcast_to(kinds, times.shape).astype(np.int64),
         folded.times,
         folded.beyond,
         folded.cycles,
     )
-    return rotations if several else rotations[:, 0]
+    return rotations if batched else rotations[:, 0]
 
 
 def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:

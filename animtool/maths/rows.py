@@ -17,15 +17,13 @@ class Rows:
     __slots__ = ()
 
     def select(self, rows: IntArray | BoolArray) -> Self:
-        """Return some rows, by indices or by a mask ``(N,)``."""
+        """Return a record of selected rows, by indices or by a mask ``(N,)``."""
         record: Any = self
-        return type(self)(
-            *(getattr(record, each.name)[rows] for each in fields(record))
-        )
+        return type(self)(*(getattr(record, f.name)[rows] for f in fields(record)))
 
     @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Return the concatenated rows of at least one record."""
         kind: Any = cls
-        columns = ([getattr(one, f.name) for one in parts] for f in fields(kind))
+        columns = ([getattr(record, f.name) for record in parts] for f in fields(kind))
         return cls(*map(np.concatenate, columns))

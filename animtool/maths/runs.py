@@ -19,16 +19,16 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def joined(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:
+def merge_runs(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:
     """Return sorted runs, with those separated by less than a gap merged.
 
-    >>> joined([(0, 1), (2, 4), (9, 10)], 3)
+    >>> merge_runs([(0, 1), (2, 4), (9, 10)], 3)
     [(0, 4), (9, 10)]
     """
-    wide: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for first, end in spans:
-        if wide and first - wide[-1][1] < gap:
-            wide[-1] = (wide[-1][0], end)
+        if merged and first - merged[-1][1] < gap:
+            merged[-1] = (merged[-1][0], end)
         else:
-            wide.append((first, end))
-    return wide
+            merged.append((first, end))
+    return merged

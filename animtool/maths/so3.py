@@ -31,7 +31,7 @@ def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    # Stacking the components would take as long again.
+    # Stacking the components would double the time.
     x = aw * bx + ax * bw + ay * bz - az * by
     product = np.empty((*x.shape, 4))
     product[..., 0] = x
@@ -72,8 +72,8 @@ def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
     """
     q, v = np.asarray(q, np.float64), np.asarray(v, np.float64)
     axis, w = q[..., :3], q[..., 3:]
-    across = 2.0 * cross(axis, v)
-    return np.asarray(v + w * across + cross(axis, across))
+    twice_cross = 2.0 * cross(axis, v)
+    return np.asarray(v + w * twice_cross + cross(axis, twice_cross))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -178,16 +178,19 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     distance = np.linalg.norm(a - b, axis=-1)
-    opposed = np.linalg.norm(a + b, axis=-1)
-    low, high = np.minimum(distance, opposed), np.maximum(distance, opposed)
+    negated_distance = np.linalg.norm(a + b, axis=-1)
+    low, high = (
+        np.minimum(distance, negated_distance),
+        np.maximum(distance, negated_distance),
+    )
     return np.asarray(4.0 * np.arctan2(low, high))
 
 
 def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     """Return the shortest-arc interpolation of unit quaternions at t ``(...)`` [1].
 
-    At rotations 180 degrees apart the arc is not unique; the one through the given
-    signs is taken.
+    At rotations 180 degrees apart the arc is not unique; that of the quaternions' signs
+    is used.
 
     References:
         K. Shoemake, Animating rotation with quaternion curves, 1985.
@@ -196,7 +199,7 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     >>> np.allclose(half, [0, 0, 0.5**0.5, 0.5**0.5])
     True
     """
-    # Imported here, as reading rigs needs no kernels.
+    # Imported here because reading rigs needs no kernels.
     from animtool import _kernels
 
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
@@ -215,7 +218,7 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
 def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     """Return quaternions ``(F, ..., 4)`` with signs continuous along the first axis.
 
-    The first is brought nearest to ``previous`` ``(..., 4)``, default identity.
+    The first gets the sign nearest to ``previous`` ``(..., 4)``, default identity.
 
     >>> align_signs([[0, 0, 0, -1], [0, 0, 0, 1]])[:, 3].tolist()
     [1.0, 1.0]
@@ -223,14 +226,16 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     q = np.asarray(q, np.float64)
     if not len(q):
         return q.copy()
-    before = np.broadcast_to(IDENTITY if previous is None else previous, q.shape[1:])
-    dots = np.sum(q * np.concatenate([before[None], q[:-1]]), axis=-1)
+    first_previous = np.broadcast_to(
+        IDENTITY if previous is None else previous, q.shape[1:]
+    )
+    dots = np.sum(q * np.concatenate([first_previous[None], q[:-1]]), axis=-1)
     flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.asarray(q * flips[..., None])
 
 
 def align_to(q: ArrayLike, other: ArrayLike) -> FloatArray:
-    """Return quaternions ``(..., 4)``, each with the sign that is nearer to another.
+    """Return quaternions ``(..., 4)`` with the signs nearer to other quaternions.
 
     >>> align_to([[0, 0, 0, -1.0]], [[0, 0, 0.6, 0.8]])[:, 3].tolist()
     [1.0]

@@ -1,4 +1,4 @@
-"""Boxes, spheres, cylinders, cones and capsules as meshes, about the z axis."""
+"""Meshes of boxes, spheres, cylinders, cones and capsules, about the z axis."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def box(size: float) -> Solid:
     return corners * (size / 2), np.full(6, 4), np.array(faces).reshape(-1)
 
 
-def turned(profile: FloatArray) -> Solid:
+def revolve(profile: FloatArray) -> Solid:
     """Return the surface of revolution about z of radii and heights ``(P, 2)``.
 
-    >>> len(turned(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
+    >>> len(revolve(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
     72
     """
     angles = np.arange(SIDES) * (2 * math.pi / SIDES)
-    round_it = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     points = np.concatenate(
         [
-            np.concatenate([r * round_it, np.full((SIDES, 1), z)], axis=1)
+            np.concatenate([r * circle, np.full((SIDES, 1), z)], axis=1)
             for r, z in profile.tolist()
         ]
     )
     rows = np.arange(len(profile) - 1)[:, None] * SIDES
-    here, there = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
-    low = rows + here, rows + there
-    faces = np.stack([*low, low[1] + SIDES, low[0] + SIDES], axis=-1).reshape(-1)
+    columns, next_columns = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
+    lower = rows + columns, rows + next_columns
+    faces = np.stack([*lower, lower[1] + SIDES, lower[0] + SIDES], axis=-1).reshape(-1)
     return points, np.full(len(faces) // 4, 4), faces
 
 
@@ -65,11 +65,13 @@ def capsule(radius: float, height: float) -> Solid:
     angles = np.linspace(-math.pi / 2, math.pi / 2, RINGS + 1)
     z = radius * np.sin(angles)
     z += np.where(angles > 1e-9, height / 2, -height / 2)
-    return turned(np.stack([radius * np.cos(angles), z], axis=1))
+    return revolve(np.stack([radius * np.cos(angles), z], axis=1))
 
 
 def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
     """Return a closed cylinder; ``top``: radius of its top, 0 for a cone."""
-    end = radius if top is None else top
+    top_radius = radius if top is None else top
     half = height / 2
-    return turned(np.array([[0.0, -half], [radius, -half], [end, half], [0.0, half]]))
+    return revolve(
+        np.array([[0.0, -half], [radius, -half], [top_radius, half], [0.0, half]])
+    )

@@ -87,12 +87,12 @@ def tcb(
     tension, continuity, bias = settings.T[:, :, None]
     a, b = spans[:-1], spans[1:]
     # Factor of each secant slope; its key difference is a or b times the slope.
-    before, behind = (b, a) if rule == "nonuniform" else (a, b)
+    factor_before, factor_after = (b, a) if rule == "nonuniform" else (a, b)
     sides = []
     for c in (-continuity, continuity):
-        one = (1 - tension) * (1 + c) * (1 + bias) * before * slopes[:-1]
-        two = (1 - tension) * (1 - c) * (1 - bias) * behind * slopes[1:]
-        sides.append(_with_ends((one + two) / (a + b), slopes, values))
+        from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
+        from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
+        sides.append(_with_ends((from_before + from_after) / (a + b), slopes, values))
     return sides[0], sides[1]
 
 
@@ -115,15 +115,15 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     clamped = nonuniform(times, values)
     if len(values) < 3:
         return clamped
-    for end, one, two in ((0, 0, 1), (-1, -1, -2)):
-        weight = spans[one] / (spans[one] + spans[two])
-        clamped[end] = slopes[one] + weight * (slopes[one] - slopes[two])
+    for end, near, far in ((0, 0, 1), (-1, -1, -2)):
+        weight = spans[near] / (spans[near] + spans[far])
+        clamped[end] = slopes[near] + weight * (slopes[near] - slopes[far])
     before = np.concatenate([slopes[:1], slopes])
-    behind = np.concatenate([slopes, slopes[-1:]])
-    monotone = np.sign(before) == np.sign(behind)
-    limit = 3 * np.minimum(np.abs(before), np.abs(behind))
-    along = np.sign(before) * clamped
-    return np.where(monotone, np.sign(before) * np.clip(along, 0, limit), 0.0) + 0.0
+    after = np.concatenate([slopes, slopes[-1:]])
+    monotone = np.sign(before) == np.sign(after)
+    limit = 3 * np.minimum(np.abs(before), np.abs(after))
+    size = np.sign(before) * clamped
+    return np.where(monotone, np.sign(before) * np.clip(size, 0, limit), 0.0) + 0.0
 
 
 def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatArray:
@@ -161,8 +161,8 @@ def catmull_rom_controls(
     """Return the Bézier handles before and after each point, each ``(K, D)``.
 
     A segment with these as control offsets equals `catmull_rom_spatial`, uniform in its
-    knots. The path is mirrored at the first and the last point. Coinciding points have
-    no handles between them.
+    knots. The path is mirrored at the first and the last point. Coincident points have
+    handles of length 0 between them.
 
     ``points`` ``(K, D)``.
 
@@ -175,11 +175,11 @@ def catmull_rom_controls(
         return np.zeros(points.shape), np.zeros(points.shape)
     first, last = 2 * points[:1] - points[1:2], 2 * points[-1:] - points[-2:-1]
     path = np.concatenate([first, points, last])
-    behind, before = _controls(path, alpha)
+    after, before = _controls(path, alpha)
     # The outer handles of the ends have no segment and no effect.
     return (
-        np.concatenate([-behind[:1], before]),
-        np.concatenate([behind, -before[-1:]]),
+        np.concatenate([-after[:1], before]),
+        np.concatenate([after, -before[-1:]]),
     )
 
 
@@ -195,17 +195,17 @@ def _controls(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _handle(
-    other: FloatArray, a: FloatArray, along: FloatArray, h: FloatArray
+    adjacent: FloatArray, a: FloatArray, step: FloatArray, h: FloatArray
 ) -> FloatArray:
-    """Return a third of the slope of the parabola at the knot between two steps.
+    """Return the Bézier handle of ``step`` at the knot between it and another step.
 
-    Times the knot interval h of the step ``along``: (h² other / a + a along) /
-    (a + h) / 3. Steps of no length have no direction.
+    A third of the parabola's slope there times the knot interval h of the step:
+    (h² adjacent / a + a step) / (a + h) / 3. Steps of length 0 have no direction.
     """
-    proper = (a > 0) & (h > 0)
-    ratio = np.where(proper, h, 1.0) / np.where(proper, a, 1.0)
-    curved = (ratio * other + along / ratio) / (1.0 + 1.0 / ratio)
-    return np.where(h > 0, np.where(a > 0, curved, along), 0.0) / 3
+    defined = (a > 0) & (h > 0)
+    ratio = np.where(defined, h, 1.0) / np.where(defined, a, 1.0)
+    parabola = (ratio * adjacent + step / ratio) / (1.0 + 1.0 / ratio)
+    return np.where(h > 0, np.where(a > 0, parabola, step), 0.0) / 3
 
 
 def _segments(

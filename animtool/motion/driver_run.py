@@ -25,19 +25,19 @@ from animtool.rig.shapes import combined_weights, uncombined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Smaller differences are float32 rounding [rad], [m]; of weights and controls [1].
-SAME, SAME_WEIGHT = 1e-5, 1e-6
+ROUNDING, WEIGHT_ROUNDING = 1e-5, 1e-6
 # Twists that step by more between frames wrapped at 180 degrees [rad].
 HALF_REVOLUTION = np.pi
 
 
 @dataclass(slots=True)
 class LargestAmount:
-    """The largest amount so far, and its frame."""
+    """The largest amount seen so far, and its frame."""
 
     amount: float = 0.0
     frame: float = 0.0
 
-    def take(self, amounts: FloatArray, times: FloatArray) -> None:
+    def update(self, amounts: FloatArray, times: FloatArray) -> None:
         """Update from amounts ``(F,)`` or ``(1,)`` at times ``(F,)``."""
         if not len(times) or not len(amounts):
             return
@@ -53,19 +53,19 @@ class DriverRun:
 
     Attributes:
         rig: A rig with drivers.
-        replaced: Whether to report source motion that drivers replace.
+        report_replaced: Whether to report source motion that drivers replace.
     """
 
     rig: Rig
-    replaced: bool = False
+    report_replaced: bool = False
     plan: DriverPlan = field(init=False)
     # Angle of each unlimited pin at the end of the last block [rad].
     _angles: dict[int, float] = field(default_factory=dict, init=False)
     _twists: dict[str, float] = field(default_factory=dict, init=False)
     _excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _gone: dict[str, LargestAmount] = field(default_factory=dict, init=False)
+    _replaced: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _wrapped: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _kept: set[str] = field(default_factory=set, init=False)
+    _kept_targets: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
         """Plan the order of the rig's drivers."""
@@ -90,116 +90,121 @@ class DriverRun:
         """
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.
-            twice = motion.select(np.zeros(2, np.int64))
-            return self.drive(twice, np.repeat(times, 2), coordinates).select(slice(1))
+            doubled = motion.select(np.zeros(2, np.int64))
+            return self.drive(doubled, np.repeat(times, 2), coordinates).select(
+                slice(1)
+            )
         rig = self.rig
         controls = self._controls(motion)
-        read = _CoordinateReader(self, motion, times, coordinates or {})
-        kept = self._keep(motion) if motion.controls is None else set()
-        done = evaluate_drivers(self.plan, read, controls, kept)
-        _refuse_undefined(rig, done, times)
-        for j, excess in done.excess.items():
+        read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
+        kept_targets = (
+            self._targets_to_keep(motion) if motion.controls is None else set()
+        )
+        values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
+        _refuse_undefined(rig, values, times)
+        for j, excess in values.excess.items():
             name = rig.names[j]
-            self._excess.setdefault(name, LargestAmount()).take(np.abs(excess), times)
+            self._excess.setdefault(name, LargestAmount()).update(np.abs(excess), times)
         return replace(
-            self._joints(motion, done, times),
-            weights=self._weights(motion, done, times),
-            controls=self._new_controls(motion, done, times),
+            self._joints(motion, values, times),
+            weights=self._weights(motion, values, times),
+            controls=self._new_controls(motion, values, times),
         )
 
     def notices(self) -> list[Fault]:
         """Return the warnings of drivers so far."""
-        return [fault for fault, _, _ in self.targeted()]
+        return [fault for fault, _, _ in self.located_notices()]
 
-    def targeted(self) -> list[tuple[Fault, str, float]]:
+    def located_notices(self) -> list[tuple[Fault, str, float]]:
         """Return the warnings with their targets and worst frames."""
         notices = []
-        for name, worst in self._excess.items():
+        for name, largest in self._excess.items():
             joint = self.rig.joints[self.rig.index(name)]
-            if worst.amount > SAME:
+            if largest.amount > ROUNDING:
                 message = (
                     f"the driver of {name!r} exceeds its limits by "
-                    f"{_shown(joint, worst.amount)} at frame {worst.frame:g}; the "
-                    "joint is clamped"
+                    f"{_amount_text(joint, largest.amount)} at frame "
+                    f"{largest.frame:g}; the joint is clamped"
                 )
                 hint = "widen the limits, or reduce the driver"
                 fault = _warning("RIG103", message, hint)
-                notices.append((fault, f"joint/{name}", worst.frame))
-        for name, worst in self._wrapped.items():
+                notices.append((fault, f"joint/{name}", largest.frame))
+        for name, largest in self._wrapped.items():
             message = (
-                f"{name} crosses 180 degrees at frame {worst.frame:g}: what it "
+                f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
                 "drives jumps there"
             )
             hint = "the limits of the joint's twist place the seam"
             fault = _warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
-            notices.append((fault, f"joint/{joint_name}", worst.frame))
-        if self._kept and self.replaced:
-            names = sorted(target.partition("/")[2] for target in self._kept)
+            notices.append((fault, f"joint/{joint_name}", largest.frame))
+        if self._kept_targets and self.report_replaced:
+            names = sorted(target.partition("/")[2] for target in self._kept_targets)
             message = (
                 "the take contains no controls for its drivers to read: "
                 f"{listed(names)} keep the take's values"
             )
             fault = Fault("RIG106", message, severity=Severity.NOTE)
-            notices.append((fault, sorted(self._kept)[0], 0.0))
-        for target, worst in self._gone.items():
+            notices.append((fault, sorted(self._kept_targets)[0], 0.0))
+        for target, largest in self._replaced.items():
             kind, _, name = target.partition("/")
-            amount = f"{worst.amount:.4g}"
+            amount = f"{largest.amount:.4g}"
             if kind == "joint":
                 joint = self.rig.joints[self.rig.index(name)]
-                amount = _shown(joint, worst.amount)
+                amount = _amount_text(joint, largest.amount)
             message = (
                 f"{kind} {name!r} is driven, which replaces the source's motion of "
-                f"it; the largest difference is {amount}, at frame {worst.frame:g}"
+                f"it; the largest difference is {amount}, at frame {largest.frame:g}"
             )
             hint = "remove its `driven` from the rig to keep the source's motion"
             fault = _warning("RIG104", message, hint)
-            notices.append((fault, target, worst.frame))
+            notices.append((fault, target, largest.frame))
         return notices
 
-    def unwrapped(self, j: int, angles: FloatArray) -> FloatArray:
+    def unwrap(self, j: int, angles: FloatArray) -> FloatArray:
         """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
         before = self._angles.get(j, 0.0)
         out = np.unwrap(np.concatenate([[before], angles]))[1:]
         self._angles[j] = float(out[-1]) if len(out) else before
         return out
 
-    def watch(self, name: str, twists: FloatArray, times: FloatArray) -> None:
+    def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
         """Record the first frame at which a twist wraps."""
         before = self._twists.get(name, twists[0] if len(twists) else 0.0)
         steps = np.abs(np.diff(twists, prepend=before))
         if (steps > HALF_REVOLUTION).any():
             first = int(np.argmax(steps > HALF_REVOLUTION))
-            worst = LargestAmount(1.0, float(times[first]))
-            self._wrapped.setdefault(name, worst)
+            wrap = LargestAmount(1.0, float(times[first]))
+            self._wrapped.setdefault(name, wrap)
         if len(twists):
             self._twists[name] = float(twists[-1])
 
-    def _keep(self, motion: Motion) -> set[str]:
-        """Return targets that keep the motion's values, as it lacks their controls.
+    def _targets_to_keep(self, motion: Motion) -> set[str]:
+        """Return targets that keep the motion's values because it has no controls.
 
-        These values result from the controls and are better than defaults.
+        Those values were driven by controls when the motion was made, so they are
+        better than values from default controls.
         """
         kept = set()
         for target in self.plan.by_control:
             kind, _, name = target.partition("/")
             if kind == "joint":
-                stated = self._states_joint(motion, self.rig.index(name))
+                posed = self._is_posed_joint(motion, self.rig.index(name))
             elif kind == "shape" and motion.weights is not None:
                 names = [shape.name for shape in self.rig.shapes]
-                stated = _states(motion.weights, names.index(name), np.zeros(1))
+                posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
             else:
-                stated = False
-            if stated:
+                posed = False
+            if posed:
                 kept.add(target)
-        self._kept |= kept
+        self._kept_targets |= kept
         return kept
 
-    def _states_joint(self, motion: Motion, j: int) -> bool:
+    def _is_posed_joint(self, motion: Motion, j: int) -> bool:
         rig = self.rig
         if rig.joints[j].type is JointType.PRISMATIC:
-            return _states(motion.translations, j, rig.rest_translations[j])
-        return _states(motion.rotations, j, rig.rest_rotations[j])
+            return _is_posed(motion.translations, j, rig.rest_translations[j])
+        return _is_posed(motion.rotations, j, rig.rest_rotations[j])
 
     def _controls(self, motion: Motion) -> dict[str, FloatArray]:
         if motion.controls is None:
@@ -209,10 +214,12 @@ class DriverRun:
             for i, control in enumerate(self.rig.controls)
         }
 
-    def _joints(self, motion: Motion, done: DriverValues, times: FloatArray) -> Motion:
+    def _joints(
+        self, motion: Motion, driven: DriverValues, times: FloatArray
+    ) -> Motion:
         rotations: dict[int, FloatArray] = {}
         translations: dict[int, FloatArray] = {}
-        for j, value in done.joints.items():
+        for j, value in driven.joints.items():
             joint = self.rig.joints[j]
             rest = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
@@ -225,11 +232,15 @@ class DriverRun:
             rotates = j in rotations
             channel = motion.rotations if rotates else motion.translations
             old = _rows(channel, j)
-            resting = self.rig.rest_rotations if rotates else self.rig.rest_translations
-            away = so3.angle_between if rotates else _distance
-            stated = away(old, resting[j][None]).max(initial=0.0) > SAME
-            if stated and self.rig.joints[j].driven is not None:
-                self._replace(f"joint/{self.rig.names[j]}", away(old, new), times, SAME)
+            rest_values = (
+                self.rig.rest_rotations if rotates else self.rig.rest_translations
+            )
+            distance = so3.angle_between if rotates else _distance
+            moved = distance(old, rest_values[j][None]).max(initial=0.0) > ROUNDING
+            if moved and self.rig.joints[j].driven is not None:
+                self._replace(
+                    f"joint/{self.rig.names[j]}", distance(old, new), times, ROUNDING
+                )
         return replace(
             motion,
             rotations=_with_rows(motion.rotations, rotations),
@@ -237,52 +248,54 @@ class DriverRun:
         )
 
     def _weights(
-        self, motion: Motion, done: DriverValues, times: FloatArray
+        self, motion: Motion, driven: DriverValues, times: FloatArray
     ) -> Channel | None:
         plan, shapes = self.plan, self.rig.shapes
         if not plan.shapes:
             return motion.weights
-        old = {shape.name: np.zeros(1) for shape in shapes}
+        source_weights = {shape.name: np.zeros(1) for shape in shapes}
         channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
         if motion.weights is not None:
             channel = motion.weights
-            old = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
-        independent = uncombined_weights(shapes, old) | done.shapes
-        new = combined_weights(shapes, independent)
+            source_weights = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
+        independent = uncombined_weights(shapes, source_weights) | driven.shapes
+        new_weights = combined_weights(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
-        changed = dict.fromkeys([*done.shapes, *plan.combined])
-        for name in done.shapes:
-            if old[name].any():
-                differences = np.abs(new[name] - old[name])
-                self._replace(f"shape/{name}", differences, times, SAME_WEIGHT)
-        rows = {index[name]: new[name][:, None] for name in changed}
+        changed = dict.fromkeys([*driven.shapes, *plan.combined])
+        for name in driven.shapes:
+            if source_weights[name].any():
+                differences = np.abs(new_weights[name] - source_weights[name])
+                self._replace(f"shape/{name}", differences, times, WEIGHT_ROUNDING)
+        rows = {index[name]: new_weights[name][:, None] for name in changed}
         return _with_rows(channel, rows)
 
     def _new_controls(
-        self, motion: Motion, done: DriverValues, times: FloatArray
+        self, motion: Motion, driven: DriverValues, times: FloatArray
     ) -> Channel | None:
         controls, channel = self.rig.controls, motion.controls
-        if not done.controls or channel is None:
+        if not driven.controls or channel is None:
             return channel
         rows = {
-            i: done.controls[control.name][:, None]
+            i: driven.controls[control.name][:, None]
             for i, control in enumerate(controls)
-            if control.name in done.controls
+            if control.name in driven.controls
         }
         for i, value in rows.items():
-            old = _column(channel, i)
-            if (old != controls[i].default).any():
-                differences = np.abs(value[:, 0] - old)
+            source_values = _column(channel, i)
+            if (source_values != controls[i].default).any():
+                differences = np.abs(value[:, 0] - source_values)
                 target = f"control/{controls[i].name}"
-                self._replace(target, differences, times, SAME_WEIGHT)
+                self._replace(target, differences, times, WEIGHT_ROUNDING)
         return _with_rows(channel, rows)
 
     def _replace(
-        self, target: str, differences: FloatArray, times: FloatArray, same: float
+        self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
         """Record the difference of a target's source motion from its driven motion."""
-        if self.replaced and differences.max(initial=0.0) > same:
-            self._gone.setdefault(target, LargestAmount()).take(differences, times)
+        if self.report_replaced and differences.max(initial=0.0) > tolerance:
+            self._replaced.setdefault(target, LargestAmount()).update(
+                differences, times
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,14 +305,14 @@ class _CoordinateReader:
     run: DriverRun
     motion: Motion
     times: FloatArray
-    known: Mapping[str, FloatArray]
+    overrides: Mapping[str, FloatArray]
     # By name, as angles may be unwrapped only once a block.
     cache: dict[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, name: str) -> FloatArray:
         """Return a coordinate ``(F,)``, or ``(1,)`` of a static joint."""
-        if name in self.known:
-            return self.known[name]
+        if name in self.overrides:
+            return self.overrides[name]
         if name not in self.cache:
             self.cache[name] = self._value(name)
         return self.cache[name]
@@ -309,37 +322,43 @@ class _CoordinateReader:
         joint_name, part = split_coordinate(name)
         j = rig.index(joint_name)
         joint = rig.joints[j]
-        undo = so3.conjugate(rig.rest_rotations[j])
+        inverse_rest = so3.conjugate(rig.rest_rotations[j])
         if joint.type is JointType.PRISMATIC:
-            away = _rows(self.motion.translations, j) - rig.rest_translations[j]
-            return np.asarray(so3.rotate(undo, away) @ np.array(joint.axis))
-        rotation = so3.multiply(undo, _rows(self.motion.rotations, j))
+            offset = _rows(self.motion.translations, j) - rig.rest_translations[j]
+            return np.asarray(so3.rotate(inverse_rest, offset) @ np.array(joint.axis))
+        rotation = so3.multiply(inverse_rest, _rows(self.motion.rotations, j))
         if joint.type is JointType.BALL:
             values = ball_part(joint, part, rotation)
             if part == TWIST:
-                self.run.watch(name, values, self.times)
+                self.run.record_wrap(name, values, self.times)
             return values
-        along = rotation[:, :3] @ np.array(joint.axis)
-        angles = 2.0 * np.arctan2(along, rotation[:, 3])
+        sine = rotation[:, :3] @ np.array(joint.axis)
+        angles = 2.0 * np.arctan2(sine, rotation[:, 3])
         if isinstance(joint.limits, RangeLimit):
             middle = (joint.limits.low + joint.limits.high) / 2
             width = joint.limits.high - joint.limits.low
             if width <= 2 * np.pi:
                 revolutions = np.round((angles - middle) / (2 * np.pi))
                 return np.asarray(angles - 2 * np.pi * revolutions)
-        return self.run.unwrapped(j, angles)
+        return self.run.unwrap(j, angles)
 
 
-def _refuse_undefined(rig: Rig, done: DriverValues, times: FloatArray) -> None:
-    named = {f"joint {rig.names[j]!r}": value for j, value in done.joints.items()}
-    named |= {f"control {name!r}": value for name, value in done.controls.items()}
-    named |= {f"shape {name!r}": value for name, value in done.shapes.items()}
+def _refuse_undefined(rig: Rig, driven: DriverValues, times: FloatArray) -> None:
+    values_by_target = {
+        f"joint {rig.names[j]!r}": value for j, value in driven.joints.items()
+    }
+    values_by_target |= {
+        f"control {name!r}": value for name, value in driven.controls.items()
+    }
+    values_by_target |= {
+        f"shape {name!r}": value for name, value in driven.shapes.items()
+    }
     faults = []
-    for what, values in named.items():
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size and len(times):
-            frame = times[wrong[0] if len(values) > 1 else 0]
-            message = f"the driver of {what} has no value at frame {frame:g}"
+    for target, values in values_by_target.items():
+        undefined = np.flatnonzero(~np.isfinite(values))
+        if undefined.size and len(times):
+            frame = times[undefined[0] if len(values) > 1 else 0]
+            message = f"the driver of {target} has no value at frame {frame:g}"
             hint = "an expression divides by zero or overflows"
             faults.append(Fault("CLIP015", message, None, (), hint))
     if faults:
@@ -354,10 +373,10 @@ def _rows(channel: Channel, i: int) -> FloatArray:
     return np.asarray(channel.rest[i][None])
 
 
-def _states(channel: Channel, i: int, rest: FloatArray) -> bool:
+def _is_posed(channel: Channel, i: int, rest: FloatArray) -> bool:
     """Return whether a joint of a channel moves or differs from rest."""
-    away = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
-    return i in channel.animated or bool(away > SAME)
+    difference = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
+    return i in channel.animated or bool(difference > ROUNDING)
 
 
 def _column(channel: Channel, i: int) -> FloatArray:
@@ -374,21 +393,21 @@ def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
     rest = channel.rest.copy()
     for i in static:
         rest[i] = rows[i][0]
-    kept = ~np.isin(channel.animated, static)
-    out = Channel(rest, channel.animated[kept], channel.values[:, kept])
+    animated = ~np.isin(channel.animated, static)
+    result = Channel(rest, channel.animated[animated], channel.values[:, animated])
     if not moving:
-        return out
+        return result
     values = np.stack(
         [np.broadcast_to(rows[i], (frames, rest.shape[1])) for i in moving], axis=1
     )
-    return out.put(np.array(moving, np.int64), values)
+    return result.put(np.array(moving, np.int64), values)
 
 
-def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(one - other, axis=-1))
+def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 
-def _shown(joint: Joint, amount: float) -> str:
+def _amount_text(joint: Joint, amount: float) -> str:
     if joint.type is JointType.PRISMATIC:
         return length_text(amount, 4)
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"

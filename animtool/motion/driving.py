@@ -19,13 +19,13 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 
 # Codes that drivers report again for the same joint after every pass.
-REPEATED = frozenset({"RIG103", "RIG105"})
+REPEATED_CODES = frozenset({"RIG103", "RIG105"})
 
 
 def driven_take(take: Take) -> Take:
     """Return a take with driven joints, shapes and controls evaluated.
 
-    Limits that drivers would exceed are added to its notices, once a joint.
+    Adds a notice for each joint whose driver exceeds its limits.
 
     Raises:
         FormatError: A driver has no value at some frame (CLIP015).
@@ -36,40 +36,42 @@ def driven_take(take: Take) -> Take:
 
     run = DriverRun(take.rig)
     motion = run.drive(take.motion, np.asarray(take.clock.times, np.float64))
-    new = unsaid(run.notices(), take.notices)
+    new = without_repeated(run.notices(), take.notices)
     return replace(take, motion=motion, notices=(*take.notices, *new))
 
 
-def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
+def driven_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
     """Return a stream with driven joints, shapes and controls evaluated.
 
-    What drivers report is among its notices once the blocks are read.
+    Warnings of drivers are added to its notices once the blocks are read.
 
     Args:
-        stream: Of any rig; a rig without drivers is returned unchanged.
-        replaced: Whether to report source motion that drivers replace.
+        stream: Take of any rig; without drivers it is returned unchanged.
+        report_replaced: Whether to report source motion that drivers replace.
     """
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driver_run import DriverRun
 
-    run = DriverRun(stream.rig, replaced)
+    run = DriverRun(stream.rig, report_replaced)
     start = float(stream.start or 1)
 
     def blocks() -> Iterator[Motion]:
-        done = 0
+        frames_done = 0
         for block in stream.blocks:
-            numbers = np.arange(done, done + block.frames, dtype=np.float64)
-            times = start + float(stream.step) * numbers
-            done += block.frames
+            indices = np.arange(
+                frames_done, frames_done + block.frames, dtype=np.float64
+            )
+            times = start + float(stream.step) * indices
+            frames_done += block.frames
             yield run.drive(block, times)
-        stream.notices.extend(unsaid(run.notices(), stream.notices))
+        stream.notices.extend(without_repeated(run.notices(), stream.notices))
 
-    out = replace(stream, blocks=blocks())
+    result = replace(stream, blocks=blocks())
     curve = stream.curve
     if curve is not None:
-        out.curve = _driven_curve(stream.rig, curve)
-    return out
+        result.curve = _driven_curve(stream.rig, curve)
+    return result
 
 
 def _driven_curve(
@@ -80,17 +82,24 @@ def _driven_curve(
     return lambda times: DriverRun(rig).drive(curve(times), times)
 
 
-def unsaid(notices: Iterable[Fault], said: Iterable[Fault]) -> list[Fault]:
+def without_repeated(
+    notices: Iterable[Fault], reported: Iterable[Fault]
+) -> list[Fault]:
     """Return notices without driver warnings that are already known."""
-    known = {(one.code, _named(one)) for one in said if one.code in REPEATED}
+    known = {
+        (notice.code, _first_name(notice))
+        for notice in reported
+        if notice.code in REPEATED_CODES
+    }
     return [
-        one
-        for one in notices
-        if one.code not in REPEATED or (one.code, _named(one)) not in known
+        notice
+        for notice in notices
+        if notice.code not in REPEATED_CODES
+        or (notice.code, _first_name(notice)) not in known
     ]
 
 
-def _named(notice: Fault) -> str:
+def _first_name(notice: Fault) -> str:
     """Return the joint or control that a driver's notice names first."""
     parts = notice.message.split("'")
     return parts[1] if len(parts) > 2 else notice.message.split(" ")[0]

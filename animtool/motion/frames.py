@@ -13,7 +13,7 @@ from animtool.motion.physics import Physics
 if TYPE_CHECKING:
     from animtool.rig.skeleton import Rig
 
-# Named arrays of points: ``(N,)`` whole or real numbers, or vectors ``(N, 3)``.
+# Named arrays of points: ``(N,)`` integers or floats, or vectors ``(N, 3)``.
 Primvars: TypeAlias = Mapping[str, FloatArray | IntArray]
 
 
@@ -36,7 +36,7 @@ class CurvesFrame:
     velocities: FloatArray  # (N, 3) [m/s]
     counts: IntArray  # points of each curve (C,)
     width: float  # of all [m]
-    tears: bool = False  # whether counts may change
+    tears: bool = False  # whether curve counts may change
     primvars: Primvars = field(default_factory=dict)
 
 
@@ -58,18 +58,18 @@ class TransformsFrame:
     """Rigid copies of meshes that appear and disappear."""
 
     ids: IntArray  # (N,)
-    points: FloatArray  # where the origin of each is (N, 3) [m]
-    velocities: FloatArray  # of these (N, 3) [m/s]
+    points: FloatArray  # origin of each copy (N, 3) [m]
+    velocities: FloatArray  # velocity of each origin (N, 3) [m/s]
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
     spins: FloatArray  # angular velocities, world space (N, 3) [rad/s]
     scales: FloatArray  # (N, 3) [1]
-    copied: IntArray  # which of the meshes each is (N,)
-    meshes: tuple[MeshFrame, ...]  # about their own origins, the same in every frame
+    mesh_indices: IntArray  # mesh of each copy (N,)
+    meshes: tuple[MeshFrame, ...]  # in local space, the same in every frame
     primvars: Primvars = field(default_factory=dict)
-    names: tuple[str, ...] = ()  # of each, the same in every frame; or none
+    names: tuple[str, ...] = ()  # of the copies, the same in every frame; may be empty
     xforms: bool = False  # whether each becomes a named prim instead of an instance
     static: frozenset[int] = frozenset()  # indices of prims that never move
-    physics: Physics | None = None  # of these prims, if it is written
+    physics: Physics | None = None  # initial state of these prims, if it is written
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +77,18 @@ class Cast:
     """A rig shared by characters, and the idle cycle of standing ones.
 
     Attributes:
-        rig: With y up.
-        moves: Joints that rotate, ascending ``(M,)``.
-        feet: A joint of the left and of the right foot, fixed while the foot stands.
-        rotations: Local rotations of `moves` in the idle cycle, at even times
+        rig: Rig with y up.
+        animated: Indices of joints that rotate, ascending ``(M,)``.
+        feet: Joint of the left and of the right foot that is fixed while the foot
+            stands.
+        rotations: Local rotations of `animated` in the idle cycle, evenly sampled
             ``(K, M, 4)``.
         roots: Positions of the first joint in the idle cycle ``(K, 3)`` [m].
         period: Length of the idle cycle [s].
     """
 
     rig: Rig
-    moves: IntArray
+    animated: IntArray
     feet: tuple[int, int]
     rotations: FloatArray
     roots: FloatArray
@@ -96,23 +97,25 @@ class Cast:
 
 @dataclass(frozen=True, slots=True)
 class CharactersFrame:
-    """Characters of some rigs, each with a placement and a pose.
+    """Characters on shared rigs, each with a placement and a pose.
 
-    They are the same in every frame, sorted by rig; some may be invisible.
+    Every frame has the same characters, sorted by rig; some may be invisible.
 
     Attributes:
         ids: ``(N,)``.
         points: Origins of the characters' rigs ``(N, 3)`` [m].
-        velocities: Velocities of these ``(N, 3)`` [m/s].
+        velocities: Velocities of the origins ``(N, 3)`` [m/s].
         upright: Rotation to the up axis, the same in every frame ``(4,)``.
-        headings: Rotation of each about y before that, continuous ``(N,)`` [rad].
-        scales: Size of each over its rig, the same in every frame ``(N,)``.
+        headings: Rotation of each about y, applied before ``upright``, continuous
+            ``(N,)`` [rad].
+        scales: Size of each relative to its rig, the same in every frame ``(N,)`` [1].
         casts: The rigs, the same in every frame.
         counts: Number of characters with each rig ``(C,)``.
-        joint_rotations: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
+        joint_rotations: Local rotations of animated joints, by rig ``(n, M, 4)`` each.
         roots: Positions of the first joint of each ``(N, 3)`` [m].
         stands: Mask of standing feet ``(N, 2)``.
-        near: Mask of feet that stand, are about to land or just lifted ``(N, 2)``.
+        near_ground: Mask of feet that stand, are about to land or just lifted ``(N,
+            2)``.
         clocks: Idle time of characters that only stand, else NaN ``(N,)`` [s].
         visible: ``(N,)``.
     """
@@ -128,7 +131,7 @@ class CharactersFrame:
     joint_rotations: tuple[FloatArray, ...]
     roots: FloatArray
     stands: BoolArray
-    near: BoolArray
+    near_ground: BoolArray
     clocks: FloatArray
     visible: BoolArray
     primvars: Primvars = field(default_factory=dict)

@@ -18,21 +18,21 @@ from animtool.maths.tangents import auto_clamped
 Choice = TypeVar("Choice", bound=StrEnum)
 
 
-def chosen(choices: type[Choice], word: str, option: str) -> Choice:
-    """Return a choice by its word (unknown: SCN025).
+def parse_choice(choices: type[Choice], word: str, option: str) -> Choice:
+    """Return the enum member of a word; an unknown word raises SCN025.
 
     >>> class Side(StrEnum):
     ...     LEFT = "left"
-    >>> chosen(Side, "left", "side")
+    >>> parse_choice(Side, "left", "side")
     <Side.LEFT: 'left'>
     """
     try:
         return choices(word)
     except ValueError as error:
-        words = [str(choice) for choice in choices]
-        message = f"{option} is {excerpt(str(word))}; it is one of {', '.join(words)}"
-        near = similar(str(word), words)
-        hint = f"did you mean {near}?" if near else None
+        allowed = [str(choice) for choice in choices]
+        message = f"{option} is {excerpt(str(word))}; it is one of {', '.join(allowed)}"
+        suggestion = similar(str(word), allowed)
+        hint = f"did you mean {suggestion}?" if suggestion else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error
 
 
@@ -43,8 +43,8 @@ Weight: TypeAlias = float | Keys
 class KeyInterpolation(StrEnum):
     """Interpolation of a list of pairs.
 
-    ``smooth`` has a continuous slope that is flat where the values turn, so that
-    the curve never leaves the range of the two keys about it.
+    ``smooth`` has a continuous slope that is 0 at local extrema, so that the curve
+    stays between the values of adjacent keys.
     """
 
     LINEAR = "linear"
@@ -63,30 +63,30 @@ def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
         raise OptionError(Fault("SCN015", f"{message}, not {rows!r:.80}"))
     if not np.isfinite(table).all():
         raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
-    falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if len(falls):
-        a, b = table[falls[0], 0], table[falls[0] + 1, 0]
+    not_ascending = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if len(not_ascending):
+        a, b = table[not_ascending[0], 0], table[not_ascending[0] + 1, 0]
         message = f"times of {name} must ascend, and {b:g} follows {a:g}"
         raise OptionError(Fault("SCN015", message))
     return table[:, 0], table[:, 1]
 
 
-def keyed(
+def evaluate_keyed(
     times: FloatArray,
     values: FloatArray,
     at: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> FloatArray:
-    """Return a curve's values at times ``(F,)``, held outside its keys.
+    """Return a curve's values at times ``at`` ``(F,)``, held outside its keys.
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
     >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
-    >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
+    >>> evaluate_keyed(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
     """
-    how = chosen(KeyInterpolation, interpolation, "interpolation")
-    if how is KeyInterpolation.LINEAR or len(times) < 2:
+    mode = parse_choice(KeyInterpolation, interpolation, "interpolation")
+    if mode is KeyInterpolation.LINEAR or len(times) < 2:
         return np.asarray(np.interp(at, times, values))
     # Handles are at thirds of the segments around a key.
     slopes = auto_clamped(times, values[:, None])
@@ -104,21 +104,23 @@ def weights_at(
     *,
     bounded: bool = True,
 ) -> FloatArray:
-    """Return a weight [1], a number or ``[frame, weight]``, at time codes ``(F,)``.
+    """Return a weight or weight curve at time codes ``(F,)`` [1].
+
+    ``weight`` is a number or a list of pairs ``[time code, weight]``.
 
     If ``bounded``, weights outside 0 to 1 are refused (SCN014).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]
     """
-    chosen(KeyInterpolation, interpolation, "interpolation")
+    parse_choice(KeyInterpolation, interpolation, "interpolation")
     if isinstance(weight, (int, float)):
         _check_weight(float(weight), bounded)
         return np.full(len(at), float(weight))
     times, values = key_arrays(weight, "weight")
     for value in values.tolist():
         _check_weight(value, bounded)
-    return keyed(times, values, at, interpolation)
+    return evaluate_keyed(times, values, at, interpolation)
 
 
 def _check_weight(weight: float, bounded: bool) -> None:

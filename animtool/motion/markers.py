@@ -20,17 +20,16 @@ class Markers:
     """Trajectories of M markers, or of unlabelled points, over F frames.
 
     Attributes:
-        names: Of each marker, unique; a point without label has a name that begins
-            with ``*``.
+        names: Unique marker names; those of unlabelled points begin with ``*``.
         clock: Times of the frames.
         positions: World space [m] ``(F, M, 3)``; NaN where a marker is not visible.
         up: The up axis of the world.
-        cameras: Number of cameras of each position ``(F, M)``; None where unknown.
+        cameras: Number of cameras that saw each position ``(F, M)``; None if unknown.
         residuals: Reconstruction residual of each position [m] ``(F, M)``, NaN where
             unknown; None where no position has one.
-        filled: Mask of positions that were filled and not measured ``(F, M)``; None for
-            none.
-        notices: Warnings and notes about where they come from.
+        filled: Mask of positions that were filled, not measured ``(F, M)``; None if
+            none were.
+        notices: Warnings and notes about the source.
         begin: Time of the first frame [s]; None where frame 1 is time 0.
 
     Raises:
@@ -70,8 +69,8 @@ class Markers:
             message = f"marker {self.names[marker]!r} is infinite in frame {frame}"
             raise OptionError(Fault("MKR001", message))
         if len(set(self.names)) < len(self.names):
-            twice = next(n for n in self.names if self.names.count(n) > 1)
-            message = f"two markers are called {twice!r}"
+            duplicate = next(n for n in self.names if self.names.count(n) > 1)
+            message = f"two markers are called {duplicate!r}"
             raise OptionError(Fault("MKR002", message))
 
     @property
@@ -92,14 +91,14 @@ class Markers:
     def select(self, markers: IntArray) -> Markers:
         """Return some of the markers, by index, in that order."""
 
-        def chosen(values: Any) -> Any:
+        def columns(values: Any) -> Any:
             return None if values is None else values[:, markers]
 
         return replace(
             self,
             names=tuple(self.names[i] for i in markers.tolist()),
             positions=self.positions[:, markers],
-            cameras=chosen(self.cameras),
-            residuals=chosen(self.residuals),
-            filled=chosen(self.filled),
+            cameras=columns(self.cameras),
+            residuals=columns(self.residuals),
+            filled=columns(self.filled),
         )

@@ -52,7 +52,7 @@ class Channel:
         return values
 
     def gather(self, joints: IntArray) -> FloatArray:
-        """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
+        """Return the values of selected joints ``(F, len(joints), K)``."""
         values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
         columns = np.full(len(self.rest), -1)
         columns[self.animated] = np.arange(len(self.animated))
@@ -62,35 +62,37 @@ class Channel:
         return values
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
-        """Return the channel with the values of some joints replaced.
+        """Return the channel with the values of selected joints replaced.
 
         Args:
-            joints: Their indices, ascending ``(A,)``.
+            joints: Indices of the joints, ascending ``(A,)``.
             values: New values ``(F, A, K)``.
         """
-        moves = np.zeros(len(self.rest), np.bool_)
-        moves[self.animated] = moves[joints] = True
-        animated = np.flatnonzero(moves)
+        is_animated = np.zeros(len(self.rest), np.bool_)
+        is_animated[self.animated] = is_animated[joints] = True
+        animated = np.flatnonzero(is_animated)
         merged = self.gather(animated)
         merged[:, np.searchsorted(animated, joints)] = values
         return Channel(self.rest, animated, merged)
 
     def compact(self) -> Channel:
-        """Return the channel with the joints that never move made static."""
+        """Return the channel with animated joints that never move stored as static."""
         if not len(self.values):
             return self
-        moves = (self.values[-1] != self.values[0]).any(axis=-1)
-        same = np.flatnonzero(~moves)
-        if len(same):
-            moves[same] = (self.values[:, same] != self.values[:1, same]).any((0, 2))
+        is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
+        unchanged = np.flatnonzero(~is_animated)
+        if len(unchanged):
+            is_animated[unchanged] = (
+                self.values[:, unchanged] != self.values[:1, unchanged]
+            ).any((0, 2))
         rest = self.rest.copy()
-        rest[self.animated[~moves]] = self.values[0, ~moves]
-        if moves.all():
+        rest[self.animated[~is_animated]] = self.values[0, ~is_animated]
+        if is_animated.all():
             return self
-        return Channel(rest, self.animated[moves], self.values[:, moves])
+        return Channel(rest, self.animated[is_animated], self.values[:, is_animated])
 
     def select(self, frames: slice | IntArray) -> Channel:
-        """Return the channel at some of its frames."""
+        """Return the channel at selected frames."""
         return replace(self, values=self.values[frames])
 
     @staticmethod
@@ -100,8 +102,8 @@ class Channel:
         >>> Channel.static(np.zeros((2, 3)), 5).dense().shape
         (5, 2, 3)
         """
-        nothing = np.zeros((frames, 0, rest.shape[1]))
-        return Channel(rest, np.zeros(0, np.int64), nothing)
+        values = np.zeros((frames, 0, rest.shape[1]))
+        return Channel(rest, np.zeros(0, np.int64), values)
 
     @staticmethod
     def from_dense(values: FloatArray) -> Channel:
@@ -141,14 +143,14 @@ class Motion:
     """Motion of a rig over frames: joints, shapes and controls.
 
     Attributes:
-        translations: Local, parent space, in place of rest [m], K = 3.
+        translations: In parent space, replacing those at rest [m], K = 3.
         rotations: Unit quaternions (x, y, z, w), signs continuous along time, K = 4.
-        scales: [1], K = 3; None where nothing is scaled.
-        weights: Of the rig's shapes, in its order [1], K = 1; None where the take has
-            none.
-        controls: Values of the rig's controls, in its order, K = 1; None where the
-            take has none. Joints and shapes already hold what they drive.
-        track_times: Local time of each of the take's tracks, K = 1; None where the take
+        scales: Local scales [1], K = 3; None if nothing is scaled.
+        weights: Weights of the rig's shapes, in its order [1], K = 1; None if the take
+            has none.
+        controls: Values of the rig's controls, in its order, K = 1; None if the take
+            has none. Joints and shapes already have the values that controls drive.
+        track_times: Local time of each of the take's tracks, K = 1; None if the take
             has no tracks.
         points: World points of simulated meshes and strands, which no longer follow
             joints, by name [m], K = 3.
@@ -199,7 +201,7 @@ class Motion:
         return world
 
     def select(self, frames: slice | IntArray) -> Motion:
-        """Return the motion at some of its frames."""
+        """Return the motion at selected frames."""
         return self.map(lambda channel: channel.select(frames))
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
@@ -215,24 +217,24 @@ class Motion:
             mapped(self.weights),
             mapped(self.controls),
             mapped(self.track_times),
-            {name: function(one) for name, one in self.points.items()},
+            {name: function(channel) for name, channel in self.points.items()},
         )
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
         """Return one motion of blocks that follow each other."""
 
-        def joined(name: str) -> Channel | None:
-            parts = [getattr(block, name) for block in blocks]
-            return None if parts[0] is None else Channel.concatenate(parts)
+        def concatenated(name: str) -> Channel | None:
+            channels = [getattr(block, name) for block in blocks]
+            return None if channels[0] is None else Channel.concatenate(channels)
 
         return Motion(
             Channel.concatenate([block.translations for block in blocks]),
             Channel.concatenate([block.rotations for block in blocks]),
-            joined("scales"),
-            joined("weights"),
-            joined("controls"),
-            joined("track_times"),
+            concatenated("scales"),
+            concatenated("weights"),
+            concatenated("controls"),
+            concatenated("track_times"),
             {
                 name: Channel.concatenate([block.points[name] for block in blocks])
                 for name in blocks[0].points

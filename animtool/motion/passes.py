@@ -28,7 +28,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 
-MAX_NAMED = 6
+MAX_LISTED = 6
 
 
 class PassthroughTracks:
@@ -36,56 +36,58 @@ class PassthroughTracks:
 
     def __init__(self, stream: TakeStream) -> None:
         self._tracks, curve = stream.tracks, stream.curve
-        self._waiting: deque[Channel] = deque()
-        self.stream = replace(stream, tracks=(), blocks=self._without(stream.blocks))
+        self._pending_times: deque[Channel] = deque()
+        self.stream = replace(
+            stream, tracks=(), blocks=self._without_tracks(stream.blocks)
+        )
         if curve is not None:
             self.stream.curve = lambda times: replace(curve(times), track_times=None)
 
-    def _without(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _without_tracks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             assert block.track_times is not None
-            self._waiting.append(block.track_times)
+            self._pending_times.append(block.track_times)
             yield replace(block, track_times=None)
 
     def restore(self, stream: TakeStream) -> TakeStream:
-        """Return the result of a pass, of as many frames, with tracks restored."""
-        blocks = self._with(stream.blocks)
+        """Return a pass's result, with the same number of frames, with its tracks."""
+        blocks = self._with_tracks(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
-    def _with(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _with_tracks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
-            yield replace(block, track_times=self._next(block.frames))
+            yield replace(block, track_times=self._next_times(block.frames))
 
-    def _next(self, frames: int) -> Channel:
+    def _next_times(self, frames: int) -> Channel:
         """Return the track times of the next frames."""
-        taken: list[Channel] = []
+        parts: list[Channel] = []
         while frames:
-            first = self._waiting.popleft()
+            first = self._pending_times.popleft()
             if len(first.values) > frames:
-                self._waiting.appendleft(first.select(slice(frames, None)))
+                self._pending_times.appendleft(first.select(slice(frames, None)))
                 first = first.select(slice(frames))
-            taken.append(first)
+            parts.append(first)
             frames -= len(first.values)
-        return Channel.concatenate(taken)
+        return Channel.concatenate(parts)
 
 
 def checked_tracks(
-    stream: TakeStream, before: Sequence[Track], name: str
+    stream: TakeStream, source_tracks: Sequence[Track], name: str
 ) -> TakeStream:
-    """Return the result of a pass; raises when it is read if tracks are lost."""
-    if not before:
+    """Return the result of a pass, which raises when read if the pass lost tracks."""
+    if not source_tracks:
         return stream
-    paths = listed([track.path for track in before], MAX_NAMED)
+    paths = listed([track.path for track in source_tracks], MAX_LISTED)
     message = f"the pass {name} changes the clock and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
-    lost = OptionError(Fault("SCN045", message, hint=hint))
+    error = OptionError(Fault("SCN045", message, hint=hint))
     if not stream.tracks:
-        raise lost
+        raise error
 
     def checked(blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             if block.track_times is None:
-                raise lost
+                raise error
             yield block
 
     return replace(stream, blocks=checked(stream.blocks))
@@ -136,29 +138,29 @@ class TakePart(StrEnum):
 
 
 EVERY_PART = frozenset(TakePart)
-# What moves.
+# Parts with motion.
 MOTION_PARTS = frozenset({TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS})
 # Parts that change when frames are resampled.
 RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS, TakePart.POINTS}
 
 
-def named_take(path: Path | None, option: str = "take") -> Path:
-    """Return the path of another take named by an option."""
+def required_take_path(path: Path | None, option: str = "take") -> Path:
+    """Return the path of another take from an option; raises if it is missing."""
     if path is None:
         message = f"{option} must name a file with another take"
         raise OptionError(Fault("SCN024", message))
     return path
 
 
-# A take, the names of a system and of a particle, and a progress callback.
-Segments: TypeAlias = Callable[
+# Function of a take, the names of a system and of a particle, and a progress callback.
+SegmentSimulator: TypeAlias = Callable[
     [Take, str, str, Callable[[float], None] | None], FloatArray
 ]
 
-# Takes a take, options with keys such as ``colliders``, and how long the first frame is
-# held [s]; returns the take, of which frames may have been read, and its `Colliders`.
-# Shapes are in the axes of the rig, and the first frame is at 0 s.
-Around: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream, Any]]
+# Function of a take, options with keys such as ``colliders``, and the time for which
+# the first frame is held [s]; returns the take, which may have been read ahead, and its
+# `Colliders`. Shapes are in the axes of the rig, and the first frame is at 0 s.
+ColliderBuilder: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,35 +171,35 @@ class PassContext:
     folder: Path  # where relative paths in options start
     # Collects the warnings and notes of the pass.
     notices: list[Fault] = field(default_factory=list)
-    # Collects the largest miss of passes that solve [m].
+    # Collects the largest residual of passes that solve IK [m].
     errors: list[float] = field(default_factory=list)
     # Collects scores after the last frame.
     scores: list[PassScores] = field(default_factory=list)
-    # Number of frames prepended that repeat the first, for a pass that settles.
-    early: int = 0
+    # Number of copies of the first frame before it, for a pass that settles.
+    prepended_frames: int = 0
     # Whether a pass writes the files that its options name as ``writes``: true for a
     # bake, false for commands that only inspect a take.
-    keeps: bool = True
+    writes_files: bool = True
     # Codes of notes that are reported once over all passes.
-    said: set[str] = field(default_factory=set)
+    reported_codes: set[str] = field(default_factory=set)
     # Whether time codes of the take are shot frames, which may lie between samples.
     in_shot: bool = False
-    # Receives the fraction done, 0 to 1, of passes with ``tells``; None without
-    # progress.
+    # Receives the fraction done, 0 to 1, of passes with ``tells``; None if progress is
+    # not shown.
     progress: Callable[[float], None] | None = None
     # Simulates a rope or strands of the scene by name; returns a particle, by name or
     # number, and the one before it at every frame of a take, the latter first
     # ``(F, 2, 3)`` [m]. None without a scene.
-    segments: Segments | None = None
-    # Builds the colliders named by options of a pass, see `Around`; None without a
-    # scene.
-    around: Around | None = None
+    simulate_segments: SegmentSimulator | None = None
+    # Builds the colliders named by options of a pass, see `ColliderBuilder`; None
+    # without a scene.
+    build_colliders: ColliderBuilder | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
         """Add notices whose code was not reported yet."""
         for notice in notices:
-            if notice.code not in self.said:
-                self.said.add(notice.code)
+            if notice.code not in self.reported_codes:
+                self.reported_codes.add(notice.code)
                 self.notices.append(notice)
 
     def take(self, path: Path | None, option: str = "take") -> Take:
@@ -206,12 +208,13 @@ class PassContext:
         Raises:
             OptionError: The option names no take (SCN024).
         """
-        return self.open(self.folder / named_take(path, option))
+        return self.open(self.folder / required_take_path(path, option))
 
 
-# By option, a function that raises `OptionError` if its value is invalid for any take.
+# By option: a function that raises `OptionError` if its value is invalid for every
+# take.
 OptionChecks: TypeAlias = Mapping[str, Callable[[], object]]
-# A pass fills its own options record, which the caller need not know.
+# Each pass has its own options record, unknown to the caller.
 ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
 StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
@@ -221,7 +224,7 @@ def _no_checks(_: object) -> OptionChecks:
 
 
 @dataclass(frozen=True, slots=True)
-class EvenTime:
+class LinearTime:
     """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
 
     start: float  # [time code]
@@ -229,13 +232,13 @@ class EvenTime:
     first: float  # [time code]
 
 
-def _not_even(_: object, __: Clock) -> EvenTime | None:
+def _no_linear_time(_: object, __: Clock) -> LinearTime | None:
     return None
 
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One entry of the table of passes."""
+    """An entry of the table of passes."""
 
     name: str  # as a scene writes it
     summary: str  # what it does, one line
@@ -250,21 +253,21 @@ class Pass:
     checks: Callable[[Any], OptionChecks] = _no_checks
     # Parts of the take that the result depends on.
     reads: frozenset[TakePart] = EVERY_PART
-    # Parts that it may change. If the clock is among them, other parts are kept at the
-    # remaining time codes. A pass that changes neither clock nor tracks does not see
-    # tracks.
+    # Parts that it may change. If the clock is among them, the parts not listed keep
+    # their values at the remaining time codes. A pass that changes neither clock nor
+    # tracks runs on a take without tracks.
     changes: frozenset[TakePart] = EVERY_PART
-    # It starts from its own state and needs a shot's pre-roll to settle; it keeps the
+    # Whether it needs pre-roll to settle from its initial state; it must keep the
     # number of frames.
     settles: bool = False
-    tells: bool = False  # it is slow, and reports its progress to the context
+    tells: bool = False  # whether it reports progress to the context, as it is slow
     # Returns the linear time mapping of the pass, from its options and a take's clock,
     # so that curves of controls stay curves; None if time changes otherwise.
-    even: Callable[[Any, Clock], EvenTime | None] = _not_even
+    even: Callable[[Any, Clock], LinearTime | None] = _no_linear_time
 
 
 def find_pass(name: str) -> Pass:
-    """Return a pass by its name, those of plug-ins included (unknown: SCN010).
+    """Return a pass by name, including passes of plug-ins (unknown: SCN010).
 
     >>> find_pass("trim").scope
     <Scope.FRAME: 'frame'>
@@ -275,8 +278,8 @@ def find_pass(name: str) -> Pass:
     if name in points:
         return load_plugin(points[name], Pass)
     allowed = sorted({*PASSES, *points})
-    near = similar(name, allowed)
-    hint = f"did you mean {near}?" if near else None
+    suggestion = similar(name, allowed)
+    hint = f"did you mean {suggestion}?" if suggestion else None
     message = f"unknown pass {excerpt(name)}; allowed: {', '.join(allowed)}"
     raise OptionError(Fault("SCN010", message, hint=hint))
 
@@ -288,7 +291,7 @@ class ListedPass:
     name: str  # as a scene writes it
     source: str  # ``animtool``, or the object that an entry point names
     scope: Scope | None  # None if it fails to load
-    about: str  # what it does, or why it fails to load
+    about: str  # its summary, or why it fails to load
     json_keys: ClassVar[str] = "pass=name source scope about"
 
 
@@ -325,34 +328,36 @@ def apply_pass(
 ) -> TakeStream:
     """Return a take with a pass applied; a CLIP pass reads all frames at once.
 
-    Notices and details of the source stay with the stream, and so do the curves of
-    controls whose values a CLIP pass keeps, or whose time it changes linearly. A take
-    without a first frame in its source keeps that, unless the pass moves the frame.
+    The result keeps the notices and details of the source, and the curves of controls
+    whose values a CLIP pass keeps or whose time it changes linearly. If the source has
+    no first frame, neither has the result, unless the pass moves the start.
     """
     _check_points(stream, pass_)
     if stream.tracks and not sees_tracks(pass_):
         passthrough = PassthroughTracks(stream)
-        done = apply_pass(passthrough.stream, pass_, options, context)
-        return passthrough.restore(done)
+        result = apply_pass(passthrough.stream, pass_, options, context)
+        return passthrough.restore(result)
     if pass_.scope is not Scope.CLIP:
-        done = driven_stream(cast(StreamRun, pass_.run)(stream, options, context))
-        stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
-        curves = stream.control_curves if stays else {}
-        curve = stream.curve if _same_rows(stream.rig, done.rig) else None
-        done = replace(done, control_curves=curves, curve=curve, altered=True, count=0)
-        return checked_tracks(done, stream.tracks, pass_.name)
+        result = driven_stream(cast(StreamRun, pass_.run)(stream, options, context))
+        keeps_curves = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
+        curves = stream.control_curves if keeps_curves else {}
+        curve = stream.curve if _same_channels(stream.rig, result.rig) else None
+        result = replace(
+            result, control_curves=curves, curve=curve, altered=True, count=0
+        )
+        return checked_tracks(result, stream.tracks, pass_.name)
     before = stream.collect()
     changed = cast(ClipRun, pass_.run)(before, options, context)
     take = driven_take(changed)
     context.notices.extend(take.notices[len(changed.notices) :])
     kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
-    if not _same_rows(before.rig, take.rig):
+    if not _same_channels(before.rig, take.rig):
         take = replace(take, curve=None)
     result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
-    unstated = stream.start is None and take.clock.start == Fraction(1)
+    no_start = stream.start is None and take.clock.start == Fraction(1)
     return replace(
         result,
-        start=None if unstated else result.start,
+        start=None if no_start else result.start,
         notices=stream.notices,
         details=stream.details,
         simulated=stream.simulated,
@@ -362,14 +367,14 @@ def apply_pass(
 
 
 def _kept_curves(
-    stream: TakeStream, before: Take, after: Take, even: EvenTime | None
+    stream: TakeStream, before: Take, after: Take, even: LinearTime | None
 ) -> dict[str, Curves]:
     """Return the curves of controls that remain valid, at the times of the result."""
     curves = stream.control_curves
     if not curves:
         return {}
     if even is None or before.clock == after.clock:
-        kept = _untouched(before, after)
+        kept = _unchanged_controls(before, after)
         return {name: curve for name, curve in curves.items() if name in kept}
     return {
         name: curve.retimed(even.start, even.ratio, even.first)
@@ -377,12 +382,13 @@ def _kept_curves(
     }
 
 
-def _same_rows(rig: Rig, other: Rig) -> bool:
+def _same_channels(rig: Rig, other_rig: Rig) -> bool:
     """Return whether motions of two rigs have the same joints, shapes and controls."""
     return (
-        rig.names == other.names
-        and [shape.name for shape in rig.shapes] == [s.name for s in other.shapes]
-        and [one.name for one in rig.controls] == [c.name for c in other.controls]
+        rig.names == other_rig.names
+        and [shape.name for shape in rig.shapes] == [s.name for s in other_rig.shapes]
+        and [control.name for control in rig.controls]
+        == [c.name for c in other_rig.controls]
     )
 
 
@@ -400,11 +406,11 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
     raise OptionError(Fault("SIM034", message, hint="put simulate after it"))
 
 
-def _untouched(before: Take, after: Take) -> set[str]:
+def _unchanged_controls(before: Take, after: Take) -> set[str]:
     """Return the controls with equal values in every frame."""
-    old, new = before.motion.controls, after.motion.controls
+    before_controls, after_controls = before.motion.controls, after.motion.controls
     same = before.clock == after.clock and before.rig.controls == after.rig.controls
-    if not same or old is None or new is None:
+    if not same or before_controls is None or after_controls is None:
         return set()
-    equal = (old.dense() == new.dense()).all(axis=(0, 2))
+    equal = (before_controls.dense() == after_controls.dense()).all(axis=(0, 2))
     return {before.rig.controls[i].name for i in equal.nonzero()[0].tolist()}

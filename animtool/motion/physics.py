@@ -30,7 +30,7 @@ class PhysicsShape:
     friction: float = 0.5
     restitution: float = 0.0
     name: str = ""
-    hull: bool = False  # of a mesh: its convex hull is meant
+    hull: bool = False  # whether a mesh collides as its convex hull
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +45,8 @@ class PhysicsBody:
     centre: FloatArray | None = None  # of mass (3,) [m]
     inertia: FloatArray | None = None  # about its principal axes (3,) [kg m²]
     axes: FloatArray = field(default_factory=IDENTITY_POSE[3:].copy)  # principal (4,)
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the world
-    spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # likewise [rad/s]
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))  # world [m/s]
+    spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # world [rad/s]
     kinematic: bool = False
     times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
     path: FloatArray | None = None  # poses of a kinematic body at these times (T, 7)
@@ -55,7 +55,7 @@ class PhysicsBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointDrive:
-    """A drive of a joint."""
+    """A drive of a joint: a spring and damper towards a target."""
 
     stiffness: float  # [N m/rad] or [N/m]
     damping: float  # [N m s/rad] or [N s/m]
@@ -63,7 +63,7 @@ class JointDrive:
     rotation: FloatArray = field(
         default_factory=IDENTITY_POSE[3:].copy
     )  # of a ball (4,)
-    most: float | None = None  # torque [N m] or force [N]
+    max_force: float | None = None  # largest torque [N m] or force [N]
     speed: float = 0.0  # target velocity of the damping [rad/s] or [m/s]
 
 
@@ -75,12 +75,12 @@ class PhysicsJoint:
     kind: str  # `fixed`, `pin`, `ball` or `prismatic`
     bodies: tuple[int, int]  # -1 is the world
     frames: tuple[FloatArray, FloatArray]  # of the joint in both (7,)
-    limits: tuple[float, float] | None = None  # [rad] or [m]; twist of a ball
+    limits: tuple[float, float] | None = None  # [rad] or [m]; of a ball joint: twist
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
-    contacts: bool = False  # whether its two bodies collide
+    contacts: bool = False  # whether its two bodies collide with each other
     # Force [N] and torque [N m] at which it breaks.
-    breaks: tuple[float, float] = (np.inf, np.inf)
+    break_limits: tuple[float, float] = (np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

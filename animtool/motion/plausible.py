@@ -1,4 +1,4 @@
-"""Plausibility of what users state about a take."""
+"""Plausibility checks of option values about a take."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from fractions import Fraction
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity
 
-# Captures and displays are slower; a larger rate is rather a number of another meaning.
+# Captures and displays are slower; a larger number is probably not a frame rate.
 MAX_PLAUSIBLE_RATE = 2000
 
 

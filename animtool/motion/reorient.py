@@ -28,27 +28,27 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if rotation is None:
         return stream
     quaternion = np.array(rotation)
-    turned = _placed_stream(stream, Placement.from_rotation(quaternion), up)
-    turned.tracks = tuple(rotated_track(track, quaternion) for track in stream.tracks)
-    return turned
+    result = _placed_stream(stream, Placement.from_rotation(quaternion), up)
+    result.tracks = tuple(rotated_track(track, quaternion) for track in stream.tracks)
+    return result
 
 
 def at_stage_origin(stream: TakeStream) -> TakeStream:
     """Return a take without its placement on the stage.
 
-    Its size and its up axis stay. Tracks of the stage are moved along.
+    Its size and its up axis are kept. Tracks that follow the placement move with it.
     """
     stands = stream.rig.stands
     if stands is None:
         return stream
-    back = stands.inverse()
-    moved = _placed_stream(stream, back, stream.rig.up)
-    moved.rig = at_origin(stream.rig)
-    moved.tracks = tuple(
-        placed_track(track, lambda _: back) if track.along else track
+    inverse = stands.inverse()
+    result = _placed_stream(stream, inverse, stream.rig.up)
+    result.rig = at_origin(stream.rig)
+    result.tracks = tuple(
+        placed_track(track, lambda _: inverse) if track.follows_placement else track
         for track in stream.tracks
     )
-    return moved
+    return result
 
 
 def _placed_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
@@ -71,7 +71,7 @@ def _placed_blocks(
 
 
 def rotated_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
-    """Return a rig with its roots at rest rotated ``(4,)`` to an up axis."""
+    """Return a rig whose rest roots are rotated by a quaternion ``(4,)``."""
     return placed_rig(rig, Placement.from_rotation(rotation), up)
 
 
@@ -99,14 +99,14 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
 def _placed(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
-    """Return a channel with its roots placed and its lengths scaled."""
+    """Return a channel with its roots moved to a placement and its lengths scaled."""
     operation = placement.rotated if rotates else placement.points
     rest, values = channel.rest.copy(), channel.values.copy()
     moving = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not rotates:
-        below = np.ones(len(rest), np.bool_)
-        below[roots] = False
-        rest[below] *= placement.size
+        is_child = np.ones(len(rest), np.bool_)
+        is_child[roots] = False
+        rest[is_child] *= placement.size
         values[:, ~moving] *= placement.size
     if placement.moves:
         placed = operation(channel.gather(roots))
@@ -117,20 +117,20 @@ def _placed(
 
 
 def _scaled(motion: Motion, roots: IntArray, placement: Placement) -> Channel | None:
-    """Return scales times the part of a varying size that lengths do not contain."""
-    more = placement.sizes / placement.size
-    if (more == 1.0).all():
+    """Return scales multiplied by the varying part of the placement's size."""
+    extra = placement.sizes / placement.size
+    if (extra == 1.0).all():
         return motion.scales
     scales = motion.scales
     if scales is None:
-        scales = Channel.static(np.ones((len(motion.translations.rest), 3)), len(more))
-    return scales.put(roots, scales.gather(roots) * more[:, None, None])
+        scales = Channel.static(np.ones((len(motion.translations.rest), 3)), len(extra))
+    return scales.put(roots, scales.gather(roots) * extra[:, None, None])
 
 
 def _placed_points(channel: Channel, placement: Placement) -> Channel:
     if placement.moves:
-        every = np.arange(len(channel.rest))
-        return channel.put(every, placement.points(channel.gather(every)))
+        all_points = np.arange(len(channel.rest))
+        return channel.put(all_points, placement.points(channel.gather(all_points)))
     return replace(
         channel,
         rest=placement.points(channel.rest),

@@ -45,7 +45,7 @@ class Score:
 
     @property
     def excess(self) -> float:
-        """Badness: 0 for a perfect result or none; 1 for the limit of a good result.
+        """Badness: 0 for a perfect result or NaN, 1 at the limit of a good result.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).excess
         3.0
@@ -80,9 +80,9 @@ class PassScores:
 
     Attributes:
         scores: In the order of reports.
-        names: Affected joints or parts of the take, by description.
+        names: Names of affected joints or parts of the take, by description.
         pass_name: Name of the pass; empty until a scene sets it.
-        where: Its entry in the scene; likewise.
+        where: Its entry in the scene; empty until a scene sets it.
     """
 
     scores: tuple[Score, ...]
@@ -109,5 +109,5 @@ def badness(scores: Iterable[PassScores]) -> list[float]:
     >>> badness([PassScores((score,))])
     [3.0]
     """
-    excesses = [score.excess for one in scores for score in one.scores]
+    excesses = [score.excess for pass_scores in scores for score in pass_scores.scores]
     return sorted(excesses, reverse=True)

@@ -26,7 +26,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
-# Half precision, the coarsest of USD's rotations, is off by 5e-4.
+# Half precision, the coarsest type of USD rotations, has errors up to 5e-4.
 UNIT_TOLERANCE = 1e-3
 
 
@@ -47,21 +47,21 @@ def shape_faults(
     if tracks and motion.track_times is None:
         message = f"track_times are missing of {counted(len(tracks), 'track')}"
         faults.append(Fault("TAKE001", message))
-    for name, channel, many, width in expected:
+    for name, channel, count, width in expected:
         if channel is None:
             continue
         moving = len(channel.animated)
         for part, expected_shape, shape in (
-            ("rest", (many, width), channel.rest.shape),
+            ("rest", (count, width), channel.rest.shape),
             ("animated", (moving,), channel.animated.shape),
             ("values", (frames, moving, width), channel.values.shape),
         ):
             if expected_shape != shape:
                 message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
                 faults.append(Fault("TAKE001", message))
-        order = [-1, *channel.animated.ravel().tolist(), many]
+        order = [-1, *channel.animated.ravel().tolist(), count]
         if not all(a < b for a, b in pairwise(order)):
-            message = f"{name}.animated must ascend from 0 to below {many}"
+            message = f"{name}.animated must ascend from 0 to below {count}"
             faults.append(Fault("TAKE002", message))
     return faults
 
@@ -86,33 +86,35 @@ def value_faults(
         if channel is None:
             continue
         for static, values in ((True, channel.rest), (False, channel.values)):
-            wrong = _first_infinite(values)
-            code, what = "TAKE004", "not finite"
-            if wrong is None and name == "rotations":
-                wrong = _first_unequal(values)
-                code, what = "TAKE005", "not a unit quaternion (x, y, z, w)"
-            if wrong is not None:
-                index = wrong[0] if static else int(channel.animated[wrong[1]])
-                when = "" if static else f" at frame {float(clock.times[wrong[0]]):g}"
-                owner = f"{_owner(rig, tracks, name, index)}{when}"
-                message = f"{name}: {owner} is {values[wrong].tolist()}, {what}"
+            index = _first_non_finite(values)
+            code, problem = "TAKE004", "not finite"
+            if index is None and name == "rotations":
+                index = _first_non_unit(values)
+                code, problem = "TAKE005", "not a unit quaternion (x, y, z, w)"
+            if index is not None:
+                owner_index = index[0] if static else int(channel.animated[index[1]])
+                at_frame = (
+                    "" if static else f" at frame {float(clock.times[index[0]]):g}"
+                )
+                owner = f"{_owner(rig, tracks, name, owner_index)}{at_frame}"
+                message = f"{name}: {owner} is {values[index].tolist()}, {problem}"
                 faults.append(Fault(code, message))
     return faults
 
 
-def _first_infinite(values: FloatArray) -> tuple[int, ...] | None:
+def _first_non_finite(values: FloatArray) -> tuple[int, ...] | None:
     # A finite sum has only finite terms, and needs no copy.
     if np.isfinite(np.sum(values)):
         return None
-    bad = np.argwhere(~np.isfinite(values).all(axis=-1))
-    return tuple(bad[0].tolist()) if len(bad) else None
+    rows = np.argwhere(~np.isfinite(values).all(axis=-1))
+    return tuple(rows[0].tolist()) if len(rows) else None
 
 
-def _first_unequal(values: FloatArray) -> tuple[int, ...] | None:
+def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
     squares = np.einsum("...k,...k->...", values, values)
-    # Twice, as the length is squared.
-    off = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
-    return tuple(np.argwhere(off)[0].tolist()) if off.any() else None
+    # Twice the tolerance, as the length is squared.
+    wrong = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    return tuple(np.argwhere(wrong)[0].tolist()) if wrong.any() else None
 
 
 def _owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
@@ -139,9 +141,9 @@ class Take:
 
     Raises:
         OptionError: The motion's arrays do not match the rig, the tracks or the clock
-            (TAKE001), or a channel's joints do not ascend (TAKE002), with every such
-            fault; else a value is not finite (TAKE004) or a rotation is not a unit
-            quaternion (TAKE005).
+            (TAKE001), or a channel's joints do not ascend (TAKE002); if there is no
+            such fault, a value is not finite (TAKE004) or a rotation is not a unit
+            quaternion (TAKE005). It lists every fault.
     """
 
     rig: Rig
@@ -168,7 +170,7 @@ class Take:
         return self.clock.count
 
     def __bool__(self) -> bool:
-        """Return True: a take without frames is a take too."""
+        """Return True, even without frames."""
         return True
 
     def world(self) -> WorldTransforms:
@@ -212,7 +214,7 @@ class TakeStream:
             joints. Reading them may raise `animtool.core.errors.FormatError`.
         notices: Warnings and notes about the source; complete once the blocks are
             read.
-        details: Further information of the source, for reports.
+        details: Further information about the source, for reports.
         curve: The source's motion as a function of its time codes ``(F,)``; None if it
             has samples only.
         altered: Whether passes may have changed the blocks relative to ``curve``.
@@ -224,8 +226,8 @@ class TakeStream:
         simulated: Reports of simulations as plain values; complete once the blocks are
             read.
         scores: Scores of passes; complete once the blocks are read.
-        dropped: Placement on the stage at its time codes ``(F,)``, if the take is read
-            without it; None otherwise.
+        dropped: The placement on the stage as a function of time codes ``(F,)``, if the
+            take was read without it; None otherwise.
     """
 
     rig: Rig

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-# Bytes to write one after another, or the arrays of an npz by name.
+# Chunks of bytes to write in order, or the arrays of an npz by name.
 Contents: TypeAlias = "Iterable[bytes] | Mapping[str, npt.NDArray[np.generic]]"
 
 
@@ -24,13 +24,13 @@ Contents: TypeAlias = "Iterable[bytes] | Mapping[str, npt.NDArray[np.generic]]"
 class WriteOptions:
     """Options of a file writer."""
 
-    # Tolerance of keys at a joint and at a point 3 cm off it [m]; None is the default.
+    # Tolerance of fitted keys, at the joint and 3 cm from it [m]; None: the default.
     tolerance: float | None = None
-    # Other tolerances for some joints: names or patterns, and [m].
+    # Tolerances of individual joints [m], by name or pattern.
     joint_tolerances: Mapping[str, float] = field(default_factory=dict)
-    # Base of an additive take, at its frames.
+    # Base of an additive take, at the same frames.
     base: Take | None = None
-    rig_file: Path | None = None  # with the take's rig, to refer to; None writes one
+    rig_file: Path | None = None  # existing rig file to refer to; None writes one
     others: tuple[
         Take, ...
     ] = ()  # further takes of the rig, for files with several takes

@@ -40,7 +40,7 @@ class PropReference:
 
 @dataclass(frozen=True, slots=True)
 class PropRequest:
-    """What to read from a USD file."""
+    """A prop to read from a USD file."""
 
     file: Path  # the USD file
     prim: str  # path of the prim
@@ -62,10 +62,10 @@ class Transforms:
     # Matrices of column vectors [m] ``(F, 4, 4)``, if the three do not represent the
     # transform, as with shear; None otherwise.
     matrices: FloatArray | None = None
-    # Of each attribute: numbers ``(F, width)``, or indices of its choices ``(F,)``.
+    # Values of each attribute ``(F, width)``, or indices of its choices ``(F,)``.
     values: tuple[npt.NDArray[Any], ...] = ()
-    # Mask of times outside the file's range, held at the nearest ``(F,)``; None for
-    # none.
+    # Mask of times outside the file's range, whose values are held ``(F,)``; None if
+    # there are none.
     clamped: BoolArray | None = None
 
     def __len__(self) -> int:
@@ -105,11 +105,11 @@ class Track:
     placed: bool = True  # whether it has a transform; else only attributes
     moves: bool = True  # whether it changes over time
     attributes: tuple[Attribute, ...] = ()  # in order
-    reference: PropReference | None = None  # what is to be seen; None is nothing
+    reference: PropReference | None = None  # asset to show; None shows nothing
     # Whether it follows the placement of the take: it belongs to the take's stage, or
     # is in the space of the character.
-    along: bool = False
-    # Creates a fault located where the track is named.
+    follows_placement: bool = False
+    # Creates a fault at the location where the track is named.
     note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:

@@ -216,8 +216,8 @@ def _stance(
     steady = [np.interp(frames, contacts[:, 0], column) for column in slow]
     drift = lowpass(np.stack(steady, axis=1), SLOWER, rate)
     where /= np.maximum(many, 1)[:, None]
-    position = lowpass(where[:, :2], STEPS, rate, known=many > 0)
-    height = lowpass(where[:, 2], SLOWER, rate, known=many > 0)
+    position = lowpass(where[:, :2], STEPS, rate, valid=many > 0)
+    height = lowpass(where[:, 2], SLOWER, rate, valid=many > 0)
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.filters import rotation_noise
 from animtool.maths.runs import runs
-from animtool.motion.contacts import find_contacts, smoothed
+from animtool.motion.contacts import find_contacts, gaussian_smoothed
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -97,7 +97,7 @@ def hips_and_joints(
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
     """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
-    flat = smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
+    flat = gaussian_smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
     return np.asarray(np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps)
 
 

@@ -11,10 +11,10 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import (
-    RAISED,
+    RAISED_HEEL_HEIGHT,
     FootContacts,
-    smoothed,
-    without_short,
+    gaussian_smoothed,
+    without_short_runs,
 )
 from animtool.rig.limits import RangeLimit
 
@@ -128,7 +128,7 @@ def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
 
 def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return a foot's rotations, constant and level while planted flat ``(F, 4)``."""
-    flat = without_short(foot.contacts.ankle & foot.contacts.toe, fps)
+    flat = without_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
     correction = np.zeros((len(flat), 3))
     for start, end in runs(flat):
         # The mean of rotations that are near each other.
@@ -275,7 +275,7 @@ def _locked(
         if foot.toe is None:
             # A kneeling body rests on its toes, even without toe joints.
             high = float(np.median(foot.above[start:end]))
-            goal[up] += high if high > RAISED * foot.length else 0.0
+            goal[up] += high if high > RAISED_HEEL_HEIGHT * foot.length else 0.0
         correction[start:end] = goal - toe_offset - path
     between(correction, stands, fps)
     _above_ground(correction[:, up], (ankle + bone)[:, up], level, stands, fps)
@@ -383,7 +383,9 @@ def upper(values: FloatArray, width: float, smooth: float | None = None) -> Floa
     reach = int(np.ceil(width))
     padded = np.pad(values, reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return smoothed(windows.max(axis=1), width / 4 if smooth is None else smooth)
+    return gaussian_smoothed(
+        windows.max(axis=1), width / 4 if smooth is None else smooth
+    )
 
 
 def bend_limb(

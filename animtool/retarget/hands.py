@@ -10,7 +10,11 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import find_contacts, smoothed, without_short
+from animtool.motion.contacts import (
+    find_contacts,
+    gaussian_smoothed,
+    without_short_runs,
+)
 from animtool.retarget.feet import between
 from animtool.retarget.legs import limb_rotations, up_index
 from animtool.retarget.props import PropMotion
@@ -257,10 +261,10 @@ def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
     """Return when hands hold each other ``(F,)``: near, and moving together."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
-    smooth = smoothed(separation, SMOOTH * fps)
+    smooth = gaussian_smoothed(separation, SMOOTH * fps)
     speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
     near = np.linalg.norm(separation, axis=1) < NEAR * length
-    return without_short(near & (speed < TOGETHER * length), fps)
+    return without_short_runs(near & (speed < TOGETHER * length), fps)
 
 
 def _length(skeleton: RoledSkeleton, side: str) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.contacts import smoothed
+from animtool.motion.contacts import gaussian_smoothed
 from animtool.retarget.feet import Placed, upper
 from animtool.retarget.legs import (
     LegTracks,
@@ -75,7 +75,7 @@ class _Leg:
             ]
             best = tried[np.argmin(costs, axis=0), np.arange(len(off))]
         swivel[off] = best
-        return smoothed(swivel, SWIVEL_TIME * fps)
+        return gaussian_smoothed(swivel, SWIVEL_TIME * fps)
 
     def _excess(
         self,

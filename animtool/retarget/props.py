@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import smoothed, without_short
+from animtool.motion.contacts import gaussian_smoothed, without_short_runs
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.transforms import Track, Transforms, rotated_track
 from animtool.retarget.transfer import Transfer
@@ -46,10 +46,10 @@ class PropMotion:
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
         local = self.in_prop_frame(wrist)
-        speed = np.gradient(smoothed(local, SMOOTH * fps), axis=0) * fps
+        speed = np.gradient(gaussian_smoothed(local, SMOOTH * fps), axis=0) * fps
         steady = np.linalg.norm(speed, axis=1) < STEADY * arm
         near = np.linalg.norm(local, axis=1) < NEAR * arm
-        gripped = without_short(steady & near, fps)
+        gripped = without_short_runs(steady & near, fps)
         for start, end in runs(gripped):
             if np.ptp(self.positions[start:end], axis=0).max() < TAKEN_ALONG * arm:
                 gripped[start:end] = False

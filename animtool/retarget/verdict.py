@@ -14,7 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 from animtool.motion.scores import PassScores, Score
 
 # Scores above this multiple of a good take's value need a look [1].
@@ -145,5 +145,5 @@ def _runs(
     samples = values.get(name)
     if samples is None:
         return ()
-    near = joined(runs(samples > bound), NEAR)
+    near = merge_runs(runs(samples > bound), NEAR)
     return tuple((first, end - 1) for first, end in near)

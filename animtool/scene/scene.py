@@ -14,7 +14,7 @@ from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
-from animtool.motion.driving import driven_stream, unsaid
+from animtool.motion.driving import driven_stream, without_repeated
 from animtool.motion.motion import Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
@@ -227,10 +227,10 @@ class Scene:
         return PassContext(
             self._take,
             self.path.resolve().parent,
-            keeps=keeps,
+            writes_files=keeps,
             in_shot=shot is not None and shot.places_media,
-            segments=self._segments,
-            around=self._around,
+            simulate_segments=self._segments,
+            build_colliders=self._around,
         )
 
     def _around(
@@ -324,7 +324,9 @@ class Scene:
         context.notices.clear()
 
         def tell() -> None:
-            notices.extend(map(entry.location.locate, unsaid(pass_notices, notices)))
+            notices.extend(
+                map(entry.location.locate, without_repeated(pass_notices, notices))
+            )
             pass_notices.clear()
             name, where = entry.pass_.name, entry.location.where
             scores.extend(one.of_pass(name, where) for one in context.scores)
@@ -370,7 +372,7 @@ class Scene:
         if not early:
             return apply_pass(stream, entry.pass_, entry.options, context)
         led = with_preroll(stream, early)
-        sooner = replace(context, early=early)
+        sooner = replace(context, prepended_frames=early)
         done = apply_pass(led, entry.pass_, entry.options, sooner)
         return drop_first(done, early, stream.start)
 
@@ -408,7 +410,7 @@ class Scene:
             raise FormatError(faults)
         first = self.sources[0]
         with first.location.located():
-            stream = driven_stream(joined(parts[0], parts[1:]), replaced=True)
+            stream = driven_stream(joined(parts[0], parts[1:]), report_replaced=True)
         return replace(stream, blocks=_read(first.location, stream.blocks))
 
     def _take(self, path: Path) -> Take:

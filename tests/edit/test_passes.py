@@ -94,7 +94,7 @@ def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
 
 
 def applied(name: str, take: Take, blocks: int, options: dict[str, Any]) -> Take:
-    context = PassContext(lambda _: take, Path(), segments=rope_of)
+    context = PassContext(lambda _: take, Path(), simulate_segments=rope_of)
     found = find_pass(name)
     stream = TakeStream.of(take)
     parts = np.array_split(np.arange(take.clock.count), blocks)

@@ -12,11 +12,11 @@ from support.suite import examples
 from animtool.core.array_types import IntArray
 from animtool.maths.faces import (
     closed,
+    coincident_edges,
+    directed_edges,
     distinct_pairs,
     edge_counts,
     edges,
-    of_one_edge,
-    sides,
     triangulated,
 )
 
@@ -37,7 +37,7 @@ def around(polygon: list[int]) -> list[tuple[int, int]]:
 @FEW
 def test_sides_go_around_each_polygon(polygons: list[list[int]]) -> None:
     wanted = [list(side) for polygon in polygons for side in around(polygon)]
-    assert sides(*flat(polygons)).tolist() == wanted
+    assert directed_edges(*flat(polygons)).tolist() == wanted
 
 
 @given(POLYGONS)
@@ -53,13 +53,13 @@ def test_an_edge_is_there_once_and_counted(polygons: list[list[int]]) -> None:
 @given(POLYGONS)
 @FEW
 def test_sides_of_one_edge_are_paired(polygons: list[list[int]]) -> None:
-    own = sides(*flat(polygons))
+    own = directed_edges(*flat(polygons))
     wanted = {
         (i, j)
         for i, j in combinations(range(len(own)), 2)
         if set(own[i].tolist()) == set(own[j].tolist())
     }
-    one, other = of_one_edge(own)
+    one, other = coincident_edges(own)
     pairs = [
         (min(pair), max(pair))
         for pair in zip(one.tolist(), other.tolist(), strict=True)
@@ -80,7 +80,7 @@ def test_a_fan_has_two_triangles_less_than_corners(polygons: list[list[int]]) ->
 def test_nothing_has_no_pairs() -> None:
     none = np.zeros((0, 2), np.int64)
     assert distinct_pairs(none).shape == (0, 2)
-    assert [len(part) for part in of_one_edge(none)] == [0, 0]
+    assert [len(part) for part in coincident_edges(none)] == [0, 0]
 
 
 @given(POLYGONS)

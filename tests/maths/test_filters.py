@@ -40,7 +40,7 @@ def test_lines_stay_to_their_ends_and_gaps_are_crossed() -> None:
     known = np.ones(len(TIMES), np.bool_)
     known[[0, 5, 6, 7, 900]] = False
     holed = np.where(known[:, None], line, 77.0)
-    np.testing.assert_allclose(lowpass(holed, 5, RATE, known=known), line, atol=1e-8)
+    np.testing.assert_allclose(lowpass(holed, 5, RATE, valid=known), line, atol=1e-8)
 
 
 def test_turns_turn_with_the_frame_that_they_are_seen_from() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ def test_runs_are_where_a_mask_holds(
 
 def test_runs_that_are_less_than_a_gap_apart_are_one() -> None:
     apart = [(0, 2), (4, 5), (9, 12), (12, 13)]
-    assert joined(apart, 2) == [(0, 2), (4, 5), (9, 13)]
-    assert joined(apart, 3) == [(0, 5), (9, 13)]
-    assert joined(apart, 5) == [(0, 13)]
-    assert joined([], 5) == []
+    assert merge_runs(apart, 2) == [(0, 2), (4, 5), (9, 13)]
+    assert merge_runs(apart, 3) == [(0, 5), (9, 13)]
+    assert merge_runs(apart, 5) == [(0, 13)]
+    assert merge_runs([], 5) == []

@@ -1,4 +1,4 @@
-"""When feet stand: walks whose steps are known, with jitter, at several rates."""
+"""When feet stand: walks whose steps are known, with noise_speed, at several rates."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     find_contacts,
-    jitter,
-    smoothed,
-    without_short,
+    gaussian_smoothed,
+    noise_speed,
+    without_short_runs,
 )
 
 LEG, STRIDE, PERIOD, STANCE = 0.85, 1.3, 1.1, 0.62
@@ -66,24 +66,24 @@ def test_jitter_is_that_of_the_noise() -> None:
     rng = np.random.default_rng(1)
     ankle, _, _ = steps(60.0)
     noisy = ankle + 0.003 * rng.normal(size=ankle.shape)
-    assert jitter([noisy], 60.0) == pytest.approx(0.003 * 60 * 3**0.5, rel=0.15)
-    assert jitter([ankle], 60.0) < 0.02
+    assert noise_speed([noisy], 60.0) == pytest.approx(0.003 * 60 * 3**0.5, rel=0.15)
+    assert noise_speed([ankle], 60.0) < 0.02
 
 
 def test_smoothing_keeps_straight_ways_and_its_ends() -> None:
     way = np.outer(np.arange(40.0), [1.0, -2.0, 0.5]) + 3.0
-    assert np.abs(smoothed(way, 3.0) - way).max() < 1e-12
-    assert smoothed(way[:1], 3.0).tolist() == way[:1].tolist()
+    assert np.abs(gaussian_smoothed(way, 3.0) - way).max() < 1e-12
+    assert gaussian_smoothed(way[:1], 3.0).tolist() == way[:1].tolist()
 
 
 def test_what_the_ends_of_a_take_cut_off_is_not_too_short() -> None:
     """At 100 frames a second a contact lasts 6 frames, and so does a gap in one."""
     mask = np.array([1] * 2 + [0] * 9 + [1] * 5 + [0] * 9 + [1] * 6 + [0] * 9 + [1] * 2)
-    kept = without_short(mask.astype(np.bool_), 100.0)
+    kept = without_short_runs(mask.astype(np.bool_), 100.0)
     assert runs(kept) == [(0, 2), (25, 31), (40, 42)]
-    kept = without_short(mask == 0, 100.0)
+    kept = without_short_runs(mask == 0, 100.0)
     assert runs(kept) == [(2, 25), (31, 40)]
-    kept = without_short(
+    kept = without_short_runs(
         np.array([0] * 2 + [1] * 8 + [0] * 5 + [1] * 8 + [0] * 2) > 0, 100.0
     )
     assert runs(kept) == [(2, 23)]

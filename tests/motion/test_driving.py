@@ -165,7 +165,7 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     given = replace(
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
-    stream = driven_stream(TakeStream.of(given), replaced=True)
+    stream = driven_stream(TakeStream.of(given), report_replaced=True)
     done = stream.collect()
     assert rolls(done) == pytest.approx([0, 0.1, 0.2, 0.3])
     (notice,) = stream.notices
@@ -173,7 +173,7 @@ def test_motion_of_a_source_is_replaced_and_reported_with_the_largest_difference
     assert f"{np.degrees(0.5):.4g}" in notice.message
     assert "frame 3" in notice.message
     # What stands at rest in a capture says nothing about the joint.
-    quiet = driven_stream(TakeStream.of(take), replaced=True)
+    quiet = driven_stream(TakeStream.of(take), report_replaced=True)
     quiet.collect()
     assert quiet.notices == []
 
@@ -335,7 +335,7 @@ def test_runs_are_reported_by_target() -> None:
     run = DriverRun(made)
     take = take_of(made, np.zeros(2), np.array([0.0, 1.0]))
     run.drive(take.motion, np.array([5.0, 6.0]))
-    ((fault, target, frame),) = run.targeted()
+    ((fault, target, frame),) = run.located_notices()
     assert (fault.code, target, frame) == ("RIG103", "joint/roll", 6.0)
 
 

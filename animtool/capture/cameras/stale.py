@@ -9,7 +9,7 @@ import numpy as np
 from animtool.capture.cameras.camera import Camera, project
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Least fraction of outliers of a camera that does not fit its calibration [1].
@@ -231,7 +231,7 @@ def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
     """Return runs of at least a window of frames; shorter gaps are closed."""
     # A shift that lasts a window shows for at least half of one around it.
     least = max(1, window // 2)
-    return [(a, b) for a, b in joined(runs(off), window) if b - a >= least]
+    return [(a, b) for a, b in merge_runs(runs(off), window) if b - a >= least]
 
 
 def pose_change(

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.capture.markers.geometry import MarkerDistances, distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.runs import joined, runs
+from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
 
 # Least frames of an exchange; a shorter one is a spike.
@@ -319,7 +319,7 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
     visible = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
     # A few straight frames between crossed ones are a spike.
-    for first, end in joined(runs(crossed), MIN_SWAP):
+    for first, end in merge_runs(runs(crossed), MIN_SWAP):
         frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP:
             continue

@@ -10,7 +10,7 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import euler, so3
-from animtool.maths.additive import scaled, shifted, turned
+from animtool.maths.additive import add_offset, add_rotation, multiply_scale
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -185,15 +185,17 @@ class ReducedPose:
         j, base, local = track.index, self.base, track.local(values)
         if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
-                local if base is None else turned(base.rotations[:, j], local)
+                local if base is None else add_rotation(base.rotations[:, j], local)
             )
         elif track.kind is ChannelKind.TRANSLATION:
             self.translations[:, j] = (
-                local if base is None else shifted(base.translations[:, j], local)
+                local if base is None else add_offset(base.translations[:, j], local)
             )
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
             below = None if base is None else base.scales
-            self.scales[:, j] = local if below is None else scaled(below[:, j], local)
+            self.scales[:, j] = (
+                local if below is None else multiply_scale(below[:, j], local)
+            )
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return the world transforms, in ``out`` if given."""
@@ -219,11 +221,13 @@ def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
     below = pose_of(rig, base, None)
     translations, rotations, scales = motion.dense()
     if below.scales is not None:
-        scales = below.scales if scales is None else scaled(below.scales, scales)
+        scales = (
+            below.scales if scales is None else multiply_scale(below.scales, scales)
+        )
     return ReducedPose(
         rig,
-        shifted(below.translations, translations),
-        turned(below.rotations, rotations),
+        add_offset(below.translations, translations),
+        add_rotation(below.rotations, rotations),
         None if scales is None else np.ascontiguousarray(scales),
         below,
     )

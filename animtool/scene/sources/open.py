@@ -373,7 +373,7 @@ def _driven(stream: TakeStream) -> TakeStream:
         return stream
     from animtool.motion.driving import driven_stream
 
-    return driven_stream(stream, replaced=True)
+    return driven_stream(stream, report_replaced=True)
 
 
 def _refusal(name: str, path: Path) -> Fault:

@@ -62,7 +62,9 @@ def open_props(
         same_source = same_file(
             entry.file.resolve(), source
         ) or not entry.path.startswith("/")
-        opened.append(OpenProp(entry, prop, replace(track, along=same_source)))
+        opened.append(
+            OpenProp(entry, prop, replace(track, follows_placement=same_source))
+        )
     if faults:
         raise FormatError(faults)
     return opened
@@ -146,7 +148,7 @@ class _Prop:
     ) -> Track:
         """Return its track, transformed with a take whose placement is dropped."""
         track = self.opened.track
-        if dropped is None or not track.along:
+        if dropped is None or not track.follows_placement:
             return track
         start = Fraction(1) if stream.start is None else stream.start
         rate = stream.step / self.step

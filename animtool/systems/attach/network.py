@@ -11,7 +11,12 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
-from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
+from animtool.maths.faces import (
+    coincident_edges,
+    directed_edges,
+    distinct_pairs,
+    edge_counts,
+)
 from animtool.systems.springs.body import Body, built
 from animtool.systems.springs.records import Family
 
@@ -181,13 +186,13 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     """
     starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
     around = np.arange(len(indices)) - starts
-    side_corners = sides(counts, indices)
+    side_corners = directed_edges(counts, indices)
     # Neighbours of the first end of a side, and of the second.
     neighbours = np.stack(
         [indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1
     )
     turned = side_corners[:, 0] > side_corners[:, 1]
     neighbours[turned] = neighbours[turned, ::-1]
-    one, other = of_one_edge(side_corners)
+    one, other = coincident_edges(side_corners)
     pairs = np.stack([neighbours[one], neighbours[other]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

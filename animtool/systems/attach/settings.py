@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import LARGEST, range_faults, ranges_of, within
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import KeyInterpolation, Weight, parse_choice, weights_at
 from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.systems.framework.fields import (
@@ -73,7 +73,8 @@ class SimulateOptions:
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capsules: bool = True  # keep out of the rig's capsules
     # Keep out of the skins of the rig, instead of the capsules of their joints. None is
-    # for cloth alone: strands have many points, and take several times as long.
+    # for cloth alone: strands have many points, and take several times as long; of
+    # chains, the faces that they move themselves are left out.
     skin: bool | None = None
     # What else is met, as systems have it: shapes in the axes of the rig, characters
     # of other files, systems of the scene, and meshes of USD files.
@@ -186,10 +187,10 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
     checks["what"] = partial(_check_what, options)
     checks["wind"] = partial(_check_finite, options.wind, "wind")
     checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
-    checks["lead"] = partial(chosen, Lead, options.lead, "lead")
+    checks["lead"] = partial(parse_choice, Lead, options.lead, "lead")
     checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
     checks["interpolation"] = partial(
-        chosen, KeyInterpolation, options.interpolation, "interpolation"
+        parse_choice, KeyInterpolation, options.interpolation, "interpolation"
     )
     checks["save"] = partial(_check_save, options)
     checks["save_at"] = partial(_check_finite, options.save_at, "save_at")

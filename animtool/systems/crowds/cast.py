@@ -178,7 +178,7 @@ class Casting:
                     poses.rotations[row, 0] = so3.multiply(back, fallen_rotations[0])
                     off = positions[0] - frame.to_world(points[i])
                     poses.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
-            rotations.append(poses.rotations[:, group.cast.moves])
+            rotations.append(poses.rotations[:, group.cast.animated])
             roots.append(poses.roots)
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)

@@ -143,7 +143,7 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
-    joined = PointMasses.joined(parts)
+    joined = PointMasses.concatenate(parts)
     # Its centre of mass is at the position and velocity of the file.
     weights = joined.masses / joined.masses.sum()
     x, v = (each + -weights @ each for each in (joined.points, joined.velocities))

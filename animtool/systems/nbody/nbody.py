@@ -110,7 +110,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         super().__init__(spec, context, "attractors")
         self._fixed = self._integrator.control is StepControl.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
-        self.bodies = PointMasses.joined(parts)
+        self.bodies = PointMasses.concatenate(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)

@@ -247,7 +247,7 @@ class ParticleSimulation:
             born[1] = self.setup.velocity.velocity(until, born[0], particles)
         return replace(
             state,
-            particles=ParticleState.joined([state.particles, particles]),
+            particles=ParticleState.concatenate([state.particles, particles]),
             state=np.concatenate([state.state, born], axis=1),
         )
 
@@ -281,7 +281,7 @@ class ParticleSimulation:
             states.append(np.stack([x, v]))
         if not states:
             return ParticleState.none(), np.zeros((2, 0, 3)), beyond
-        particles = ParticleState.joined(particle_sets)
+        particles = ParticleState.concatenate(particle_sets)
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
         particles, state = particles.select(order), state[:, order]

@@ -262,7 +262,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
         drives = [0.0, 0.0, -1.0, 0.0]
         if drive is not None:
-            most = -1.0 if drive.most is None else drive.most
+            most = -1.0 if drive.max_force is None else drive.max_force
             drives = [drive.stiffness, drive.damping, most, speed]
         rows.append((KINDS[joint.kind], number, dynamic_numbers[pair[1]]))
         numbers.append(
@@ -273,7 +273,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         names.append(joint.name)
         excluded = other >= 0 and not joint.contacts
         pairs.append((pair[1], other) if excluded else (-1, -1))
-        breaks.append(joint.breaks)
+        breaks.append(joint.break_limits)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, NUMBERS),

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, counted, listed, warning
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
 from animtool.documents.document import spelled
-from animtool.maths.faces import edge_counts, sides
+from animtool.maths.faces import directed_edges, edge_counts
 from animtool.systems.springs import (
     Body,
     Family,
@@ -211,7 +211,7 @@ def _area_fractions(
     """Return each point's fraction of the area ``(N,)``, and faces without area."""
     starts = np.cumsum(counts) - counts
     middle = np.add.reduceat(points[indices], starts) / counts[:, None]
-    next_corners = sides(counts, indices)[:, 1]
+    next_corners = directed_edges(counts, indices)[:, 1]
     face = np.repeat(np.arange(len(counts)), counts)
     spans = np.cross(
         points[indices] - middle[face], points[next_corners] - middle[face]

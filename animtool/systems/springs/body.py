@@ -128,7 +128,7 @@ def built(
         if family is not None
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
-    every = Springs.joined([Springs.none(), *springs])
+    every = Springs.concatenate([Springs.none(), *springs])
     return Body(points, weights, every, faces)
 
 
@@ -141,7 +141,7 @@ def join(bodies: Sequence[Body]) -> Body:
     [4, 5]
     """
     offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
-    springs = Springs.joined([Springs.none(), *(body.springs for body in bodies)])
+    springs = Springs.concatenate([Springs.none(), *(body.springs for body in bodies)])
     shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
     faces = [body.triangles + at for body, at in zip(bodies, offsets, strict=False)]
     return Body(

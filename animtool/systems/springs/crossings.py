@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, warning
 from animtool.core.quantities import length_text, plain
 from animtool.core.record import dataclass
-from animtool.maths.faces import sides
+from animtool.maths.faces import directed_edges
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
 from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
@@ -87,7 +87,7 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
 
 def _across(shape: FaceShape) -> IntArray:
     """Return the corner pairs of face sides and diagonals ``(P, 2)``."""
-    pairs = [sides(shape.counts, shape.indices)]
+    pairs = [directed_edges(shape.counts, shape.indices)]
     starts = np.cumsum(shape.counts) - shape.counts
     for skip in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
         many = shape.counts >= 2 * skip

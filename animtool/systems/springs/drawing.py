@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.faces import sides
+from animtool.maths.faces import directed_edges
 from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
@@ -108,7 +108,7 @@ class FaceShape:
     @cached_property
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
-        return _between(self.springs, sides(self.counts, self.indices))
+        return _between(self.springs, directed_edges(self.counts, self.indices))
 
 
 Shape: TypeAlias = CurveShape | FaceShape

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
-from animtool.maths.faces import distinct_pairs, edges, of_one_edge, triangulated
+from animtool.maths.faces import coincident_edges, distinct_pairs, edges, triangulated
 from animtool.systems.springs.body import Body, built
 from animtool.systems.springs.records import Family
 
@@ -178,7 +178,7 @@ def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
     """Return the opposite corners of triangles that share a kept edge ``(B, 2)``."""
     sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    one, other = of_one_edge(sides)
+    one, other = coincident_edges(sides)
     is_kept = _among(np.sort(sides[one], axis=1), kept)
     return distinct_pairs(np.stack([off[one], off[other]], axis=1)[is_kept])
 

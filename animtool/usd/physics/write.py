@@ -204,8 +204,8 @@ class PhysicsWriter:
             self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
         for power, name in enumerate(("breakForce", "breakTorque"), start=1):
-            if math.isfinite(joint.breaks[power - 1]):
-                most = joint.breaks[power - 1] / self._unit**power
+            if math.isfinite(joint.break_limits[power - 1]):
+                most = joint.break_limits[power - 1] / self._unit**power
                 self._number(spec, f"physics:{name}", most)
         if joint.contacts:
             attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
@@ -245,6 +245,6 @@ class PhysicsWriter:
             if drive.speed:
                 rate = drive.speed * scale
                 self._number(spec, f"{name}:targetVelocity", rate)
-            if drive.most is not None:
-                self._number(spec, f"{name}:maxForce", drive.most * force)
+            if drive.max_force is not None:
+                self._number(spec, f"{name}:maxForce", drive.max_force * force)
         return [f"PhysicsDriveAPI:{axis}" for axis in axes]

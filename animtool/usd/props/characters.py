@@ -89,7 +89,7 @@ class Characters:
     def add(self, code: float, frame: CharactersFrame) -> None:
         """Add a frame."""
         self.codes.append(code)
-        for name in ("points", "headings", "roots", "near", "clocks", "visible"):
+        for name in ("points", "headings", "roots", "near_ground", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
         self._rotations.append(
             [rotations.astype(np.float32) for rotations in frame.joint_rotations]
@@ -147,7 +147,7 @@ class _CharacterTrack:
     points: FloatArray  # (F, n, 3) [m]
     headings: FloatArray  # (F, n) [rad]
     roots: FloatArray  # (F, n, 3) [m]
-    near: BoolArray  # (F, n, 2)
+    near_ground: BoolArray  # (F, n, 2)
     clocks: FloatArray  # (F, n) [s]
     visible: BoolArray  # (F, n)
 
@@ -172,19 +172,19 @@ class _CharacterTrack:
                 length = np.linalg.norm(self.rest[j] - self.rest[above])
                 far[above] = max(far[above], float(length))
                 above = parents[above]
-        return np.asarray(far[self.cast.moves])
+        return np.asarray(far[self.cast.animated])
 
     @cached_property
     def shown(self) -> IntArray:
         """Return the joints that define a pose: moving joints and feet."""
         cast = self.cast
-        return np.union1d(cast.moves, np.array(cast.feet))
+        return np.union1d(cast.animated, np.array(cast.feet))
 
     @cached_property
     def chain(self) -> RotationChain:
         """Return those joints as a chain, with static joints between them at rest."""
         rig, shown = self.cast.rig, self.shown.tolist()
-        numbers = {joint: m for m, joint in enumerate(self.cast.moves.tolist())}
+        numbers = {joint: m for m, joint in enumerate(self.cast.animated.tolist())}
         parents, positions, rotations = [], [], []
         for joint in shown:
             position, rotation = rig.rest_translations[joint], so3.IDENTITY
@@ -235,7 +235,7 @@ class _Group:
             rotations = track.rotations[:, i].copy()
             moves = turning(rotations, track.arms, track.size)
             rotations[:, ~moves] = rotations[:1, ~moves]
-            kept, moved = kept_samples(rotations, track.chain, track.near[:, i])
+            kept, moved = kept_samples(rotations, track.chain, track.near_ground[:, i])
             report.own += 1
             report.samples += int(kept.sum())
             report.frames += len(track.codes)
@@ -333,7 +333,7 @@ class _Group:
         Joints that do not move are in a pose that never changes, if they are not at
         rest.
         """
-        rest = self.track.cast.rig.rest_rotations[self.track.cast.moves]
+        rest = self.track.cast.rig.rest_rotations[self.track.cast.animated]
         moves = moves | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
         spec = self._animation(f"{path}/Anim", np.flatnonzero(moves))
         rows = np.flatnonzero(kept)
@@ -347,7 +347,7 @@ class _Group:
     def _animation(self, path: str, which: IntArray) -> Any:
         """Return a new animation of joints that keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
-        joints = cast.moves[which]
+        joints = cast.animated[which]
         spec = prim(self.layer, path, "SkelAnimation")
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
@@ -377,7 +377,7 @@ class _Group:
     def _write_shared(self, path: str) -> None:
         """Write the shared standing animation from 0 s, as long as any needs it."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
-        spec = self._animation(path, np.arange(len(cast.moves)))
+        spec = self._animation(path, np.arange(len(cast.animated)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
         # Standing characters start at most one period before the first frame.
         last = (
@@ -393,8 +393,10 @@ class _Group:
         ]
         codes = rows.astype(np.float64)
         put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
-        moved = np.repeat(cast.rig.rest_translations[None, cast.moves], len(rows), 0)
-        moved[:, cast.moves == 0] = _standing_values(cast, cast.roots, clocks)[:, None]
+        moved = np.repeat(cast.rig.rest_translations[None, cast.animated], len(rows), 0)
+        moved[:, cast.animated == 0] = _standing_values(cast, cast.roots, clocks)[
+            :, None
+        ]
         arrays = [
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
             for one in (moved / self.owner.unit).astype(np.float32)

@@ -57,7 +57,7 @@ class PropPlacements:
                 known = placed(known, self.to_rig(codes))
             above = space_above(self.target, path, codes, inside=True)
         else:
-            if track.along:
+            if track.follows_placement:
                 known = self._with_rig(known, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:

@@ -259,7 +259,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return prototype index, orientation and scale of each, and the bounds."""
         boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
-        corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
+        corners = boxes[frame.mesh_indices] * (frame.scales[:, None] / writer.unit)
         corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
         extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
         return {
@@ -269,7 +269,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
                 "angularVelocities", np.degrees(frame.spins), code
             ),
             "scales": writer.narrowed("scales", frame.scales, code),
-            "protoIndices": frame.copied.astype(np.int32),
+            "protoIndices": frame.mesh_indices.astype(np.int32),
             "extent": bounds(extent, 0.0),
         }
 
@@ -313,7 +313,7 @@ class XformsForm(FrameForm[TransformsFrame]):
                 names.append("xformOp:scale")
             author_order(body, *names)
             mesh = prim(layer, f"{body.path}/mesh")
-            mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
+            mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.mesh_indices[i]]))
         if frame.physics is not None:
             from animtool.usd.physics.write import PhysicsWriter
 

@@ -9,7 +9,12 @@ from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
-from animtool.formats.fbx.sampling import FbxSampler, frames_of, moves, take_stream
+from animtool.formats.fbx.sampling import (
+    FbxSampler,
+    animates_rig,
+    frames_of,
+    take_stream,
+)
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
 from animtool.validation.motion.subject import MotionSubject
@@ -35,7 +40,7 @@ def open_fbx(path: Path) -> CheckedFile:
 def _takes(scene: FbxScene, built: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
     subjects = []
     for take in scene.takes:
-        if not moves(built, take, scene):
+        if not animates_rig(built, take, scene):
             continue
         moving = FbxSampler(scene, built, take)
         try:

@@ -204,7 +204,7 @@ def test_nothing_is_saved_where_a_take_is_only_looked_at(tmp_path: Path) -> None
     take = take_of(tail_rig(3), 24, 0.2)
     options = SimulateOptions(what=("tail",), save="states.npz", save_at=(2.0,))
     for keeps in (False, True):
-        context = PassContext(lambda _: take, tmp_path, keeps=keeps)
+        context = PassContext(lambda _: take, tmp_path, writes_files=keeps)
         given = TakeStream.of(take)
         apply_pass(given, find_pass("simulate"), options, context).collect()
         assert (tmp_path / "states.npz").exists() is keeps

@@ -219,7 +219,7 @@ def test_members_that_show_a_mesh_head_along_their_way(
     for before, row in pairwise(rows):
         assert isinstance(row, TransformsFrame)
         assert len(row.meshes) == 8
-        shows |= set(row.copied.tolist())
+        shows |= set(row.mesh_indices.tolist())
         ways = row.velocities / np.linalg.norm(row.velocities, axis=1)[:, None]
         assert_allclose(so3.rotate(row.rotations, [0.0, 0, 1]), ways, atol=1e-9)
         # Spinning so for a step, each came to be as it is.

@@ -374,7 +374,7 @@ def test_members_that_show_a_cycle_are_turned_from_the_beginning_on() -> None:
     state = made.initial()
     frame = made.frame(state, 0.0)
     u = uniforms(0, np.arange(2), 1)[:, 0]
-    assert frame.copied.tolist() == np.floor(u * 4).tolist()  # type: ignore[union-attr]
+    assert frame.mesh_indices.tolist() == np.floor(u * 4).tolist()  # type: ignore[union-attr]
     assert len(frame.meshes) == 4  # type: ignore[union-attr]
     later = made.step(state, 0.0, 0.125)
     assert later.heading is not None

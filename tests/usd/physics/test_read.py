@@ -89,7 +89,7 @@ def test_what_is_sound_is_read_without_a_word(tmp_path: Path) -> None:
     shape = physics.bodies[0].shapes[0]
     assert (shape.friction, shape.restitution) == (0.5, 0.25)
     assert physics.joints[2].drive is not None
-    assert physics.joints[2].drive.most == 5
+    assert physics.joints[2].drive.max_force == 5
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_limits_without_an_end_are_none(tmp_path: Path) -> None:
 def test_no_force_of_a_drive_is_none(tmp_path: Path) -> None:
     drive = read(tmp_path, ("maxForce = 5", "maxForce = 0")).joints[2].drive
     assert drive is not None
-    assert drive.most == 0
+    assert drive.max_force == 0
     endless = read(tmp_path, ("maxForce = 5", "maxForce = inf")).joints[2].drive
     assert endless is not None
-    assert endless.most is None
+    assert endless.max_force is None

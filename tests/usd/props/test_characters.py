@@ -84,7 +84,7 @@ def expected(frame: CharactersFrame) -> np.ndarray:
     """Return joints of characters in the world ``(N, J, 3)`` [m]."""
     (cast,), (turns,) = frame.casts, frame.joint_rotations
     local = np.repeat(cast.rig.rest_rotations[None], len(turns), axis=0)
-    local[:, cast.moves] = turns
+    local[:, cast.animated] = turns
     places = np.repeat(cast.rig.rest_translations[None], len(turns), axis=0)
     places[:, 0] = frame.roots
     found = forward(cast.rig, places, local).positions * frame.scales[:, None, None]
@@ -145,7 +145,7 @@ def test_usd_plays_what_was_simulated(
     found = so3.rotate(so3.conjugate(turn), played(stage, codes) * unit)
     wanted = np.stack([expected(frame) for frame in frames])
     (cast,) = frames[0].casts
-    shown = np.union1d(cast.moves, cast.feet)
+    shown = np.union1d(cast.animated, cast.feet)
     off = np.linalg.norm(found - wanted, axis=-1)[..., shown]
     # Who stands is interpolated between samples of another clock.
     assert off.max() < made.error + 1e-3

@@ -48,7 +48,7 @@ COPIES = TransformsFrame(
     (TRIANGLE, replace(TRIANGLE, points=-POINTS)),
     PRIMVARS,
 )
-ROWS = ("ids", "points", "velocities", "rotations", "spins", "scales", "copied")
+ROWS = ("ids", "points", "velocities", "rotations", "spins", "scales", "mesh_indices")
 FRAMES: list[Frame] = [
     COPIES,
     PointsFrame(np.array([7, 8, 9]), POINTS, POINTS, np.full(3, 0.5), PRIMVARS),
