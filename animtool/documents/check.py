@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, excerpt, listed
-from animtool.core.names import KINDS, nearest, similar
+from animtool.core.names import KINDS, by_likeness, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
@@ -143,6 +143,8 @@ def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
     other = next((one for one in OTHER_KEYS.get(plain, ()) if one in names), None)
     if other is not None:
         return f"the key is {other!r}", other
+    if plain in OTHER_KEYS:  # a word of its own, not a misspelling
+        return f"allowed: {', '.join(by_likeness(key, names))}", None
     return nearest(key, names), similar(key, names)
 
 
@@ -422,7 +424,12 @@ def _within(value: Any, fault: Any) -> Location:
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return a hint on how to write an entry that is only a name, such as a pass."""
     value = fault["input"]
-    if fault["type"] != "dict_type" or not isinstance(location[-1], int):
+    if fault["type"] != "dict_type":
+        return None
+    if len(location) > 1 and isinstance(location[-2], int):
+        # Of an entry that is named by its only key, the value.
+        return f"write {location[-1]}: {{OPTION: VALUE}}"
+    if not isinstance(location[-1], int):
         return None
     if not isinstance(value, str) or not value.isidentifier():
         return None

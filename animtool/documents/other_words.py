@@ -83,7 +83,7 @@ OTHER_KEYS = {
     "target": ("effector",),
     "from": ("source",),
     "gravity": ("forces",),
-    "pos": ("position", "translate"),
+    "pos": ("position", "translate", "v"),
     "rot": ("orientation", "rotate"),
     "trans": ("translate",),
     "orient": ("orientation", "rotate"),

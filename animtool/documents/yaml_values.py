@@ -228,6 +228,11 @@ class _YamlReader:
         if len(self.faults) >= MAX_FAULTS:
             raise FormatError(self.faults)
 
+    def before(self) -> tuple[str, tuple[int, int]]:
+        """Return the node before the last one: its unquoted text, and its position."""
+        index = max(0, len(self.positions) - 2)
+        return self.plain.get(index, ""), self.positions[index]
+
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
         masked = masked_text is not text
@@ -310,10 +315,6 @@ class _Open:
 
     value: Any  # content so far
     key: str | None = None  # of a mapping, the key whose value is next
-    plain: str = ""  # that key as it is written without quotes
-    spot_of_key: tuple[int, int] = (1, 1)  # its position
-    # The value before it, as read and as written without quotes, and its position.
-    last: tuple[Any, str, tuple[int, int]] = (None, "", (0, 0))
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it is in flow style
     timed: bool = False  # whether it is the value of a `keys` list
@@ -341,15 +342,14 @@ class _Open:
                 self._tight_key(reader)
             self.value[self.key] = value
             self.key = None
-            self.last = value, plain, position
             if self.flow and (self.pieces or "(" in plain):
                 self._piece(value, position, reader, plain)
             return
         if self.timed and type(value) in (int, float):
             self.times.append((value, position))
             value = f"\0{position}"
-        elif self._is_decimal(plain, position):
-            whole, spot = self.last[1:]
+        elif plain.isdigit() and self._is_decimal(position, reader):
+            whole, spot = reader.before()
             message = f"'{whole},{plain}' has a decimal comma"
             hint = f"write {whole}.{plain}, with a decimal point"
             reader.fault("DOC010", message, spot, hint)
@@ -372,27 +372,24 @@ class _Open:
                 hint += ", and states what the file is"
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
-        self.key, self.plain, self.spot_of_key = value, plain, position
+        self.key = value
         if self.pieces:
             self.pieces.append(plain)
             self.brackets += _open_brackets(plain)
 
     def _tight_key(self, reader: _YamlReader) -> None:
         """Report a key that contains its value, for want of a space."""
-        match = _TIGHT_KEY.fullmatch(self.plain)
+        key, position = reader.before()
+        match = _TIGHT_KEY.fullmatch(key)
         if match is not None:
             message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
-            reader.fault("DOC001", message, self.spot_of_key, f"{hint}{match[2]}'")
+            reader.fault("DOC001", message, position, f"{hint}{match[2]}'")
 
-    def _is_decimal(self, plain: str, position: tuple[int, int]) -> bool:
+    def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
         """Return whether a key is the decimals of the number before it."""
-        value, before, (line, column) = self.last
-        return (
-            self.flow
-            and plain.isdigit()
-            and type(value) is int
-            and position == (line, column + len(before) + 1)
-        )
+        whole, (line, column) = reader.before()
+        is_whole = self.flow and whole.lstrip("+-").isdigit()
+        return is_whole and position == (line, column + len(whole) + 1)
 
     def close(self, reader: _YamlReader) -> None:
         """Report once that times are mapping keys; show the right form."""
