@@ -86,8 +86,8 @@ class Document:
                 last = None
             else:
                 numbers.append(text)
-                is_whole = text.lstrip("-+").isdigit()
-                last = (line, column + len(text)) if is_whole else None
+                is_integer = text.lstrip("-+").isdigit()
+                last = (line, column + len(text)) if is_integer else None
         if len(numbers) == len(texts) or len(numbers) != (width or len(numbers)):
             return None
         return f"write [{', '.join(numbers)}], with decimal points"

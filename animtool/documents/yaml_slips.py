@@ -235,10 +235,10 @@ class _Slips:
         rest = self.line[at:]
         if self.quote or _AFTER_VALUE.match(rest) or rest.lstrip()[:1] in "\"'[{":
             return None
-        whole = self._scalar(start)
+        value = self._scalar(start)
         hint = "put all of the value in quotes"
-        if "'" not in whole:
-            hint = f"put all of it in single quotes: '{whole}'"
+        if "'" not in value:
+            hint = f"put all of it in single quotes: '{value}'"
         message = "text follows the closing quote"
         return self._slip(message, hint, at + len(rest) - len(rest.lstrip()))
 

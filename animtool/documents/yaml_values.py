@@ -349,9 +349,9 @@ class _Open:
             self.times.append((value, position))
             value = f"\0{position}"
         elif plain.isdigit() and self._is_decimal(position, reader):
-            whole, spot = reader.before()
-            message = f"'{whole},{plain}' has a decimal comma"
-            hint = f"write {whole}.{plain}, with a decimal point"
+            digits, spot = reader.before()
+            message = f"'{digits},{plain}' has a decimal comma"
+            hint = f"write {digits}.{plain}, with a decimal point"
             reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
@@ -387,9 +387,9 @@ class _Open:
 
     def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
         """Return whether a key is the decimals of the number before it."""
-        whole, (line, column) = reader.before()
-        is_whole = self.flow and whole.lstrip("+-").isdigit()
-        return is_whole and position == (line, column + len(whole) + 1)
+        digits, (line, column) = reader.before()
+        is_integer = self.flow and digits.lstrip("+-").isdigit()
+        return is_integer and position == (line, column + len(digits) + 1)
 
     def close(self, reader: _YamlReader) -> None:
         """Report once that times are mapping keys; show the right form."""

@@ -148,7 +148,7 @@ def outside_take(
     last: Fraction,
     *,
     name: str = "frame_range",
-    whole: str = "take",
+    noun: str = "take",
 ) -> Fault:
     """Return the fault of frames that a take does not have (CLI005).
 
@@ -157,14 +157,14 @@ def outside_take(
         first: First frame of the take.
         last: Its last frame.
         name: Argument that names the frames.
-        whole: What has the frames.
+        noun: What has the frames.
 
     >>> outside_take(FrameRange(0, 0), Fraction(1), Fraction(64), name="rest").message
     'rest: frame 0 is not in the take, which has frames 1-64'
     """
     low, high = frame_range.first, frame_range.last
     frames = f"frame {low} is" if low == high else f"frames {low}-{high} are"
-    message = f"{argument(name)}: {frames} not in the {whole}, "
+    message = f"{argument(name)}: {frames} not in the {noun}, "
     message += f"which has frames {frame_label(first)}-{frame_label(last)}"
     return Fault("CLI005", message)
 

@@ -169,7 +169,7 @@ def timeline_of(
         last = min(last, Fraction(frames.last))
         first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
         if last < first:
-            raise OptionError(outside_take(frames, start, end, whole="file"))
+            raise OptionError(outside_take(frames, start, end, noun="file"))
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"

@@ -146,9 +146,9 @@ _FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY")
 )
 _KINDS = {
-    stat.S_IFDIR: "it is a folder",
-    stat.S_IFIFO: "it is a pipe, not a file",
-    stat.S_IFSOCK: "it is a socket, not a file",
+    stat.S_IFDIR: "is a folder",
+    stat.S_IFIFO: "is a pipe, not a file",
+    stat.S_IFSOCK: "is a socket, not a file",
 }
 
 
@@ -186,7 +186,8 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
     else:
         if isinstance(reason, OSError):
             reason = reason.strerror or str(reason)
-        message = f"cannot be read: {reason}"
+        it = "it " if reason.startswith("is a ") else ""
+        message = f"cannot be read: {it}{reason}"
     hint = unexpanded_hint(str(path)) or nearest_file(path) or _folder_hint(path)
     return FormatError(Fault("IO001", message, str(path), (), hint))
 
@@ -326,7 +327,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 def _kind(status: os.stat_result) -> str:
     """Return the kind of a path that is not a file."""
-    return _KINDS.get(stat.S_IFMT(status.st_mode), "it is a device, not a file")
+    return _KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
 def not_a_file_reason(path: Path) -> str | None:
