@@ -40,7 +40,7 @@ from animtool.cli.outputs import (
     written_options_record,
 )
 from animtool.core.names import is_named
-from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
+from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
 
 FIRST = "first"
 # Options of the command that a match heeds, beside those of its source.
@@ -143,7 +143,7 @@ Examples:
     type=LENGTH,
     metavar="LENGTH",
     help="Report a position as missed if it is farther off than this.  [default: "
-    f"{MISSED}, or --tolerance if that is larger]",
+    f"{REPORTED_MISS}, or --tolerance if that is larger]",
 )
 @click.option(
     "--missed-degrees",
@@ -151,7 +151,7 @@ Examples:
     type=TOLERANCE,
     metavar="DEGREES",
     help="Report an orientation, aim or pole as missed if it is farther off than "
-    f"this.  [default: {MISSED_DEGREES}, or --angle-tolerance]",
+    f"this.  [default: {REPORTED_MISS_DEGREES}, or --angle-tolerance]",
 )
 @bake_option(
     "strict",

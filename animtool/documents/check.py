@@ -16,7 +16,7 @@ from animtool.core.names import KINDS, by_likeness, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import example_hint, form_hint
+from animtool.documents.forms import example_hint, form_hint, paired_entries
 from animtool.documents.other_words import AXES, OTHER_KEYS
 from animtool.documents.placeholders import (
     annotation_at,
@@ -248,6 +248,8 @@ class _Faults:
         node = self.value
         for step in mapping:
             node = node[step]
+        if key not in node or self._paired_key(mapping, node):
+            return
         value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
         renamed = new_key(kind, location, value)
@@ -293,7 +295,9 @@ class _Faults:
         unknown = [key for key in node if key not in names]
         if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
             return False
-        if any(_key_meant(str(key), names)[1] for key in unknown):
+        models = models_of(annotation_at(self.model, self.value, mapping), node)
+        is_pair = bool(paired_entries(models, node))
+        if is_pair or any(_key_meant(str(key), names)[1] for key in unknown):
             return False
         message = f"no known key in {_cut_names(unknown)}"
         self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
@@ -308,6 +312,22 @@ class _Faults:
         for other, value in list(mapping.items()):
             if value is None:  # the list's key
                 self._put_placeholder((*outer, other))
+
+    def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
+        """Record an entry that pairs two names, such as {Hips: hips}, and mend it."""
+        models = models_of(annotation_at(self.model, self.value, mapping), node)
+        entries = paired_entries(models, node) if len(mapping) > 1 else []
+        if not entries:
+            return False
+        key = next(iter(node))
+        message = f"unknown key {excerpt(str(key))}"
+        hint = f"write {', '.join(map(flow_value, entries))}"
+        self.document.add("DOC020", (*mapping, key), message, hint, at_key=True)
+        node.clear()
+        node.update(entries[0])
+        for name in entries[0]:
+            self.document.spellings[*mapping, name] = str(key)
+        return True
 
     def _missing_key(self, mapping: Location, key: str) -> None:
         location = (*mapping, key)

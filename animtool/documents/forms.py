@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.placeholders import (
+    annotation_inside,
     annotation_of,
     field_at,
     fields_of,
@@ -56,7 +57,11 @@ def form_hint(
     example, inner_steps = examples[0], location[depth:]
     is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
     if is_mapping and not _converted(entry, example):
-        example = _entries_of(entry, example)
+        entries = _list_entries(annotation_of(info), entry)
+        for shown in (entries, entries[:1]):
+            text = flow_text(str(location[depth - 1]), shown)
+            if shown and len(text) <= MAX_EXAMPLE:
+                return f"{'write' if shown is entries else 'for example'} {text}"
     forms = _forms(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
@@ -68,12 +73,10 @@ def form_hint(
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if inner_steps else _converted(entry, example)
-    if meant is not None:
-        return f"write {_short(key, meant)}"
+    converted = None if inner_steps else _converted(entry, example)
+    if converted is not None:
+        return f"write {_short(key, converted)}"
     text = flow_text(key, example)
-    if is_mapping and isinstance(example, list):
-        return f"write {_short(key, example)}"
     word = "write" if _contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
 
@@ -106,6 +109,33 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
     return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
 
 
+def paired_entries(
+    models: Sequence[type[BaseModel]], value: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the entries meant by pairs of the two keys that one needs; or none."""
+    if not value or not all(isinstance(one, str) for one in value.values()):
+        return []
+    for fields in map(fields_of, models):
+        required = [key for key, info in fields.items() if info.is_required()]
+        is_pair = len(required) == 2 and "type" not in fields
+        if is_pair and fields.keys().isdisjoint(value):
+            return [dict(zip(required, pair, strict=True)) for pair in value.items()]
+    return []
+
+
+def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the entries of a list that a mapping stands for; empty if none fit."""
+    models = models_of(annotation_inside(annotation, None, 0))
+    keys = {key for model in models for key in fields_of(model)}
+    if not keys:  # entries that are named by their only key, such as passes
+        return [{key: one} for key, one in value.items()]
+    if value.keys() <= keys:
+        return [dict(value)]
+    if "name" in keys and all(isinstance(one, dict) for one in value.values()):
+        return [{"name": name, **entry} for name, entry in value.items()]
+    return paired_entries(models, value)
+
+
 # Keys that other tools use for the ends of a range, the lower end first.
 _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
 
@@ -128,24 +158,6 @@ def _converted(value: Any, example: Any) -> list[Any] | None:
     if isinstance(value, list):
         return _nested(value, example)
     return None
-
-
-def _entries_of(entry: dict[str, Any], example: Any) -> list[Any]:
-    """Return a mapping as the list that is meant: an entry a key, or one entry."""
-    first = example[0] if isinstance(example, list) and example else None
-    if not isinstance(first, dict) or len(entry.keys() & first.keys()) > 0:
-        return [entry]
-    if len(first) == 1:  # such as a pass
-        return [{key: value} for key, value in entry.items()]
-    inner = [value for value in entry.values() if isinstance(value, dict)]
-    if "name" in first and len(inner) == len(entry):
-        return [{"name": key, **value} for key, value in entry.items()]
-    ends = list(first)
-    if len(ends) == _RANGE_LENGTH and all(
-        isinstance(value, str) for value in entry.values()
-    ):
-        return [dict(zip(ends, pair, strict=True)) for pair in entry.items()]
-    return [entry]
 
 
 def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:

@@ -13,7 +13,6 @@ from animtool.documents.forms import form_hint
 class Shown(BaseModel):
     gravity: list[float] = Field(examples=[[0, -1.62, 0]])
     keys: list[dict[str, int]] = Field(examples=[[{"t": 1, "v": 0}]])
-    joints: list[dict[str, str]] = Field(examples=[[{"name": "hips", "type": "free"}]])
     passes: list[dict[str, int]] = Field(examples=[[{"mirror": 0}, {"loop": 1}]])
     range: list[int] = Field(examples=[[1, 48]])
     spans: list[list[int]] = Field(examples=[[[12, 30], [48, 60]]])
@@ -31,8 +30,6 @@ class Shown(BaseModel):
         ("range", "3", "for example range: [1, 48]"),
         ("range", [1, 25, 2], "write range: [1, 25]"),
         ("keys", [[1, 0], [5, 2]], "write keys: [{t: 1, v: 0}, {t: 5, v: 2}]"),
-        ("keys", {"a": "b"}, "write keys: [{t: a, v: b}]"),
-        ("joints", {"a": {"type": "pin"}}, "write joints: [{name: a, type: pin}]"),
         ("passes", {"trim": {}, "loop": {}}, "write passes: [{trim: {}}, {loop: {}}]"),
         ("passes", [{"trim": 1, "loop": 2}], "write passes: [{trim: 1}, {loop: 2}]"),
         ("gravity", "0 -9.81 0", "write gravity: [0, -9.81, 0]"),
@@ -41,3 +38,43 @@ class Shown(BaseModel):
 )
 def test_a_hint_is_made_of_what_was_written(key: str, given: Any, hint: str) -> None:
     assert form_hint(Shown, {key: given}, (key,), expects_list=True) == hint
+
+
+class Pair(BaseModel):
+    source: str
+    target: str
+    role: str = ""
+
+
+class Named(BaseModel):
+    name: str
+    size: float = 1.0
+
+
+class Lists(BaseModel):
+    pairs: list[Pair] = Field(examples=[[{"source": "a", "target": "b"}]])
+    parts: list[Named] = Field(examples=[[{"name": "a"}]])
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "hint"),
+    [
+        ("pairs", {"Hips": "hips"}, "write pairs: [{source: Hips, target: hips}]"),
+        (
+            "pairs",
+            {"source": "a", "target": "b"},
+            "write pairs: [{source: a, target: b}]",
+        ),
+        ("parts", {"leg": {"size": 2}}, "write parts: [{name: leg, size: 2}]"),
+        (
+            "pairs",
+            {f"bone{i}": "x" * 20 for i in range(9)},
+            f"for example pairs: [{{source: bone0, target: {'x' * 20}}}]",
+        ),
+        ("pairs", {"Hips": 3}, "for example pairs: [{source: a, target: b}]"),
+    ],
+)
+def test_a_mapping_becomes_the_entries_of_a_list(
+    key: str, given: Any, hint: str
+) -> None:
+    assert form_hint(Lists, {key: given}, (key,), expects_list=True) == hint

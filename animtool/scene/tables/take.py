@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
@@ -141,7 +141,7 @@ class _Known:
 
     rig: Rig
     seconds: FloatArray
-    shots: list[Snapshot]
+    snapshots: list[Snapshot]
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, curved: bool) -> _Known:
@@ -151,7 +151,7 @@ class _Known:
         fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
         per_frame = fine if curve is not None else 1
         count = (clock.count - 1) * per_frame + 1
-        points = attached_points(take.rig, SHELL)[..., 0].size
+        points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
         most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
         picked = np.unique(np.linspace(0, count - 1, most).astype(np.int64))
         frames = picked / per_frame
@@ -160,18 +160,18 @@ class _Known:
             motion = take.motion.select(picked)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        shots = _shots(take.rig, motion.world(take.rig))
-        return _Known(take.rig, frames / float(clock.rate), shots)
+        snapshots = _shots(take.rig, motion.world(take.rig))
+        return _Known(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
         """Return the joint of a point, and the time."""
-        each = len(self.shots[shot].points) // max(1, len(self.rig.joints))
+        each = len(self.snapshots[shot].points) // max(1, len(self.rig.joints))
         return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
 
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, at each time."""
-    attached = attached_points(rig, SHELL)
+    attached = attached_points(rig, SHELL_DISTANCE)
     return [
         Snapshot(
             (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(
@@ -213,7 +213,7 @@ def _samples(
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return TrialOutcome(0.0, take.clock.count, known.shots)
+            return TrialOutcome(0.0, take.clock.count, known.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
             began = time.perf_counter()
@@ -221,8 +221,8 @@ def _samples(
             seconds = time.perf_counter() - began
             codes = float(report.start) + known.seconds * float(report.fps)
             world = played_world(output, codes)
-        shots = _shots(known.rig, world)
-        return TrialOutcome(seconds, report.samples, shots, bytes=report.bytes)
+        snapshots = _shots(known.rig, world)
+        return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
         _bake(opened(), output, options_of(setting))
@@ -249,7 +249,7 @@ def _samples(
         where=known.where,
         lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
-        size=extent_of(known.shots[:1]),
+        size=extent_of(known.snapshots[:1]),
     )
 
 
