@@ -149,10 +149,10 @@ class SpringView:
             "solver": str(simulation.choice.solver),
             "reason": simulation.reason,
             "step": simulation.shortest,
-            "steps": simulation.taken,
+            "steps": simulation.grid.steps,
             "stretch": simulation.stretch,
             "torn": int(self.torn(state).sum()),
-            "unresolved": simulation.unresolved,
+            "unresolved": simulation.grid.unresolved,
         }
         if simulation.error is not None:
             values["error"] = (
