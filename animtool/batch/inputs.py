@@ -158,8 +158,8 @@ def no_input(spec: BatchSpec) -> NoMatchError:
         return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
-    hint = _other_case(spec, suffixes)
-    hint = hint or f"folders are searched for {', '.join(suffixes)}"
+    hint = f"folders are searched for {', '.join(suffixes)}"
+    hint = _other_case(spec, suffixes) or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 

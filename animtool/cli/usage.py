@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from animtool.cli.groups import LazyGroup
+from animtool.cli.help import LazyGroup
 from animtool.core.errors import Fault
 from animtool.documents.other_words import OTHER_VALUES
 
