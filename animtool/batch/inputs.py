@@ -158,14 +158,12 @@ def no_input(spec: BatchSpec) -> NoMatchError:
         return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
-    hint = (
-        _hint_of_case(spec, suffixes)
-        or f"folders are searched for {', '.join(suffixes)}"
-    )
+    hint = f"folders are searched for {', '.join(suffixes)}"
+    hint = _other_case(spec, suffixes) or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
 
 
-def _hint_of_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
+def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
     """Return a hint for a pattern whose suffix files have in the other case."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
