@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,6 +65,15 @@ class PosePaths:
         if key not in self._skin_points:
             self._skin_points[key] = skin.points(self.of(steps))
         return self._skin_points[key]
+
+
+class Surroundings(NamedTuple):
+    """What an attachment collides with at the end of a frame."""
+
+    world: WorldTransforms  # joint transforms
+    time: float  # [s]
+    solids: Sequence[ClosedSurface]
+    layers: Sequence[ClosedSurface]  # other cloth
 
 
 class Actor:
@@ -197,16 +206,19 @@ class Actor:
         self._move_sheet((frame * self._span, self._time), begun)
         self.seconds += time.perf_counter() - began
 
-    def measure(self, frame: float) -> None:
-        """Measure contact and strain at the end of a frame, by its time code."""
-        points = self.positions
-        depths = self._contacts.depths(self._world, points, self._time)
+    def surroundings(self) -> Surroundings:
+        """Return what it collides with at the end of a frame."""
         solids = [*self._solids, *self._contacts.solids(self._time)]
         layers = [
             ClosedSurface(one.points(self._time), one.triangles(self._time))
             for one in self._layers
         ]
-        self.meter.measure(frame, points, self._sides, solids, depths, layers)
+        return Surroundings(self._world, self._time, solids, layers)
+
+    def measure(self, frame: float, points: FloatArray, at: Surroundings) -> None:
+        """Measure contact and strain of points ``(N, 3)`` [m] at a time code."""
+        depths = self._contacts.depths(at.world, points, at.time)
+        self.meter.measure(frame, points, self._sides, at.solids, depths, at.layers)
 
     def follow(self, paths: PosePaths) -> None:
         """Follow the animation for a frame without simulation."""

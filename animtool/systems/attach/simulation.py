@@ -20,7 +20,13 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
+from animtool.systems.attach.actor import (
+    Actor,
+    PosePaths,
+    Surroundings,
+    rigidly_moved,
+    upwards,
+)
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
     CycleShift,
@@ -86,6 +92,8 @@ class _Rows:
 
     moved: list[FloatArray]
     targets: list[FloatArray]
+    # Of a cycle, which is measured once its seam is blended.
+    surroundings: list[Surroundings] = field(default_factory=list)
 
 
 class AttachSimulation:
@@ -179,7 +187,8 @@ class AttachSimulation:
             self._before = pose
             self._note(float(codes[i]))
             for row, actor in zip(rows, self.actors, strict=True):
-                actor.measure(float(codes[i]))
+                around = actor.surroundings()
+                actor.measure(float(codes[i]), actor.positions, around)
                 row.moved.append(actor.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
@@ -308,12 +317,16 @@ class AttachSimulation:
             for actor, end in zip(self.actors, back, strict=True):
                 actor.move(end)
         weights = seam_weights(count)
-        for row, one in zip(rows, left, strict=True):
+        for row, one, actor in zip(rows, left, self.actors, strict=True):
             off = so3.rotate(travel.rotation, one)
             row.moved = [
                 moved + weight * off
                 for moved, weight in zip(row.moved, weights.tolist(), strict=True)
             ]
+            actor.meter = ContactMeter()
+            looks = zip(self.codes, row.moved, row.surroundings, strict=True)
+            for code, points, around in looks:
+                actor.measure(code, points, around)
         return self._moved(motion, self._codes(self._early, count), rows)
 
     def _round(self, poses: list[LocalPose]) -> list[_Rows]:
@@ -324,10 +337,9 @@ class AttachSimulation:
         self._frame = 0
         for actor in self.actors:
             actor.set_target(poses[0])
-            actor.meter = ContactMeter()
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
-                actor.measure(codes[i])
+                row.surroundings.append(actor.surroundings())
                 row.moved.append(actor.positions)
                 row.targets.append(actor.target)
             jumps = codes[i + 1] in self.options.teleports

@@ -11,9 +11,10 @@ from support.piercing import distances, pierced
 
 from animtool.core.errors import OptionError
 from animtool.maths.faces import triangulated
-from animtool.motion.take import Take
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions, settings_for
+from animtool.systems.attach.take_pass import simulate
 
 SIZE = 8
 EDGE = 0.3 / (SIZE - 1)
@@ -135,3 +136,15 @@ def test_a_thickness_that_makes_no_sense(thickness: str) -> None:
     with pytest.raises(OptionError) as caught:
         simulated(take_of(RIG, 24, 0.1), thickness=thickness)
     assert [fault.code for fault in caught.value.faults] == ["SIM004"]
+
+
+def test_a_cycle_is_measured_with_its_seam() -> None:
+    """What is reported is how the written points lie, blended ones too."""
+    take = whirled(0.3)
+    options = SimulateOptions(("flag",), loop=True, loop_repeats=1, **OPTIONS)
+    stream = simulate(TakeStream.of(take), options)
+    points = moved(stream.collect()).reshape(-1, SIZE, SIZE, 3)
+    lengths = [np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (1, 2)]
+    strain = max(float(np.abs(one / EDGE - 1).max()) for one in lengths)
+    (report,) = stream.simulated
+    assert report["strain"]["value"] == pytest.approx(strain, abs=1e-9)
