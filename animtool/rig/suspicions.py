@@ -205,7 +205,7 @@ def _is_radians(value: float) -> bool:
     quarter = math.radians(90)
     count = round(value / quarter)
     near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
-    return value <= HALF_CIRCLE and (near or is_multiple(value))
+    return value <= HALF_CIRCLE and (near or bool(are_multiples(value)))
 
 
 def _is_degrees(value: float) -> bool:
