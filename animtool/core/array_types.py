@@ -34,10 +34,10 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         # Texts, and lists of different lengths.
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
-    found = array.shape
-    fits = len(found) == len(shape)
+    lengths = array.shape
+    fits = len(lengths) == len(shape)
     if fits:
-        for want, got in zip(shape, found):  # noqa: B905 - they are as long; it is slower
+        for want, got in zip(shape, lengths):  # noqa: B905 - of one length
             if want != got and want.__class__ is not str:
                 fits = False
     if not fits:
