@@ -53,9 +53,11 @@ Edges are pairs of particles, the lower first, in order.)");
 From positions ``(N, 3)``; returns the state ``(2, N, 3)``. No contact history is used.)");
 
   m.def("pierced_edges", &pierced_edges, Unlocked(), "positions"_a, "triangles"_a,
+        "others"_a.none() = nb::none(),
         R"(Count pairs of an edge through a triangle ``(T, 3)`` that has neither of its ends.
 
-At ``positions`` ``(N, 3)``.)");
+At ``positions`` ``(N, 3)``. With ``others`` ``(U, 3)``, edges of each through triangles of the
+other alone.)");
 
   m.def("spring_order", &spring_order, Unlocked(), "ends"_a, "particles"_a,
         R"(Return the solver order ``(S,)`` of springs ``(S, 2)``.
