@@ -22,7 +22,7 @@ from animtool.rig.suspicions import (
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
     MAX_DEGREES,
-    is_multiple,
+    are_multiples,
     warn_of_quaternion,
 )
 from animtool.rig.suspicious_shape import HINGE_NAMES
@@ -178,7 +178,7 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     largest = np.abs(values).max()
-    multiples = sum(is_multiple(float(value)) for value in values)
+    multiples = np.count_nonzero(are_multiples(values))
     if largest <= FULL_CIRCLE and multiples >= MIN_EXACT * len(values):
         return True
     if not MIN_LARGEST <= largest <= HALF_CIRCLE:

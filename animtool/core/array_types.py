@@ -34,10 +34,12 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         # Texts, and lists of different lengths.
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
-    fits = array.ndim == len(shape)
+    lengths = array.shape
+    fits = len(lengths) == len(shape)
     if fits:
-        for want, got in zip(shape, array.shape, strict=True):
-            fits = fits and (want == got or want.__class__ is str)
+        for want, got in zip(shape, lengths):  # noqa: B905 - of one length
+            if want != got and want.__class__ is not str:
+                fits = False
     if not fits:
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")

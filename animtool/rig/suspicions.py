@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
 from animtool.rig.controls import Control, Drive
@@ -75,14 +75,16 @@ def warn_of_angles(
     document.warn("RIG107", largest_limit.location, message, hint)
 
 
-def is_multiple(value: float) -> bool:
-    """Return whether a number is a multiple of 15 degrees in radians.
+def are_multiples(values: ArrayLike) -> BoolArray:
+    """Return which numbers are multiples of 15 degrees in radians.
 
-    >>> is_multiple(1.5708), is_multiple(0.7854), is_multiple(1.5)
-    (True, True, False)
+    >>> are_multiples([1.5708, 0.7854, 1.5]).tolist()
+    [True, True, False]
     """
-    nearest_step = round(value / ANGLE_STEP)
-    return nearest_step != 0 and abs(value - nearest_step * ANGLE_STEP) < STEP_TOLERANCE
+    array = np.asarray(values, np.float64)
+    steps = np.round(array / ANGLE_STEP)
+    near = np.abs(array - steps * ANGLE_STEP) < STEP_TOLERANCE
+    return np.asarray(near & (steps != 0))
 
 
 def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
@@ -133,7 +135,8 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
         ]
     joints = {limit.joint for limit in limits}
     largest = max((limit.largest for limit in limits), default=0.0)
-    has_multiple = any(is_multiple(value) for limit in limits for value in limit.values)
+    values = [value for limit in limits for value in limit.values]
+    has_multiple = bool(are_multiples(values).any())
     hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
     plausible = len(joints) < MIN_JOINTS and not has_multiple and not hinge
     return [] if plausible or largest < TIGHT_LIMIT else limits
@@ -202,7 +205,7 @@ def _is_radians(value: float) -> bool:
     quarter = math.radians(90)
     count = round(value / quarter)
     near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
-    return value <= HALF_CIRCLE and (near or is_multiple(value))
+    return value <= HALF_CIRCLE and (near or bool(are_multiples(value)))
 
 
 def _is_degrees(value: float) -> bool:

@@ -28,6 +28,8 @@ from measuring import (
     in_turn,
     on_one_thread,
     parser,
+    run_peer,
+    taken_of,
 )
 
 from animtool import Channel, Motion, Take, ik
@@ -46,6 +48,7 @@ JOINTS, FRAMES = 60, 10_000
 CALLS = 300
 ARM = ("clavicle_l", "shoulder_l", "elbow_l", "forearm_l", "wrist_l")
 SLERP, FORWARD = "so3.slerp", "forward"
+PINS = "six pins, a pose a call"
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,7 @@ def ik_routes() -> list[Route]:
     targets = ik.Targets(positions=[[place]])
     start = session.solve(wrist_l=place).coordinates[0]
     many = np.repeat(start[None], 1000, axis=0)
-    arm, pose = six_pins(), np.array([0.3, -0.9, 1.2, 0.4, 0.8, -0.5])
-    local = local_from_coordinates(arm, pose[None])
-    world = forward(arm, local.translations, local.rotations)
-    goal = world.positions[0, 6], so3.from_matrix(world.linear[0, 6])
+    arm, (pose, goal) = six_pins(), _six_goal()
     own, whole = arm.ik("hand"), ik.build(arm, [ik.Goal("hand", orientation=1.0)])
     given = ik.Targets([[goal[0]]], [[goal[1]]])
 
@@ -116,7 +116,7 @@ def ik_routes() -> list[Route]:
     def tick() -> None:
         session.solve(wrist_l=place, start=start).world()
 
-    biped, pins = "biped, a pose a call", "six pins, a pose a call"
+    biped = "biped, a pose a call"
     return [
         Route(biped, "session, with all joints", tick, CALLS, 100.0),
         Route(biped, "ik.solve, coordinates, forward", step, CALLS),
@@ -128,10 +128,43 @@ def ik_routes() -> list[Route]:
             *(biped, "coordinates of 1,000", lambda: local_from_coordinates(rig, many)),
             *(5, 3000.0),
         ),
-        Route(pins, "session", lambda: own.solve(hand=goal, start=pose), CALLS, 15.0),
-        Route(pins, "all branches", lambda: own.branches(hand=goal), CALLS),
-        Route(pins, "ik.solve", lambda: ik.solve(whole, pose, given), CALLS),
+        Route(PINS, "session", lambda: own.solve(hand=goal, start=pose), CALLS, 15.0),
+        Route(PINS, "all branches", lambda: own.branches(hand=goal), CALLS),
+        Route(PINS, "ik.solve", lambda: ik.solve(whole, pose, given), CALLS),
     ]
+
+
+def peer_rows(python: str, runs: int) -> list[Row]:
+    """Return what EAIK and roboticstoolbox take for a pose of the six pins."""
+    arm, pose, (place, turn) = six_pins(), *_six_goal()
+    target = np.eye(4)
+    target[:3, :3], target[:3, 3] = so3.to_matrix(turn), place
+    told = {
+        "axes": [joint.axis for joint in arm.joints[:6]],
+        "offsets": [joint.translation for joint in arm.joints],
+        "target": target.tolist(),
+        "start": (pose + 0.3).tolist(),
+    }
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.json"
+        path.write_text(json.dumps(told))
+        found = run_peer(python, "ik_one_pose.py", path, runs, CALLS)
+    for name, one in found.items():
+        taken = taken_of(one)
+        rows += time_rows(PINS, name, taken, unit="us", per=CALLS)
+        least = [min(run.cpu for run in taken) * 1e6 / CALLS]
+        rows.append(Row(PINS, name, "least CPU [us]", least, None, Clock.CPU))
+        rows.append(Row(PINS, name, "largest error [1]", [one["error"]]))
+    return rows
+
+
+def _six_goal() -> tuple[Any, tuple[Any, Any]]:
+    """Return a pose of the six pins, and where its hand is."""
+    arm, pose = six_pins(), np.array([0.3, -0.9, 1.2, 0.4, 0.8, -0.5])
+    local = local_from_coordinates(arm, pose[None])
+    world = forward(arm, local.translations, local.rotations)
+    return pose, (world.positions[0, 6], so3.from_matrix(world.linear[0, 6]))
 
 
 def curve_routes(
@@ -283,14 +316,21 @@ def main() -> None:
     """Measure, print the table, write the CSV."""
     made = parser(__doc__, "calls.csv", runs=9)
     made.add_argument("--compiler", default="c++", help="of the plain loops")
+    made.add_argument("--peer-python", help="interpreter with EAIK and roboticstoolbox")
     options = made.parse_args()
     on_one_thread()
-    session = begin(options, (sys.executable, ["animtool", "numpy"]))
+    session = begin(
+        options,
+        (sys.executable, ["animtool", "numpy"]),
+        (options.peer_python, ["EAIK", "roboticstoolbox-python", "numpy"]),
+    )
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as folder:
         libraries = floors(options.compiler, Path(folder))
         routes = [*ik_routes(), *curve_routes(rng, libraries), *take_routes(rng)]
         rows = rows_of([*routes, *clip_routes(rng, Path(folder))], options.runs)
+    if options.peer_python:
+        rows += peer_rows(options.peer_python, options.runs)
     session.finish(options.csv, rows)
 
 

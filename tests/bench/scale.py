@@ -240,11 +240,12 @@ def main() -> None:
     session = begin(options, (sys.executable, ["animtool", "numpy", "usd-core"]))
     rows = []
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as folder:
+        # First, as the peak of a process begins at that of its parent.
+        if options.cases in "rotations":
+            rows += memory_rows(Path(folder), options.runs)
         for case in CASES:
             if options.cases in case.name:
                 rows += rows_of(case, Path(folder), options.runs)
-        if options.cases in "rotations":
-            rows += memory_rows(Path(folder), options.runs)
     session.finish(options.csv, rows)
 
 
