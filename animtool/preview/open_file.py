@@ -264,7 +264,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         unskinned = [
             surface for surface in meshes.surfaces if surface.name not in bones
         ]
-        surfaces = contents.turned_surfaces(unskinned)
+        surfaces = contents.surfaces_to_y_up(unskinned)
         colors = contents.bound_colors(prim)
         file.takes.append(
             ShownTake(

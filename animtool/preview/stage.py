@@ -258,7 +258,7 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
     copies = _SlotInstances.of(samples, rows, slots.count)
     for k, parts in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
-        uses_prototype = copies.copied == k
+        uses_prototype = copies.prototype_indices == k
         columns = np.flatnonzero(uses_prototype.any(axis=0))
         if not len(columns):
             continue
@@ -295,7 +295,7 @@ class _SlotInstances:
         self.points = np.zeros((frames, count, 3))
         self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, count, 1))
         self.scales = np.ones((frames, count, 3))
-        self.copied = np.full((frames, count), -1)
+        self.prototype_indices = np.full((frames, count), -1)
 
     @classmethod
     def of(
@@ -310,7 +310,7 @@ class _SlotInstances:
             copies.points[f, slots] = sample.points
             copies.rotations[f, slots] = sample.orientations
             copies.scales[f, slots] = sample.scales
-            copies.copied[f, slots] = sample.copied
+            copies.prototype_indices[f, slots] = sample.prototype_indices
         return copies
 
 

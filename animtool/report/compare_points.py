@@ -164,9 +164,12 @@ def _point_mismatch(a: PointSample, b: PointSample) -> str:
         unmatched_ids = np.setdiff1d(a.ids, b.ids)
         if len(unmatched_ids):
             return f"the second file has no point with the id {int(unmatched_ids[0])}"
-    if a.copied is not None and b.copied is not None:
+    if a.prototype_indices is not None and b.prototype_indices is not None:
         ids, first_indices, second_indices = _matched_indices(a, b)
-        first_meshes, second_meshes = a.copied[first_indices], b.copied[second_indices]
+        first_meshes, second_meshes = (
+            a.prototype_indices[first_indices],
+            b.prototype_indices[second_indices],
+        )
         (different,) = np.nonzero(first_meshes != second_meshes)
         if len(different):
             i = int(different[0])

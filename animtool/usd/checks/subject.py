@@ -22,12 +22,15 @@ AnyArray = npt.NDArray[Any]
 class SampledArray:
     """All values of an array attribute."""
 
-    times: FloatArray  # time codes ``(F,)``; NaN alone for a default
-    arrays: list[Any]  # one a time; None where it is blocked
-    counts: IntArray  # their lengths ``(F,)``, -1 without a value
+    times: FloatArray  # time codes ``(F,)``; NaN alone for the default
+    arrays: list[Any]  # one per time; None if blocked
+    counts: IntArray  # array lengths ``(F,)``; -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
-        """Return the samples of one length: which, and values ``(N, count, width)``."""
+        """Return the samples of one length.
+
+        Returns their indices ``(N,)`` and values ``(N, count, width)``.
+        """
         which = np.flatnonzero(self.counts == count)
         if not len(which) or not count:
             return which[:0], np.zeros((0, count, width), np.float32)

@@ -32,7 +32,7 @@ from animtool.motion.frames import (
 )
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
-    LINEAR,
+    POLYLINE,
     Block,
     CachedMesh,
     FrameForm,
@@ -91,7 +91,7 @@ class _Curves(FrameForm[CurvesFrame]):
 
     def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
         """Author type and width of the curves."""
-        author_values(spec, LINEAR)
+        author_values(spec, POLYLINE)
         author_width(spec, frame.width / writer.unit)
 
     def values(
@@ -339,7 +339,7 @@ def chunk_simulated(
                     report,
                     every=True,
                     first=number == 0,
-                    added=growing.added,
+                    on_added=growing.added,
                 )
                 for report in reports
             ]

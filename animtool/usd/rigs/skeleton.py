@@ -267,7 +267,7 @@ def author_strands(
 def _curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
 
-    from animtool.usd.caches.writer import LINEAR, author_values, author_width
+    from animtool.usd.caches.writer import POLYLINE, author_values, author_width
 
     count, length = points.shape[:2]
     labels = Labels(f"{spec.path}.points", "point")
@@ -275,7 +275,7 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
     curve_points, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
     values = {
         "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
-        **LINEAR,
+        **POLYLINE,
         "curveVertexCounts": np.full(count, length, np.int32),
         "points": flat,
     }
