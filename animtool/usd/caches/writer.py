@@ -241,7 +241,7 @@ class PointWriter:
             make,
             every=True,
             first=self._first,
-            of=labels.of,
+            noun=labels.noun,
             names=labels.names,
         )
 

@@ -14,8 +14,8 @@ from animtool.core.rules import finding
 from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
+    duplicate_names,
     missing_parts,
-    names_twice,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -79,11 +79,11 @@ def check_animations(subject: StageSubject) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
     for animation in subject.of_type(UsdSkel.Animation):
         joints = tokens(animation.GetJointsAttr())
-        yield from names_twice(animation.GetJointsAttr())
+        yield from duplicate_names(animation.GetJointsAttr())
         if joints:
             yield from _transforms(subject, animation, joints)
         shapes = tokens(animation.GetBlendShapesAttr())
-        yield from names_twice(animation.GetBlendShapesAttr())
+        yield from duplicate_names(animation.GetBlendShapesAttr())
         yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
 
 

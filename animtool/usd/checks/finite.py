@@ -20,7 +20,7 @@ from pxr import Sdf, Tf, Usd
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.finite import floats_of, largest
+from animtool.usd.layers.finite import float_letter, floats_of
 
 
 def check_types(subject: StageSubject) -> Iterator[Fault]:
@@ -162,7 +162,7 @@ def _layer_problems(
                 problem := _data_problem(spec.GetInfo(key), key)
             ):
                 yield path, problem
-        floats = isinstance(spec, Sdf.AttributeSpec) and largest(spec.typeName)
+        floats = isinstance(spec, Sdf.AttributeSpec) and float_letter(spec.typeName)
         if floats and (problem := _attribute_problem(subject, layer, spec)):
             yield path, problem
 

@@ -28,9 +28,9 @@ from animtool.usd.layers.sdf import (
     attribute,
     author_order,
     prim,
-    put_samples,
     quatf,
     relationship,
+    write_samples,
 )
 from animtool.usd.props.sparse import (
     NEAR,
@@ -291,7 +291,7 @@ class _Group:
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing(positions, SAME_POSITION / unit)
-        put_samples(
+        write_samples(
             self.layer,
             translate,
             track.codes,
@@ -304,7 +304,7 @@ class _Group:
         translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
-        put_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
+        write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -318,7 +318,7 @@ class _Group:
             words = [
                 "inherited" if one else "invisible" for one in visible[rows].tolist()
             ]
-            put_samples(self.layer, translate, track.codes, rows, words)
+            write_samples(self.layer, translate, track.codes, rows, words)
         rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -342,7 +342,7 @@ class _Group:
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one))
             for one in poses[rows][:, moves]
         ]
-        put_samples(self.layer, rotations, self.track.codes, rows, arrays)
+        write_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, which: IntArray) -> Any:
         """Return a new animation of joints that keep their rest translations."""
@@ -392,7 +392,7 @@ class _Group:
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in rotations
         ]
         codes = rows.astype(np.float64)
-        put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
+        write_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
         moved = np.repeat(cast.rig.rest_translations[None, cast.animated], len(rows), 0)
         moved[:, cast.animated == 0] = _standing_values(cast, cast.roots, clocks)[
             :, None
@@ -401,7 +401,7 @@ class _Group:
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
             for one in (moved / self.owner.unit).astype(np.float32)
         ]
-        put_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
+        write_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
 def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:

@@ -339,7 +339,7 @@ def chunk_simulated(
                     report,
                     every=True,
                     first=number == 0,
-                    on_added=growing.added,
+                    on_added=growing.count_bytes,
                 )
                 for report in reports
             ]
@@ -387,7 +387,7 @@ def _blocks(
             size += block.bytes
             yield block
         if growing is not None:
-            growing.added(size)
+            growing.count_bytes(size)
 
 
 def _author_placement(

@@ -24,8 +24,8 @@ from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
-    LARGEST_METADATA,
-    SMALLEST_METADATA,
+    MAX_METADATA,
+    MIN_METADATA,
     PrimLocation,
     joint_order,
     units_and_axis,
@@ -106,13 +106,13 @@ def open_stage(path: Path) -> Any:
 def _check_metadata(stage: Any, where: PrimLocation) -> None:
     """Refuse metadata that make the numbers of a stage unreadable."""
     rate = stage.GetTimeCodesPerSecond()
-    if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
+    if not MIN_METADATA <= rate <= MAX_METADATA:
         where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
     for name, code in (
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
-        if not abs(code) <= LARGEST_METADATA:
+        if not abs(code) <= MAX_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     where.refuse(units_and_axis(stage))
 

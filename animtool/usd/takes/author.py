@@ -129,7 +129,7 @@ def _author_take(
         from animtool.usd.takes.library import take_paths
 
         paths = take_paths(job.paths, take.name)
-    writer = AnimationWriter(layer, paths, job.joints, take.chosen, take.shapes)
+    writer = AnimationWriter(layer, paths, job.joints, take.written_joints, take.shapes)
     if take.name or authored.rig is not layer:
         prim(layer, paths.root, over=True)
     if take.name and first:
@@ -195,7 +195,9 @@ def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake
         FrameSpan(first, last, job.fps),
         take.name,
         samples,
-        joints=len(job.joints) if take.chosen is None else int(take.chosen.sum()),
+        joints=len(job.joints)
+        if take.written_joints is None
+        else int(take.written_joints.sum()),
         rounding=writer.rounding,
     )
 
@@ -407,7 +409,7 @@ def _layer_job(
         round_blocks(blocks, mapping.rig, job.meters_per_unit),
         clock.start,
         clock.step,
-        chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
+        written_joints=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
     notices = target.notices + placed.notices + mapping.notices

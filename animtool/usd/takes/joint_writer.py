@@ -140,7 +140,7 @@ class AnimationWriter:
     layer: Any
     paths: RigPaths  # the character's prims
     joints: list[str]  # their paths as the Skeleton has them, J of them
-    chosen: BoolArray | None = None  # which of them to write ``(J,)``; None is all
+    written_joints: BoolArray | None = None  # joints to write ``(J,)``; None is all
     # Names of the rig's shapes, S of them; without, no weights are written.
     shapes: tuple[str, ...] = ()
     rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
@@ -150,8 +150,10 @@ class AnimationWriter:
         spec = prim(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
-        if self.chosen is not None:
-            names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
+        if self.written_joints is not None:
+            names = [
+                n for n, keep in zip(names, self.written_joints, strict=True) if keep
+            ]
         self._count = len(names)
         self._transforms: dict[str, SampleWriter] = {}
         if names:
@@ -162,7 +164,7 @@ class AnimationWriter:
                     attribute(spec, name, kind),
                     make,
                     quaternions=name == "rotations",
-                    of="joint",
+                    noun="joint",
                     names=names,
                 )
                 for name, (kind, make) in _TRANSFORMS.items()
@@ -175,7 +177,7 @@ class AnimationWriter:
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames."""
-        keep = slice(None) if self.chosen is None else self.chosen
+        keep = slice(None) if self.written_joints is None else self.written_joints
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,
             "rotations": block.rotations,

@@ -27,9 +27,9 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
     PrimLocation,
+    duplicate_names,
     matrix_array,
     missing_parts,
-    names_twice,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -332,7 +332,7 @@ def _lost_motion(animation: Any, where: PrimLocation) -> list[Fault]:
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     joints = tokens(animation.GetJointsAttr())
     where = PrimLocation.of(path, animation)
-    where.refuse(names_twice(animation.GetJointsAttr()))
+    where.refuse(duplicate_names(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first = Usd.TimeCode.EarliestTime()
