@@ -30,9 +30,9 @@ from animtool.usd.layers.faults import (
     transform_attributes,
 )
 from animtool.usd.rigs.placement import (
-    NOWHERE,
+    NO_PLACEMENT,
     SkeletonPlacement,
-    movers,
+    animated_ancestors,
     rest_rig,
     skeleton_placement,
 )
@@ -165,7 +165,7 @@ def _take(
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
     of_rig = _rig(subject, animation, skeleton, joints, path)
-    placing_prims = movers(skeleton.GetPrim()) if skeleton else []
+    placing_prims = animated_ancestors(skeleton.GetPrim()) if skeleton else []
     components = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in components]
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
@@ -188,7 +188,7 @@ def _take(
         scale_channel(scales),
         None if weights is None else Channel.from_dense(weights),
     )
-    placement = NOWHERE
+    placement = NO_PLACEMENT
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
     if not placement.full.is_none:

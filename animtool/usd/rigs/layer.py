@@ -37,8 +37,8 @@ from animtool.usd.rigs.skeleton import author_rig
 
 # Low above high locks an axis in UsdPhysics.
 LOCKED = (1.0, -1.0)
-# What is off an axis by less is rounding of float32.
-ON_AXIS = 1e-6
+# Directions closer to an axis than this are on it; float32 rounding.
+AXIS_TOLERANCE = 1e-6
 
 _TYPES = Sdf.ValueTypeNames
 _AXES = "XYZ"
@@ -49,7 +49,7 @@ class JointDescription:
     """Description of a physics joint prim."""
 
     name: str  # USD name of the joint
-    type: JointType  # what it can do
+    type: JointType
     # Unit axis of a pin or prismatic joint, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     # Limits [rad], [m]; None without.
@@ -61,12 +61,12 @@ def author_physics(
 ) -> int:
     """Write bodies and joints below ``MODEL/Physics``; return the joint count.
 
-    meters_per_unit: unit of the layer [m].
+    ``meters_per_unit`` is the unit of the layer [m].
     """
-    jointed = [
+    movable = [
         i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
     ]
-    bodies = sorted({*jointed, *(rig.joints[i].parent for i in jointed)} - {-1})
+    bodies = sorted({*movable, *(rig.joints[i].parent for i in movable)} - {-1})
     scope = f"{model}/Physics"
     prim(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
@@ -76,9 +76,9 @@ def author_physics(
     for i in bodies:
         position = world.positions[0, i] / meters_per_unit
         _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
-    for i in jointed:
+    for i in movable:
         _joint(layer, scope, rig, i, names, meters_per_unit)
-    return len(jointed)
+    return len(movable)
 
 
 def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:
@@ -107,11 +107,11 @@ def _joint(
     relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
     axis, frame = _frame(joint)
     position = np.array(joint.translation) / meters_per_unit
-    outer = so3.multiply(np.array(joint.rotation), frame)
+    parent_frame = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
     attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist()))
     attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
-    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
+    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(parent_frame))
     attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
     if axis:
         attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
@@ -156,40 +156,43 @@ def _frame(joint: Joint) -> tuple[str, FloatArray]:
 def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     """Author the limits of a ball joint; return the schemas to apply.
 
-    One that is ``locked`` in place by limits, for it twists, is no spherical joint.
+    A ball joint whose twist is ``locked`` by limits is not a spherical joint.
     """
-    swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
+    swing_degrees = None if limits.swing is None else np.degrees(limits.swing).tolist()
     if not locked:
-        if swing is not None:
-            # The first cone angle leans towards Y, a rotation about Z.
-            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
-            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
+        if swing_degrees is not None:
+            # The first cone angle tilts towards Y, a rotation about Z.
+            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing_degrees[1])
+            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing_degrees[0])
         return []
     ranges: dict[str, tuple[float, float]] = {}
     if limits.twist is not None:
-        low, high = np.degrees(limits.twist).tolist()
-        ranges["rotX"] = LOCKED if low == high == 0 else (low, high)
-    if swing is not None:
-        ranges |= {"rotY": (-swing[0], swing[0]), "rotZ": (-swing[1], swing[1])}
+        lower, upper = np.degrees(limits.twist).tolist()
+        ranges["rotX"] = LOCKED if lower == upper == 0 else (lower, upper)
+    if swing_degrees is not None:
+        ranges |= {
+            "rotY": (-swing_degrees[0], swing_degrees[0]),
+            "rotZ": (-swing_degrees[1], swing_degrees[1]),
+        }
     ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
-    for name, (low, high) in ranges.items():
-        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
-        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
+    for name, (lower, upper) in ranges.items():
+        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, lower)
+        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, upper)
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
 def read_physics(stage: Any, meters_per_unit: float) -> dict[str, JointDescription]:
     """Return the joint types and limits of physics joints, by joint name.
 
-    Joints of other tools are read where they have one axis or none; where there is no
-    ``animtool:joint``, a PhysicsJoint is a ball.
+    Joints of other tools are read if they have one axis or none; without
+    ``animtool:joint``, a PhysicsJoint is a ball joint.
 
-    meters_per_unit: unit of its lengths [m].
+    ``meters_per_unit`` is the unit of its lengths [m].
     """
     joints = {}
-    for each in Usd.PrimRange(stage.GetPseudoRoot()):
-        if each.IsA(UsdPhysics.Joint):
-            joints[each.GetName()] = _read_joint(each, meters_per_unit)
+    for joint_prim in Usd.PrimRange(stage.GetPseudoRoot()):
+        if joint_prim.IsA(UsdPhysics.Joint):
+            joints[joint_prim.GetName()] = _read_joint(joint_prim, meters_per_unit)
     return joints
 
 
@@ -212,19 +215,19 @@ def _read_joint(joint: Any, meters_per_unit: float) -> JointDescription:
     if kind is JointType.BALL:
         return JointDescription(name, kind, limits=read_ball(joint, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
-    low, high = (
+    lower, upper = (
         joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
     )
     limits = None
-    if low is not None and high is not None and math.isfinite(low + high):
-        limits = RangeLimit(low * scale, high * scale)
+    if lower is not None and upper is not None and math.isfinite(lower + upper):
+        limits = RangeLimit(lower * scale, upper * scale)
     return JointDescription(name, kind, axis, limits)
 
 
 def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
     nearest = np.round(vector)
-    aligned = np.abs(vector - nearest).max() < ON_AXIS
-    x, y, z = (nearest + 0.0 if aligned else vector).tolist()
+    is_on_axis = np.abs(vector - nearest).max() < AXIS_TOLERANCE
+    x, y, z = (nearest + 0.0 if is_on_axis else vector).tolist()
     return x, y, z
 
 
@@ -232,28 +235,38 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     """Return the limits of a ball joint about an axis; None if free."""
 
     def limit(name: str) -> tuple[float, float] | None:
-        low, high = (
+        lower, upper = (
             joint.GetAttribute(f"limit:{name}:physics:{end}").Get()
             for end in ("low", "high")
         )
-        if low is None or high is None or not math.isfinite(low + high):
+        if lower is None or upper is None or not math.isfinite(lower + upper):
             return None
-        return (0.0, 0.0) if low > high else (math.radians(low), math.radians(high))
+        return (
+            (0.0, 0.0) if lower > upper else (math.radians(lower), math.radians(upper))
+        )
 
     if joint.IsA(UsdPhysics.SphericalJoint):
-        first, second = (
+        swing_y, swing_z = (
             joint.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
         )
-        if first is None or second is None or not 0 <= min(first, second) < math.inf:
+        if (
+            swing_y is None
+            or swing_z is None
+            or not 0 <= min(swing_y, swing_z) < math.inf
+        ):
             return None
-        # An infinite one is 180 degrees.
-        first, second = min(first, 180.0), min(second, 180.0)
-        return BallLimit((math.radians(first), math.radians(second)), None, axis)
+        # An infinite limit is 180 degrees.
+        swing_y, swing_z = min(swing_y, 180.0), min(swing_z, 180.0)
+        return BallLimit((math.radians(swing_y), math.radians(swing_z)), None, axis)
     twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
-    swing = None
+    swing_limits = None
     if about_y is not None and about_z is not None:
-        swing = (about_y[1], about_z[1])
-    return None if twist is None and swing is None else BallLimit(swing, twist, axis)
+        swing_limits = (about_y[1], about_z[1])
+    return (
+        None
+        if twist is None and swing_limits is None
+        else BallLimit(swing_limits, twist, axis)
+    )
 
 
 # USD's fallback rate; an animation over the rig adopts it.
@@ -263,8 +276,9 @@ RATE = Fraction(24)
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     """Write a rig layer; return its size in bytes and notices about names.
 
-    It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
-    blend shapes, and in customData what USD has no place for. It binds no animation.
+    It has the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
+    blend shapes, and customData for what USD cannot express. It does not bind an
+    animation.
     """
     layer, names = _rig_layer(rig, path)
     return save_layer(layer, path), names
@@ -305,7 +319,7 @@ def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
 def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
     """Write joints as UsdPhysics over a rig layer.
 
-    Returns bytes, and how many joints.
+    Returns the size in bytes and the number of joints.
     """
     layer = new_layer(path)
     paths = RigPaths.below(f"/{legal_name(rig.name)}")

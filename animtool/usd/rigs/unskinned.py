@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.props.prim_transforms import world_matrices
-from animtool.usd.rigs.placement import DROP, fixed_matrices, movers
+from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
 from animtool.usd.rigs.prims import numbers
 from animtool.usd.rigs.skinned import MAX_NAMED, is_shown_mesh
 
@@ -68,7 +68,10 @@ def _skinned(root: Any) -> set[Any]:
 
 def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     """Return how far a mesh moves from its first position [m]."""
-    chain = [*movers(prim), *(movers(skeleton) if choice == DROP else ())]
+    chain = [
+        *animated_ancestors(prim),
+        *(animated_ancestors(skeleton) if choice == DROP else ()),
+    ]
     times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
     if len(times) < 2:
         return 0.0

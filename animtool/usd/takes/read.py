@@ -39,9 +39,9 @@ from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_shapes
 from animtool.usd.rigs.placement import (
     DROP,
-    NOWHERE,
+    NO_PLACEMENT,
     SkeletonPlacement,
-    movers,
+    animated_ancestors,
     refuse_uneven,
     rest_rig,
     skeleton_placement,
@@ -191,13 +191,13 @@ def _placement(
 ) -> tuple[SkeletonPlacement, list[Fault]]:
     """Return the placement of a Skeleton at time codes, which its take includes."""
     if prim is None:
-        return NOWHERE, []
+        return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
     if choice != DROP:
         refuse_uneven(placement, where)
     notices = uneven_notice(placement, where)
     notices += unit_mismatch_notice(placement, where.path or "")
-    return (NOWHERE if placement.uneven else placement), notices
+    return (NO_PLACEMENT if placement.uneven else placement), notices
 
 
 def _placed(
@@ -400,7 +400,10 @@ def _read(
     attributes = _attributes(animation, columns, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
-    sources = [*attributes.values(), *([] if prim is None else movers(prim))]
+    sources = [
+        *attributes.values(),
+        *([] if prim is None else animated_ancestors(prim)),
+    ]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
@@ -439,7 +442,7 @@ def _read(
         if shapes
         else None,
     )
-    moving = [] if prim is None else movers(prim)
+    moving = [] if prim is None else animated_ancestors(prim)
     sampled = sorted({time for mover in moving for time in mover.GetTimeSamples()})
     moved = nearest_samples(sampled, codes, grid.drift)
     placement, placement_notices = _placement(prim, rig, moved, where, choice)
