@@ -45,8 +45,8 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 from animtool.usd.takes.animation_values import (
-    among_rest,
     scale_channel,
+    with_rest,
 )
 from animtool.usd.takes.library import take_range
 
@@ -294,7 +294,7 @@ def _motion(
     index = {token: i for i, token in enumerate(of_rig.tokens)}
     columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        among_rest(rest, row, columns, frames)
+        with_rest(rest, row, columns, frames)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():

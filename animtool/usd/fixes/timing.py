@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import AnyArray, Change, Edit, FixTarget, NotFixableError
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
-from animtool.usd.takes.animation_values import OFF_FRAME
+from animtool.usd.takes.animation_values import MAX_OFF_FRAME
 
 # Shorter quaternions have no reliable direction.
 MIN_LENGTH = 1e-3
@@ -179,7 +179,7 @@ def integer_frames(target: FixTarget, fault: Fault) -> Edit:
     new_codes = {
         time: float(round(time))
         for time in layer.ListAllTimeSamples()
-        if 0 < abs(time - round(time)) <= OFF_FRAME
+        if 0 < abs(time - round(time)) <= MAX_OFF_FRAME
     }
     if not new_codes:
         for attr in target.prim(fault).GetAttributes():
@@ -187,7 +187,7 @@ def integer_frames(target: FixTarget, fault: Fault) -> Edit:
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
                     target.require_local(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
-            reason = f"samples more than {OFF_FRAME} off a whole frame"
+            reason = f"samples more than {MAX_OFF_FRAME} off a whole frame"
             raise NotFixableError(f"{reason} may be intentional")
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _paths_with_samples(layer)
@@ -204,7 +204,7 @@ def integer_frames(target: FixTarget, fault: Fault) -> Edit:
         text = f"moves {counted(count, 'sample')} to whole frames"
         ends = [layer.startTimeCode, layer.endTimeCode]
         rounded_ends = [
-            float(round(end)) if abs(end - round(end)) <= OFF_FRAME else end
+            float(round(end)) if abs(end - round(end)) <= MAX_OFF_FRAME else end
             for end in ends
         ]
         has_range = layer.HasStartTimeCode() and layer.HasEndTimeCode()

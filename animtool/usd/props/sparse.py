@@ -48,7 +48,7 @@ class RotationChain:
         rotations: FloatArray,
         is_planted: BoolArray,
         begins: IntArray,
-        frames_apart: int,
+        frame_distance: int,
     ) -> tuple[BoolArray, FloatArray]:
         """Return which spans interpolate well, and the joint errors in them."""
         tolerances = (
@@ -57,7 +57,7 @@ class RotationChain:
         )
         return _kernels.fitting_spans(
             rotations, self.parents, self.numbers, self.positions, self.before,
-            self.rest, self.feet, is_planted, begins, frames_apart, *tolerances,
+            self.rest, self.feet, is_planted, begins, frame_distance, *tolerances,
         )  # fmt: skip
 
 
@@ -80,25 +80,29 @@ def kept_samples(
     offsets = np.zeros((count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
     fits = {1: np.ones(count, np.bool_)}
-    for frames_apart, parts in SPANS.items():
-        can_begin = np.ones(max(count - frames_apart, 0), np.bool_)
+    for frame_distance, parts in SPANS.items():
+        can_begin = np.ones(max(count - frame_distance, 0), np.bool_)
         start = 0
         for length in parts:
             can_begin &= fits[length][start : start + len(can_begin)]
             start += length
         begins = np.flatnonzero(can_begin)
-        fits[frames_apart] = np.zeros(count, np.bool_)
+        fits[frame_distance] = np.zeros(count, np.bool_)
         if len(begins):
-            fits_, corrections = chain.fitting(exact, is_planted, begins, frames_apart)
-            fits[frames_apart][begins] = fits_
-            checked_spans[frames_apart] = begins, corrections
+            fits_, corrections = chain.fitting(
+                exact, is_planted, begins, frame_distance
+            )
+            fits[frame_distance][begins] = fits_
+            checked_spans[frame_distance] = begins, corrections
     rows = _fewest(fits)
     keys = np.flatnonzero(rows)
-    for begin, frames_apart in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
-        if frames_apart > 1:
-            begins, corrections = checked_spans[frames_apart]
+    for begin, frame_distance in zip(
+        keys.tolist(), np.diff(keys).tolist(), strict=False
+    ):
+        if frame_distance > 1:
+            begins, corrections = checked_spans[frame_distance]
             at = int(np.searchsorted(begins, begin))
-            offsets[begin + 1 : begin + frames_apart] = corrections[at]
+            offsets[begin + 1 : begin + frame_distance] = corrections[at]
     return rows, offsets
 
 
@@ -107,17 +111,17 @@ def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
     count = len(fits[1])
     steps, best = [1] * count, [0] * count
     valid_spans = {
-        frames_apart: is_valid.tolist() for frames_apart, is_valid in fits.items()
+        frame_distance: is_valid.tolist() for frame_distance, is_valid in fits.items()
     }
     for k in range(count - 2, -1, -1):
         fewest_samples = count
-        for frames_apart, is_valid in valid_spans.items():
+        for frame_distance, is_valid in valid_spans.items():
             if (
                 is_valid[k]
-                and k + frames_apart < count
-                and best[k + frames_apart] < fewest_samples
+                and k + frame_distance < count
+                and best[k + frame_distance] < fewest_samples
             ):
-                fewest_samples, steps[k] = best[k + frames_apart], frames_apart
+                fewest_samples, steps[k] = best[k + frame_distance], frame_distance
         best[k] = fewest_samples + 1
     rows = np.zeros(count, bool)
     k = 0

@@ -37,7 +37,7 @@ from animtool.usd.layers.sdf import (
     prim,
     relationship,
 )
-from animtool.usd.rigs.skeleton import SCOPE
+from animtool.usd.rigs.skeleton import STRANDS_SCOPE
 
 # Shapes that move a smaller fraction of the vertices are written with indices: an index
 # takes a third of an offset's space.
@@ -118,7 +118,7 @@ def mesh_names(
     Meshes are siblings of Skeleton, animation and strands below the SkelRoot.
     """
     used_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
-    used_names.append(SCOPE)
+    used_names.append(STRANDS_SCOPE)
     every = [*used_names, *(surface.name for surface in surfaces)]
     names = distinct_names(every, every, every)
     paths_of_meshes = [

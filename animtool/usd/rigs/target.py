@@ -60,15 +60,15 @@ class RigTarget:
     path: Path
     stage: Any
     skeleton: SkeletonRig
-    paths: RigPaths  # prims as the layer names them
-    stage_model: str  # the model as the rig's own stage names it
-    fps: Fraction  # the stage's time codes a second
-    start: Fraction | None  # the stage's start time code, where it states one
-    operations: list[str]  # transform operations of the SkelRoot that place it
-    moves: bool  # whether it has others, which move it: the take replaces those
+    paths: RigPaths  # prim paths in the layer
+    stage_model: str  # path of the model on the rig's stage
+    fps: Fraction  # time codes per second of the stage
+    start: Fraction | None  # start time code of the stage, if authored
+    operations: list[str]  # transform operations that place the SkelRoot
+    moves: bool  # whether it also has animated ones, which the take replaces
     skeletons: int  # number of skeletons below the SkelRoot
-    unit: float  # length unit that the stage states [m]; the rig has its own
-    up: UpAxis  # up axis that the stage states
+    unit: float  # length unit of the stage [m]; the rig has its own
+    up: UpAxis  # up axis of the stage
     notices: list[Fault]  # warnings and notes
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
@@ -112,10 +112,10 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         check_prim_path(prim_path)
         if not holds_character(stage, prim_path, str(path)):
             prim_path, moved_to = None, prim_path
-    below = prim_below(stage, prim_path)
-    skeletons = find_skeletons(stage, below)
+    root_path = prim_below(stage, prim_path)
+    skeletons = find_skeletons(stage, root_path)
     if not skeletons:
-        message = f"has no Skeleton below {below}"
+        message = f"has no Skeleton below {root_path}"
         hint = (
             f"set {argument('rig_layer')} to a layer that "
             f"{argument('form', 'split')} wrote, or to a shot that uses one"
@@ -135,23 +135,23 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         _binding(prim, root, model),
     )
     if moved_to is not None:
-        paths = _moved(paths, str(model), moved_to)
+        paths = _moved_paths(paths, str(model), moved_to)
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    placing, moving = _operations(root)
+    placing_ops, motion_ops = _operations(root)
     notices = composition_notices(stage, str(path))
     notices += others_notice(
         skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     if moved_to is None:
-        notices += _bound_in_shot(stage, paths, str(path))
+        notices += _shot_binding_notice(stage, paths, str(path))
     skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices += skeleton.notices
     notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
-    if moving:
-        message = f"the SkelRoot {root.GetPath()} is moved by {', '.join(moving)}"
+    if motion_ops:
+        message = f"the SkelRoot {root.GetPath()} is moved by {', '.join(motion_ops)}"
         hint = "the take replaces that motion"
         notices.append(Fault("USD108", message, str(path), (), hint, Severity.NOTE))
     return RigTarget(
@@ -162,8 +162,8 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         str(model),
         rate_from_float(stage.GetTimeCodesPerSecond()),
         start,
-        placing,
-        bool(moving),
+        placing_ops,
+        bool(motion_ops),
         len(find_skeletons(stage, str(root.GetPath()))),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_axis(stage),
@@ -177,13 +177,13 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
     if same_unit and up is rig.up:
         return []
-    mine = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
-    message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {mine}"
+    rig_units = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
+    message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {rig_units}"
     hint = "the animation uses the rig's; the shot's own transform must match them"
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
-def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+def _shot_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
     """Report a shot that itself binds an animation to the referenced rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
@@ -198,12 +198,12 @@ def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
 
 def _operations(root: Any) -> tuple[list[str], list[str]]:
     """Return the xform ops that place a SkelRoot, and those that animate it."""
-    placing: list[str] = []
-    moving: list[str] = []
+    placing_ops: list[str] = []
+    motion_ops: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
-        names = moving if moves_root(operation) else placing
+        names = motion_ops if moves_root(operation) else placing_ops
         names.append(str(operation.GetOpName()))
-    return placing, moving
+    return placing_ops, motion_ops
 
 
 def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
@@ -219,7 +219,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
 def _binding(skeleton: Any, root: Any, model: Any) -> str:
     """Return the nearest prim above the Skeleton that binds an animation, or the root.
 
-    What binds above the model is not the character's alone: the root is nearer.
+    A binding above the model is not specific to the character, so the root is used.
     """
     prim = skeleton
     while prim and prim.GetPath().HasPrefix(model):
@@ -230,7 +230,7 @@ def _binding(skeleton: Any, root: Any, model: Any) -> str:
     return str(root.GetPath())
 
 
-def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
+def _moved_paths(paths: RigPaths, model: str, to: str) -> RigPaths:
     def move(path: str) -> str:
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(model), Sdf.Path(to)))
 
@@ -250,20 +250,21 @@ _NONE: IntArray = np.zeros(0, np.int64)
 class RigJointMap:
     """Map from the joints of a take to those of a target rig."""
 
-    rig: Rig  # the target's joints
-    # Joint of the take for each joint of the target ``(J,)``, -1 for none.
+    rig: Rig  # rig of the target
+    # For each joint of the target the joint of the take ``(J,)``, -1 for none.
     source: IntArray
     rest_scales: FloatArray  # scale of the target's rest ``(J, 3)``
-    # Joints and shapes of the take that the target lacks, or spells in another way.
+    # Notices about joints and shapes of the take that the target lacks or spells
+    # differently.
     notices: list[Fault]
-    shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
-    # How well the take's rest skeleton fits; None where there are no joints.
+    shapes: tuple[str, ...] = ()  # the target's names of the take's shapes
+    # How well the take's rest skeleton fits; None without joints.
     fit: RigFit | None = None
-    # From where the take is to the numbers of the rig, at time codes ``(F,)``; None is
-    # the same.
+    # Returns the placement from take space to the rig's space at time codes ``(F,)``;
+    # None is the identity.
     to_rig: Callable[[FloatArray], Placement] | None = None
-    roots: IntArray = field(default_factory=lambda: _NONE)  # of the take
-    size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
+    roots: IntArray = field(default_factory=lambda: _NONE)  # root joints of the take
+    size: float = 1.0  # length of a world metre in the rig's space [m]
 
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
         """Return the target's motion at time codes ``(F,)``; see `apply`."""
@@ -272,19 +273,19 @@ class RigJointMap:
         return self.apply(motion)
 
     def apply(self, motion: Motion) -> Motion:
-        """Return the target's motion; joints missing from the take are at rest."""
+        """Return the target's motion; joints missing in the take are at rest."""
         scales = motion.scales
-        mapped = None
+        mapped_motion = None
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
                 constant = np.zeros((motion.frames, 0, 3))
-                mapped = Channel(self.rest_scales, _NONE, constant)
+                mapped_motion = Channel(self.rest_scales, _NONE, constant)
             else:
-                mapped = self._channel(scales, self.rest_scales)
+                mapped_motion = self._channel(scales, self.rest_scales)
         return Motion(
             self._channel(motion.translations, self.rig.rest_translations),
             self._channel(motion.rotations, self.rig.rest_rotations),
-            mapped,
+            mapped_motion,
             motion.weights,
             motion.controls,
             motion.track_times,
@@ -296,10 +297,12 @@ class RigJointMap:
         constant = rest.copy()
         constant[has] = channel.rest[self.source[has]]
         column_of = {int(joint): i for i, joint in enumerate(channel.animated)}
-        animated = [j for j, s in enumerate(self.source.tolist()) if s in column_of]
-        columns = [column_of[int(self.source[j])] for j in animated]
+        animated_joints = [
+            j for j, s in enumerate(self.source.tolist()) if s in column_of
+        ]
+        columns = [column_of[int(self.source[j])] for j in animated_joints]
         return Channel(
-            constant, np.array(animated, np.int64), channel.values[:, columns]
+            constant, np.array(animated_joints, np.int64), channel.values[:, columns]
         )
 
 
@@ -313,44 +316,46 @@ def map_joints(
 ) -> RigJointMap:
     """Match joints by path, else by name, legal or original.
 
-    over: how the take comes to the numbers of the rig; None is that they are its own.
+    ``over`` converts the take to the rig's space; None if it is already there.
     """
     names = joint_names(take.joints, strip_namespaces)
-    legal = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    legal_names = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     by_key: dict[str, list[int]] = {}
-    for paths in (take.paths(legal), take.paths(names.names)):
+    for paths in (take.paths(legal_names), take.paths(names.names)):
         for i, path in enumerate(paths):
             by_key.setdefault(f"/{path}", []).append(i)
     for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
         for key in (joint.source_name or joint.name, joint.name, name):
             by_key.setdefault(key, []).append(i)
     source: list[int] = []
-    used: set[int] = set()
+    used_joints: set[int] = set()
     skeleton = target.skeleton
     for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
         keys = (f"/{token}", joint.source_name or joint.name, joint.name)
-        free = (i for key in keys for i in by_key.get(key, ()) if i not in used)
-        free_index = next(free, -1)
-        used.add(free_index)
+        candidates = (
+            i for key in keys for i in by_key.get(key, ()) if i not in used_joints
+        )
+        free_index = next(candidates, -1)
+        used_joints.add(free_index)
         source.append(free_index)
-    missing = [j.name for i, j in enumerate(take.joints) if i not in used]
-    if len(missing) == len(take.joints):
+    missing_names = [j.name for i, j in enumerate(take.joints) if i not in used_joints]
+    if len(missing_names) == len(take.joints):
         _check_shapes(take, target)
-    resting = [
+    at_rest = [
         joint.name
         for joint, free_index in zip(skeleton.rig.joints, source, strict=True)
         if free_index < 0
     ]
     where = str(target.path)
     notices = []
-    if missing:
-        message = f"{len(missing)} joints of the take are not in the rig: "
+    if missing_names:
+        message = f"{len(missing_names)} joints of the take are not in the rig: "
         hint, kind = "they are skipped", Severity.WARNING
-        notices.append(naming("USD102", message, missing, where, hint, kind))
-    if resting:
-        message = f"{len(resting)} joints of the rig are not in the take: "
+        notices.append(naming("USD102", message, missing_names, where, hint, kind))
+    if at_rest:
+        message = f"{len(at_rest)} joints of the rig are not in the take: "
         hint, kind = "they stay at rest", Severity.NOTE
-        notices.append(naming("USD111", message, resting, where, hint, kind))
+        notices.append(naming("USD111", message, at_rest, where, hint, kind))
     shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
     source_index = np.array(source, np.int64)
     fit: RigFit | None = None
@@ -380,17 +385,17 @@ def map_joints(
 
 def _check_shapes(take: Rig, target: RigTarget) -> None:
     """Refuse a take that shares neither joints nor shapes with a rig."""
-    rig, known = target.skeleton.rig, _known_shapes(target)
+    rig, target_shapes = target.skeleton.rig, _known_shapes(target)
     names = [shape.name for shape in take.shapes]
-    shared = known is None or {arkit_name(n) or n for n in names} & {
-        arkit_name(n) or n for n in known
+    has_common_shape = target_shapes is None or {arkit_name(n) or n for n in names} & {
+        arkit_name(n) or n for n in target_shapes
     }
-    if names and shared and not (take.joints and rig.joints):
+    if names and has_common_shape and not (take.joints and rig.joints):
         return
-    mine, theirs = (
-        f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
+    take_joint, rig_joint = (
+        f"{excerpt(rig_.names[0])} …" if rig_.joints else "none" for rig_ in (take, rig)
     )
-    message = f"no joint of the take ({mine}) is in the rig ({theirs})"
+    message = f"no joint of the take ({take_joint}) is in the rig ({rig_joint})"
     hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}"
     if not (take.joints and rig.joints):
         message += ", and no mesh there has one of its shapes"
@@ -403,34 +408,35 @@ def match_shapes(
 ) -> tuple[tuple[str, ...], list[Fault]]:
     """Return the rig's names of shapes, and notices of ambiguous ones.
 
-    A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
-    is named (USD114). A rig without meshes says nothing of the shapes that it will
-    have.
+    ARKit shapes match in any spelling (USD118); shapes that no mesh has are reported
+    (USD114). A rig without meshes is not checked, since its shapes are unknown.
     """
-    known = _known_shapes(target)
-    if known is None:
+    target_shapes = _known_shapes(target)
+    if target_shapes is None:
         return tuple(shapes), []
-    spelled = {arkit_name(name): name for name in known}
+    by_arkit_name = {arkit_name(name): name for name in target_shapes}
     matches = [
-        name if name in known else spelled.get(arkit_name(name) or "", name)
+        name
+        if name in target_shapes
+        else by_arkit_name.get(arkit_name(name) or "", name)
         for name in shapes
     ]
-    # Of two that would become one, the first keeps the name.
+    # If two names would become one, the first keeps it.
     matches = [
-        name if name not in matches[:i] else legal
-        for i, (legal, name) in enumerate(zip(shapes, matches, strict=True))
+        name if name not in matches[:i] else shape_name
+        for i, (shape_name, name) in enumerate(zip(shapes, matches, strict=True))
     ]
     where = str(target.path)
     notices = []
-    missing = [name for name in matches if name not in known]
-    if missing:
-        message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
+    unknown = [name for name in matches if name not in target_shapes]
+    if unknown:
+        message = f"{len(unknown)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights have no effect there", Severity.WARNING
-        notices.append(naming("USD114", message, missing, where, hint, kind))
-    other = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
-    if other:
-        message = f"{len(other)} shapes are written with the rig's spelling: "
-        notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
+        notices.append(naming("USD114", message, unknown, where, hint, kind))
+    respelled = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
+    if respelled:
+        message = f"{len(respelled)} shapes are written with the rig's spelling: "
+        notices.append(naming("USD118", message, respelled, where, None, Severity.NOTE))
     return tuple(matches), notices
 
 

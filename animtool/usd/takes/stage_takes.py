@@ -15,7 +15,7 @@ from animtool.usd.takes.read import read_character
 def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return a reader of each Skeleton's take, by its path.
 
-    A layer without its rig holds none.
+    Empty for a layer without its rig.
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
