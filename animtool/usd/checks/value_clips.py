@@ -44,17 +44,15 @@ def _clip_set(
         yield from _active(clip_set, len(layers), where)
     yield from _times(clip_set, where)
     target = str(clip_set.get("primPath", ""))
-    existing_layers = [layer for layer in layers if layer is not None]
+    readable = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
         message = f"primPath is {excerpt(target)}, not the path of a prim"
         yield finding("USD277", where, message)
         return
-    if existing_layers and not any(
-        layer.GetPrimAtPath(target) for layer in existing_layers
-    ):
+    if readable and not any(layer.GetPrimAtPath(target) for layer in readable):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, clip_set, target, existing_layers, where)
+    yield from _manifest(prim, clip_set, target, readable, where)
     yield from _spans(clip_set, target, layers, where)
 
 

@@ -48,7 +48,7 @@ class RotationChain:
         rotations: FloatArray,
         is_planted: BoolArray,
         begins: IntArray,
-        frame_distance: int,
+        span: int,
     ) -> tuple[BoolArray, FloatArray]:
         """Return which spans interpolate well, and the joint errors in them."""
         tolerances = (
@@ -57,7 +57,7 @@ class RotationChain:
         )
         return _kernels.fitting_spans(
             rotations, self.parents, self.numbers, self.positions, self.before,
-            self.rest, self.feet, is_planted, begins, frame_distance, *tolerances,
+            self.rest, self.feet, is_planted, begins, span, *tolerances,
         )  # fmt: skip
 
 
@@ -80,29 +80,25 @@ def kept_samples(
     offsets = np.zeros((count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
     fits = {1: np.ones(count, np.bool_)}
-    for frame_distance, parts in SPANS.items():
-        can_begin = np.ones(max(count - frame_distance, 0), np.bool_)
+    for span, parts in SPANS.items():
+        can_begin = np.ones(max(count - span, 0), np.bool_)
         start = 0
         for length in parts:
             can_begin &= fits[length][start : start + len(can_begin)]
             start += length
         begins = np.flatnonzero(can_begin)
-        fits[frame_distance] = np.zeros(count, np.bool_)
+        fits[span] = np.zeros(count, np.bool_)
         if len(begins):
-            fits_, corrections = chain.fitting(
-                exact, is_planted, begins, frame_distance
-            )
-            fits[frame_distance][begins] = fits_
-            checked_spans[frame_distance] = begins, corrections
+            fits_, corrections = chain.fitting(exact, is_planted, begins, span)
+            fits[span][begins] = fits_
+            checked_spans[span] = begins, corrections
     rows = _fewest(fits)
     keys = np.flatnonzero(rows)
-    for begin, frame_distance in zip(
-        keys.tolist(), np.diff(keys).tolist(), strict=False
-    ):
-        if frame_distance > 1:
-            begins, corrections = checked_spans[frame_distance]
+    for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
+        if span > 1:
+            begins, corrections = checked_spans[span]
             at = int(np.searchsorted(begins, begin))
-            offsets[begin + 1 : begin + frame_distance] = corrections[at]
+            offsets[begin + 1 : begin + span] = corrections[at]
     return rows, offsets
 
 
@@ -110,18 +106,12 @@ def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
     """Return the fewest frames that connect first and last by valid spans."""
     count = len(fits[1])
     steps, best = [1] * count, [0] * count
-    valid_spans = {
-        frame_distance: is_valid.tolist() for frame_distance, is_valid in fits.items()
-    }
+    valid_spans = {span: is_valid.tolist() for span, is_valid in fits.items()}
     for k in range(count - 2, -1, -1):
         fewest_samples = count
-        for frame_distance, is_valid in valid_spans.items():
-            if (
-                is_valid[k]
-                and k + frame_distance < count
-                and best[k + frame_distance] < fewest_samples
-            ):
-                fewest_samples, steps[k] = best[k + frame_distance], frame_distance
+        for span, is_valid in valid_spans.items():
+            if is_valid[k] and k + span < count and best[k + span] < fewest_samples:
+                fewest_samples, steps[k] = best[k + span], span
         best[k] = fewest_samples + 1
     rows = np.zeros(count, bool)
     k = 0

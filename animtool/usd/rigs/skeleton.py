@@ -42,8 +42,8 @@ KEY = "stands"
 def rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
     """Return the record of a rig's rest placement; empty if it has none.
 
-    ``rest_pose_rig`` is the rig with the file's rest pose; None is the same rig. If that
-    one is placed, a take without placement is recorded as such.
+    ``rest_pose_rig`` is the rig with the file's rest pose; None is the same rig. If
+    that one is placed, a take without placement is recorded as such.
     """
     rigs = (rig,) if rest_pose_rig is None else (rig, rest_pose_rig)
     if all(rig_.stands is None and not rig_.rides for rig_ in rigs):
