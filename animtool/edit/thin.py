@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from animtool.clip.reduction.points import (
-    SHELL,
+    SHELL_DISTANCE,
     attached_points,
     joint_bounds,
     point_errors,
@@ -120,7 +120,7 @@ class _Measure:
     ) -> None:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds = bounds
-        self.points = attached_points(rig, SHELL)
+        self.points = attached_points(rig, SHELL_DISTANCE)
         self.truth = motion.world(rig)
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:

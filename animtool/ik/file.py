@@ -28,8 +28,8 @@ from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 
-# A shorter direction is refused as a typing error.
-SHORTEST = 1e-9
+# A shorter direction is a typing error and is refused.
+MIN_DIRECTION = 1e-9
 
 
 def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
@@ -37,8 +37,8 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
 
     Args:
         path: The file.
-        rig: With the joints and chains that effectors name; None checks the rest, in
-            metres, and takes every name for a joint.
+        rig: Rig with the joints and chains of the effectors; None checks everything
+            else, in metres, and takes every name for a joint.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
@@ -129,12 +129,14 @@ class _TargetsReader:
         during = self._spans((*at, "during"), model.during)
         values = {kind.name: self._value(at, model, kind) for kind in KINDS}
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
-        valued = {part for part in PARTS if getattr(model, part) is not None}
-        if not valued - {"pole"} and not model.hold:
+        value_parts = {part for part in PARTS if getattr(model, part) is not None}
+        if not value_parts - {"pole"} and not model.hold:
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
-        weights = self._weights((*at, "weight"), model.weight, valued | parts_to_hold)
+        weights = self._weights(
+            (*at, "weight"), model.weight, value_parts | parts_to_hold
+        )
         axes = [
             self._axis((*at, kind.name, "axis"), part.axis)
             for kind in KINDS
@@ -152,7 +154,7 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **_asked(valued | parts_to_hold),
+            **_enabling_weights(value_parts | parts_to_hold),
         )
         return GoalTrack(
             model.effector,
@@ -184,9 +186,9 @@ class _TargetsReader:
         if name in self.rig.names:
             return name, None
         if not self.document.is_placeholder(at):
-            known = [*(chain.name for chain in self.rig.chains), *self.rig.names]
+            names = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
-            self.document.add("TGT001", at, message, nearest(name, known))
+            self.document.add("TGT001", at, message, nearest(name, names))
         return None, None
 
     def _root(
@@ -228,16 +230,16 @@ class _TargetsReader:
                 continue
             spans.append((first, last, i))
         spans.sort()
-        for (first, last, _), (then, end, i) in pairwise(spans):
-            if then <= last:
-                message = f"the span from {then:g} to {end:g} overlaps that from "
+        for (first, last, _), (next_first, end, i) in pairwise(spans):
+            if next_first <= last:
+                message = f"the span from {next_first:g} to {end:g} overlaps that from "
                 message += f"{first:g} to {last:g}"
                 self.document.add("TGT005", (*at, i), message, "merge them")
         return [(first, last) for first, last, _ in spans]
 
     def _axis(self, at: Location, axis: list[float]) -> Vector:
         length = math.hypot(*axis)
-        if not length > SHORTEST:
+        if not length > MIN_DIRECTION:
             self.document.add("TGT008", at, f"direction {axis} has zero length")
             return (0.0, 0.0, 1.0)
         x, y, z = (value / length for value in axis)
@@ -247,7 +249,7 @@ class _TargetsReader:
         self,
         at: Location,
         model: float | WeightsModel,
-        asked: AbstractSet[str],
+        active_parts: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
@@ -262,7 +264,7 @@ class _TargetsReader:
             weight = getattr(model, part)
             if weight is None:
                 continue
-            if part not in asked:
+            if part not in active_parts:
                 message = f"the weight of the {part} has no effect: the goal has none"
                 self.document.warn("TGT101", (*at, part), message)
             curve = self._weight((*at, part), weight)
@@ -285,14 +287,14 @@ def _hold_parts(
     values: dict[str, Value | None], chain: IkChain | None
 ) -> frozenset[str]:
     """Return the parts of a goal that its `hold` spans apply to."""
-    valued = {p for p in ("position", "orientation") if values[p] is not None}
-    if valued:
-        return frozenset(valued)
+    parts_with_value = {p for p in ("position", "orientation") if values[p] is not None}
+    if parts_with_value:
+        return frozenset(parts_with_value)
     goal = "pose" if chain is None else chain.goal
-    both = ("position", "orientation")
-    return frozenset(part for part in both if goal in {part, "pose"})
+    pose_parts = ("position", "orientation")
+    return frozenset(part for part in pose_parts if goal in {part, "pose"})
 
 
-def _asked(parts: AbstractSet[str]) -> dict[str, float]:
+def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:
     """Return weights that enable some parts of a goal."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

@@ -1,4 +1,4 @@
-"""Warnings about rig files whose numbers look like another unit or order."""
+"""Warnings about rig files whose numbers suggest another unit or order."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
 
-# Half a turn in radians, rounded up: the largest limit of most joints [rad].
+# Half a revolution in radians, rounded up: the largest limit of most joints [rad].
 HALF_CIRCLE = 3.2
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
-SMALL = 0.3
-# Joints whose limits are all within half a turn of radians: one or two may be stiff.
+TIGHT_LIMIT = 0.3
+# Minimum number of joints whose limits are all within half a revolution in radians: one
+# or two may be stiff.
 MIN_JOINTS = 3
 # Joints that bend by far more than this on every creature [deg].
-HINGES = re.compile("knee|elbow", re.IGNORECASE)
+HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
 MIN_HINGE = 2 * HALF_CIRCLE
-# Multiples of 15 degrees in radians, at three decimals at least.
-STEP, ROUNDING = math.radians(15), 6e-4
-# Limits in radians reach beyond a whole turn where something winds up [rad].
+# Multiples of 15 degrees in radians, with at least three decimals.
+ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
+# Limits in radians exceed a full revolution only for joints that wind up [rad].
 FULL_CIRCLE, MAX_DEGREES = 6.4, 360.0
 HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 
@@ -46,23 +47,24 @@ def warn_of_angles(
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
     limits = [limit for limit in _limits(joints) if limit.largest > 0]
-    meant = "rad" if angle == "deg" else "deg"
+    intended_unit = "rad" if angle == "deg" else "deg"
     suspects = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
     if not suspects:
         return
-    worst = max(suspects, key=lambda limit: limit.largest)
+    largest_limit = max(suspects, key=lambda limit: limit.largest)
     factor = math.degrees(1.0) if angle == "deg" else math.radians(1.0)
     names = {limit.joint for limit in suspects}
     unit = {"deg": "degrees", "rad": "radians"}
     message = (
-        f"the limits of {counted(len(names), 'joint')} look like {unit[meant]}, but "
-        f"units.angle is {angle}: {worst.joint!r} has {worst.text()}"
+        f"the limits of {counted(len(names), 'joint')} look like "
+        f"{unit[intended_unit]}, but "
+        f"units.angle is {angle}: {largest_limit.joint!r} has {largest_limit.text()}"
     )
     hint = (
-        f"write 'angle: {meant}' under units, or this limit in {unit[angle]}: "
-        f"{worst.text(factor)}"
+        f"write 'angle: {intended_unit}' under units, or this limit in {unit[angle]}: "
+        f"{largest_limit.text(factor)}"
     )
-    document.warn("RIG107", worst.location, message, hint)
+    document.warn("RIG107", largest_limit.location, message, hint)
 
 
 def is_multiple(value: float) -> bool:
@@ -71,12 +73,12 @@ def is_multiple(value: float) -> bool:
     >>> is_multiple(1.5708), is_multiple(0.7854), is_multiple(1.5)
     (True, True, False)
     """
-    near = round(value / STEP)
-    return near != 0 and abs(value - near * STEP) < ROUNDING
+    nearest_step = round(value / ANGLE_STEP)
+    return nearest_step != 0 and abs(value - nearest_step * ANGLE_STEP) < STEP_TOLERANCE
 
 
 def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
-    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (RIG108)."""
+    """Warn of [0, 0, 0, 1], which is the identity only if w is last (RIG108)."""
     rotations = [joint.rotate for joint in joints if "rotate" in joint.model_fields_set]
     if any(abs(w) > abs(z) for w, _, _, z in rotations):
         return
@@ -97,16 +99,16 @@ def warn_of_quaternion(document: Document, code: str, location: Location) -> Non
 
 def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
     for i, joint in enumerate(joints):
-        at: Location = ("joints", i, "limits")
+        location: Location = ("joints", i, "limits")
         if isinstance(joint, PinJointModel) and joint.limits is not None:
-            yield _Limit(at, joint.name, joint.limits)
+            yield _Limit(location, joint.name, joint.limits)
         if isinstance(joint, BallJointModel) and joint.limits is not None:
             swing, twist = joint.limits.swing, joint.limits.twist
             if swing is not None:
-                both = swing if isinstance(swing, list) else [swing]
-                yield _Limit((*at, "swing"), joint.name, both)
+                swings = swing if isinstance(swing, list) else [swing]
+                yield _Limit((*location, "swing"), joint.name, swings)
             if isinstance(twist, list):
-                yield _Limit((*at, "twist"), joint.name, twist)
+                yield _Limit((*location, "twist"), joint.name, twist)
 
 
 def _in_radians(limits: list[_Limit]) -> list[_Limit]:
@@ -115,7 +117,7 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
             limit
             for limit in limits
             if (
-                HINGES.search(limit.joint)
+                HINGE_NAMES.search(limit.joint)
                 and len(limit.values) == 2
                 and 0 < limit.values[1] - limit.values[0] < MIN_HINGE
                 and limit.largest <= HALF_CIRCLE
@@ -123,10 +125,10 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
         ]
     joints = {limit.joint for limit in limits}
     largest = max((limit.largest for limit in limits), default=0.0)
-    exact = any(is_multiple(value) for limit in limits for value in limit.values)
-    hinge = any(HINGES.search(limit.joint) for limit in limits)
-    plausible = len(joints) < MIN_JOINTS and not exact and not hinge
-    return [] if plausible or largest < SMALL else limits
+    has_multiple = any(is_multiple(value) for limit in limits for value in limit.values)
+    hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
+    plausible = len(joints) < MIN_JOINTS and not has_multiple and not hinge
+    return [] if plausible or largest < TIGHT_LIMIT else limits
 
 
 def _in_degrees(limits: list[_Limit]) -> list[_Limit]:

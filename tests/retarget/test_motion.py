@@ -213,7 +213,7 @@ def test_a_long_take_goes_in_blocks(
     walk: Take, biped: Rig, onto: Retargeted, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
     """What is not kept in memory comes back from a file, with no seam."""
-    monkeypatch.setattr(motion, "BLOCK", 7)
+    monkeypatch.setattr(motion, "BLOCK_FRAMES", 7)
     monkeypatch.setattr(motion, "Spool", partial(Spool, kept))
     found = retarget_take(walk, biped, map_joints(walk.rig, biped))
     for own, whole in zip(

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
-from animtool.ik.take_pass import IkPassOptions, asked_of, settings_of
+from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind
@@ -168,7 +168,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
             with entry.location.located():
-                asked = asked_of(take, entry.options, scene.path.resolve().parent)
+                asked = rig_and_tracks(take, entry.options, scene.path.resolve().parent)
                 trials.append(
                     (entry.location, pass_trial(*asked, settings_of(entry.options)))
                 )
@@ -267,7 +267,7 @@ def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
     world = motion.world(rig)
-    shell = attached_points(rig, SHELL)[body.joints, :, None]
+    shell = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
     all_points: FloatArray = points.reshape(motion.frames, -1, 3)

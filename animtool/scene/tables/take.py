@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
@@ -145,7 +145,7 @@ class _Known:
         fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
         per_frame = fine if curve is not None else 1
         count = (clock.count - 1) * per_frame + 1
-        points = attached_points(take.rig, SHELL)[..., 0].size
+        points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
         most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
         picked = np.unique(np.linspace(0, count - 1, most).astype(np.int64))
         frames = picked / per_frame
@@ -165,7 +165,7 @@ class _Known:
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, at each time."""
-    attached = attached_points(rig, SHELL)
+    attached = attached_points(rig, SHELL_DISTANCE)
     return [
         Snapshot(
             (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.transforms import Track, Transforms, below_matrices, placed
-from animtool.rig.placement import SAME, Placement
+from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 
 if TYPE_CHECKING:
@@ -147,9 +147,9 @@ def space_above(
     if inside:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
-    if np.abs(matrices - matrices[:1]).max() <= SAME:
+    if np.abs(matrices - matrices[:1]).max() <= IDENTITY_TOLERANCE:
         matrices = matrices[:1]
-    if np.abs(matrices - np.eye(4)).max() <= SAME:
+    if np.abs(matrices - np.eye(4)).max() <= IDENTITY_TOLERANCE:
         return None
     return np.ascontiguousarray(matrices.swapaxes(1, 2))
 
@@ -186,7 +186,7 @@ def _premultiplied(transforms: Transforms, matrices: FloatArray) -> Transforms:
     unscaled = np.tile(np.eye(4), (len(matrices), 1, 1))
     unscaled[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
     unscaled[:, :3, 3] = translations
-    if np.abs(unscaled - matrices).max() <= SAME * np.abs(matrices).max():
+    if np.abs(unscaled - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
         return placed(transforms, Placement(translations, rotations, sizes))
     return below_matrices(transforms, matrices)
 
