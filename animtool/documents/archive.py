@@ -127,8 +127,8 @@ def _shape(text: str, where: str) -> tuple[int, ...]:
     parts = [part.strip().removesuffix("L") for part in text.split(",")]
     if parts[-1] == "":
         parts.pop()
-    wrong = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
-    if wrong or not all(part.isdecimal() and len(part) < 20 for part in parts):
+    is_invalid = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
+    if is_invalid or not all(part.isdecimal() and len(part) < 20 for part in parts):
         raise ArrayError(f"{where} has a shape that is not that of an array")
     return tuple(map(int, parts))
 

@@ -138,8 +138,8 @@ def record_of_options(
     try:
         return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
-        wrong = wrong_values(known_options, error)
-    return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
+        faults_ = wrong_values(known_options, error)
+    return None, faults + [(at, Fault("SCN002", message)) for at, message in faults_]
 
 
 def renamed_options(
@@ -330,12 +330,16 @@ def _missing_message(last: int | str, value: Any) -> str:
 
 def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages of a union's members into one."""
-    first, *more = texts
+    first, *others_ = texts
     start, negation, _ = first.partition(" is not ")
-    if more and negation and all(text.startswith(start + negation) for text in more):
-        kinds = [text.removeprefix(start + negation) for text in (first, *more)]
+    if (
+        others_
+        and negation
+        and all(text.startswith(start + negation) for text in others_)
+    ):
+        kinds = [text.removeprefix(start + negation) for text in (first, *others_)]
         return f"{start} is neither {' nor '.join(kinds)}"
-    return "; or ".join((first, *more))
+    return "; or ".join((first, *others_))
 
 
 # Faults of values outside an enumeration.
@@ -372,8 +376,10 @@ def _value_fault(shown: str, fault: Any) -> str:
     if bound is not None and abs(bound) >= LARGE:
         return f"{shown} is beyond {bound:g}"
     if bound is not None and 0 < bound <= SMALL:
-        above = fault["input"] > 0
-        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
+        is_positive = fault["input"] > 0
+        return (
+            f"{shown} is below {bound:g}" if is_positive else f"{shown} is not above 0"
+        )
     if kind == "value_error":
         return str(context["error"])
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"

@@ -60,7 +60,7 @@ class Document:
 
     def written(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
-        return self._marked().plain.get(self._index(location))
+        return self._marked().unquoted.get(self._index(location))
 
     def _marked(self) -> Marks:
         if self._marks is None:

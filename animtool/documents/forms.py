@@ -86,10 +86,11 @@ def _converted(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple):
         return None
-    ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
-    if ends is not None and len(example) == _RANGE_LENGTH:
+    range_match = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
+    if range_match is not None and len(example) == _RANGE_LENGTH:
         return [
-            float(number) if "." in number else int(number) for number in ends.groups()
+            float(number) if "." in number else int(number)
+            for number in range_match.groups()
         ]
     if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
         bounds = [value.get(key) for key in _ENDS if key in value]

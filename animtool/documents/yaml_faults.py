@@ -66,23 +66,23 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         if "\t" in indent:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
-    above = _above(lines, line)
-    keyless = _bare_key(lines[above - 1]) if above else None
+    line_above = _above(lines, line)
+    keyless = _bare_key(lines[line_above - 1]) if line_above else None
     if keyless is not None and (
         "could not find expected ':'" in problem
         or (
             "mapping values" in problem
-            and _indent(line_text) > _indent(lines[above - 1])
+            and _indent(line_text) > _indent(lines[line_above - 1])
         )
     ):
-        column = lines[above - 1].index(keyless) + 1
+        column = lines[line_above - 1].index(keyless) + 1
         name, _, value_text = keyless.partition(" ")
         hint = f"write '{name}: {value_text.strip() or 'value'}'"
-        return YamlFault("a key has no colon", hint, above, column)
+        return YamlFault("a key has no colon", hint, line_above, column)
     if "mapping values are not allowed" in problem:
-        if above and _indent(line_text) > _indent(lines[above - 1]):
-            message = f"line {line} is indented further than line {above}"
-            hint = f"start it in column {_indent(lines[above - 1]) + 1}"
+        if line_above and _indent(line_text) > _indent(lines[line_above - 1]):
+            message = f"line {line} is indented further than line {line_above}"
+            hint = f"start it in column {_indent(lines[line_above - 1]) + 1}"
             return YamlFault(message, hint, line, column)
         hint = "put the value in quotes"
         return YamlFault("a value contains ': '", hint, line, column)

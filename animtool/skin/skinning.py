@@ -269,10 +269,10 @@ def _check_order(order: IntArray, joints: int) -> None:
             f"the mesh's joint order is {order.dtype} {order.shape}, not integers (U,)"
         )
         raise FormatError(Fault("SKIN001", message))
-    wrong = order[(order < 0) | (order >= joints)].tolist()
-    if wrong:
+    out_of_range = order[(order < 0) | (order >= joints)].tolist()
+    if out_of_range:
         message = f"the mesh's joint order has joints outside 0…{joints - 1}: "
-        raise FormatError(Fault("SKIN002", message + listed(wrong)))
+        raise FormatError(Fault("SKIN002", message + listed(out_of_range)))
 
 
 def _check_regular(bind: FloatArray, joints: IntArray) -> None:

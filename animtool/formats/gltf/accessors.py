@@ -461,9 +461,11 @@ def _check_bounds_form(accessor: Accessor) -> None:
     for key in ("min", "max"):
         if key not in item.values:
             continue
-        stated = item.values[key]
-        is_valid = isinstance(stated, list) and len(stated) == accessor.width
-        if not is_valid or not {*map(type, stated)} <= {int, float}:
+        bound_values = item.values[key]
+        is_valid = (
+            isinstance(bound_values, list) and len(bound_values) == accessor.width
+        )
+        if not is_valid or not {*map(type, bound_values)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.at(key), message)
 

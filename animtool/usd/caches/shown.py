@@ -229,14 +229,14 @@ class StageContents:
         turn: Rotation from its up axis to Y; None for no rotation.
     """
 
-    def __init__(self, path: Path, stage: Any, below: str) -> None:
+    def __init__(self, path: Path, stage: Any, root_path: str) -> None:
         self.path, self.stage = path, stage
         self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.up = up_axis(stage)
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
         up_rotation = up_from_up(UpAxis.Y, self.up)
         self.up_rotation = None if up_rotation is None else np.array(up_rotation)
-        self._relative_transform = below
+        self._relative_transform = root_path
 
     @property
     def unit(self) -> str:

@@ -313,7 +313,7 @@ class FramePrim(Protocol):
         """Faces of the first frame as triangles ``(T, 3)``."""
 
     @property
-    def parts(self) -> list[str]:
+    def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
 
     def narrowed(

@@ -127,11 +127,11 @@ def _sampled(layer: Any, target: str) -> set[str]:
     """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
-    def look(path: Any) -> None:
+    def visit(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
             names.add(str(path)[len(target) :])
 
-    layer.Traverse(Sdf.Path(target), look)
+    layer.Traverse(Sdf.Path(target), visit)
     return names
 
 

@@ -220,11 +220,11 @@ def _paths_with_samples(layer: Any) -> list[Any]:
     """Return the paths of a layer that have time samples, in order."""
     paths: list[Any] = []
 
-    def look(path: Any) -> None:
+    def visit(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
             paths.append(path)
 
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
     return sorted(paths)
 
 

@@ -49,7 +49,7 @@ def without_usd_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
+def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)
@@ -70,13 +70,13 @@ def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
             os.close(saved)
         if buffer is not None:
             with suppress(OSError), buffer:
-                _print_others(buffer, known)
+                _print_others(buffer, dropped_texts)
 
 
-def _print_others(buffer: IO[bytes], known: tuple[bytes, ...]) -> None:
+def _print_others(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> None:
     """Print the captured lines except those with known texts."""
     buffer.seek(0)
     for line in buffer:
-        if not any(text in line for text in known):
+        if not any(text in line for text in dropped_texts):
             text = line.decode("utf-8", "surrogateescape")
             os.write(2, escaped_lines(text).encode())

@@ -21,7 +21,7 @@ from animtool.usd.physics.stage import (
     MAX_NUMBER,
     PhysicsStage,
     is_body,
-    within,
+    relative_pose,
 )
 from animtool.usd.rigs.layer import read_ball
 from animtool.usd.rigs.prims import nearest_prim, upwards
@@ -137,7 +137,7 @@ def _side(
     for ancestor in upwards(prim):
         body = body_index.get(str(ancestor.GetPath()))
         if body is not None:
-            return body, within(source.pose(source.matrix(ancestor))[0], pose_)
+            return body, relative_pose(source.pose(source.matrix(ancestor))[0], pose_)
         if is_body(ancestor):
             message = (
                 f"is attached to {excerpt(str(ancestor.GetPath()))}, a body that is "

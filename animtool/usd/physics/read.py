@@ -25,7 +25,7 @@ from animtool.usd.physics.stage import (
     PhysicsStage,
     collides,
     is_body,
-    within,
+    relative_pose,
 )
 from animtool.usd.rigs.prims import (
     decompose,
@@ -53,7 +53,7 @@ def read_shapes(
     translation, rotation, _ = decompose(parent_frame[None])
     pose, scale = source.pose(source.matrix(prim))
     frame = np.concatenate([translation[0] * source.unit, rotation[0]])
-    pose = source.up(pose) if static else within(frame, pose)
+    pose = source.up(pose) if static else relative_pose(frame, pose)
     scale_range = float(np.abs(scale).max()), float(np.abs(scale).min())
     size, kind = scale_range[0] * source.unit, str(prim.GetTypeName())
     if (

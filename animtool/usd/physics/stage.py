@@ -154,7 +154,7 @@ class PhysicsStage:
         return np.array([0.0, -EARTH, 0.0])
 
 
-def within(frame: FloatArray, pose: FloatArray) -> FloatArray:
+def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
     """Return a world pose relative to another frame ``(7,)``."""
     inverse_rotation = so3.conjugate(frame[3:])
     at = so3.rotate(inverse_rotation, pose[:3] - frame[:3])

@@ -37,7 +37,7 @@ class PropPlacements:
 
     def unit(self, path: str) -> float:
         """Return the length unit at a prim path [m]."""
-        if self.target is None or within(path, self.model):
+        if self.target is None or is_within(path, self.model):
             return self.meters_per_unit
         return self.target.unit
 
@@ -53,7 +53,7 @@ class PropPlacements:
         """Return a track at time codes ``(F,)``, in the space of its parent prim."""
         if self.target is None or not track.placed:
             return transforms
-        if within(path, self.model):
+        if is_within(path, self.model):
             if self.to_rig is not None:
                 transforms = placed(transforms, self.to_rig(codes))
             parent_space = space_above(self.target, path, codes, inside=True)
@@ -191,6 +191,6 @@ def _premultiplied(transforms: Transforms, matrices: FloatArray) -> Transforms:
     return below_matrices(transforms, matrices)
 
 
-def within(path: str, ancestor: str) -> bool:
+def is_within(path: str, ancestor: str) -> bool:
     """Return whether a path equals another, or is below it."""
     return path == ancestor or path.startswith(f"{ancestor}/")

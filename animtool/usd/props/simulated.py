@@ -158,7 +158,7 @@ class SimulatedPrim:
         return triangulated(self._first.counts, self._first.indices)
 
     @cached_property
-    def parts(self) -> list[str]:
+    def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
         return part_names(self._first.names).names
 

@@ -79,20 +79,20 @@ def kept_samples(
     count = len(rotations)
     offsets = np.zeros((count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
-    fits = {1: np.ones(count, np.bool_)}
+    valid_spans = {1: np.ones(count, np.bool_)}
     for span, parts in SPANS.items():
         can_begin = np.ones(max(count - span, 0), np.bool_)
         start = 0
         for length in parts:
-            can_begin &= fits[length][start : start + len(can_begin)]
+            can_begin &= valid_spans[length][start : start + len(can_begin)]
             start += length
         begins = np.flatnonzero(can_begin)
-        fits[span] = np.zeros(count, np.bool_)
+        valid_spans[span] = np.zeros(count, np.bool_)
         if len(begins):
             fits_, corrections = chain.fitting(exact, is_planted, begins, span)
-            fits[span][begins] = fits_
+            valid_spans[span][begins] = fits_
             checked_spans[span] = begins, corrections
-    rows = _fewest(fits)
+    rows = _fewest(valid_spans)
     keys = np.flatnonzero(rows)
     for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if span > 1:
@@ -102,11 +102,11 @@ def kept_samples(
     return rows, offsets
 
 
-def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
+def _fewest(spans_: dict[int, BoolArray]) -> BoolArray:
     """Return the fewest frames that connect first and last by valid spans."""
-    count = len(fits[1])
+    count = len(spans_[1])
     steps, best = [1] * count, [0] * count
-    valid_spans = {span: is_valid.tolist() for span, is_valid in fits.items()}
+    valid_spans = {span: is_valid.tolist() for span, is_valid in spans_.items()}
     for k in range(count - 2, -1, -1):
         fewest_samples = count
         for span, is_valid in valid_spans.items():

@@ -41,7 +41,7 @@ from animtool.usd.layers.sdf import (
     relationship,
     vector,
 )
-from animtool.usd.props.placement import PropPlacements, within
+from animtool.usd.props.placement import PropPlacements, is_within
 
 
 @dataclass(slots=True)
@@ -87,11 +87,11 @@ def check_props(
     for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
         existing = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "choose another path, such as Props/box"
-        if overlap(path, root) or within(model, path):
+        if overlap(path, root) or is_within(model, path):
             message = f"{path} is part of the character at {model}"
         elif existing and existing.IsInstanceProxy():
             message = f"{path} is inside an instance, which a layer cannot reach"
-        elif library and not within(path, model):
+        elif library and not is_within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
@@ -106,7 +106,7 @@ def check_props(
 
 def overlap(first: str, second: str) -> bool:
     """Return whether one path contains the other."""
-    return within(first, second) or within(second, first)
+    return is_within(first, second) or is_within(second, first)
 
 
 def author_props(
@@ -161,7 +161,7 @@ def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None
     """Define the ancestor prims that no other layer defines."""
     for ancestor in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(ancestor)
-        if ancestor.IsAbsoluteRootPath() or within(placements.model, text):
+        if ancestor.IsAbsoluteRootPath() or is_within(placements.model, text):
             continue
         spec = placements.spec(text)
         if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
@@ -306,7 +306,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         """
         layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
-        for i, name in enumerate(writer.parts):
+        for i, name in enumerate(writer.child_names):
             body = layer.GetPrimAtPath(f"{spec.path}/{name}")
             names = list(_OPERATIONS)
             if i in frame.static:
@@ -323,7 +323,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             from animtool.usd.physics.write import PhysicsWriter
 
             PhysicsWriter(
-                spec, writer.parts, frame.physics, writer.unit, writer.rotation
+                spec, writer.child_names, frame.physics, writer.unit, writer.rotation
             ).write()
 
     def values(
@@ -336,7 +336,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         """Return the transforms of the animated instances."""
         return {
             f"{part_name}.{name}": value
-            for i, part_name in enumerate(writer.parts)
+            for i, part_name in enumerate(writer.child_names)
             if i not in frame.static
             for name, value in zip(
                 _OPERATIONS, _instance_transform(frame, i, writer.unit), strict=True

@@ -312,11 +312,11 @@ def map_joints(
     strip_namespaces: int,
     *,
     force_fit: bool = False,
-    over: OverRig | None = None,
+    converted: OverRig | None = None,
 ) -> RigJointMap:
     """Match joints by path, else by name, legal or original.
 
-    ``over`` converts the take to the rig's space; None if it is already there.
+    ``converted`` has the take to the rig's space; None if it is already there.
     """
     names = joint_names(take.joints, strip_namespaces)
     legal_names = [legal_name(joint.source_name or joint.name) for joint in take.joints]
@@ -361,7 +361,11 @@ def map_joints(
     fit: RigFit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
-        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
+        rig = (
+            skeleton.rig
+            if converted is None
+            else placed_rig(skeleton.rig, converted.sized)
+        )
         fit, differences = check_fit(
             at_origin(take),
             rig,
@@ -377,9 +381,9 @@ def map_joints(
         notices + shape_faults + differences,
         shapes,
         fit,
-        None if over is None else over.to_rig,
+        None if converted is None else converted.to_rig,
         np.array(take.roots, np.int64),
-        1.0 if over is None else over.sized.size,
+        1.0 if converted is None else converted.sized.size,
     )
 
 

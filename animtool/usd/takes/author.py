@@ -396,7 +396,7 @@ def _layer_job(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
     take = converted.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=converted)
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, converted=converted)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
