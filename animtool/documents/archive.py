@@ -46,7 +46,7 @@ _STRUCTURE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
 
 
 class ArrayError(ValueError):
-    """An array or its archive cannot be read; the text says why."""
+    """An array or its archive cannot be read; the message explains why."""
 
 
 class ArrayFile(Protocol):

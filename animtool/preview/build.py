@@ -36,7 +36,7 @@ from animtool.preview.streams import quantized_range
 from animtool.preview.takes import PageTake, add_take
 from animtool.preview.timing import (
     FEWER_FRAMES_HINT,
-    TimedTake,
+    TimelineTake,
     align,
     timed_take,
     timeline_of,
@@ -235,7 +235,7 @@ def _draft_page(
     return draft, notices
 
 
-def _add_timed_take(draft: PageDraft, timed: TimedTake) -> PageTake:
+def _add_timed_take(draft: PageDraft, timed: TimelineTake) -> PageTake:
     first = draft.timeline.index(timed.first)
     page_take = add_take(draft, timed.take.name, timed.stream, timed.motion, first)
     page_take.entry["file"] = timed.file

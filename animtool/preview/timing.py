@@ -35,7 +35,7 @@ FEWER_FRAMES_HINT = (
 
 
 @dataclass(slots=True)
-class TimedTake:
+class TimelineTake:
     """A take with its position on the timeline."""
 
     file: int
@@ -59,7 +59,7 @@ def timed_take(
     fps: Fraction,
     options: PreviewOptions,
     notices: list[Fault],
-) -> TimedTake:
+) -> TimelineTake:
     """Return a take resampled to the page's frames and rate.
 
     Args:
@@ -108,10 +108,10 @@ def timed_take(
         notices.append(note)
     motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.located, stream.notices)
-    return TimedTake(number, take, stream, motion, start, origin)
+    return TimelineTake(number, take, stream, motion, start, origin)
 
 
-def align(timed_takes: list[TimedTake]) -> list[Fault]:
+def align(timed_takes: list[TimelineTake]) -> list[Fault]:
     """Shift takes that do not overlap the first to its start; return notices."""
     notices = []
     for timed in timed_takes[1:]:
@@ -130,7 +130,7 @@ def align(timed_takes: list[TimedTake]) -> list[Fault]:
 
 def timeline_of(
     files: Sequence[OpenFile],
-    timed_takes: Sequence[TimedTake],
+    timed_takes: Sequence[TimelineTake],
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
@@ -186,7 +186,7 @@ def timeline_of(
 
 
 def _within(
-    timed: TimedTake, authored: tuple[Fraction, Fraction] | None
+    timed: TimelineTake, authored: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
     if authored is None or timed.shift:

@@ -10,11 +10,11 @@ from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import OpenFile
 from animtool.preview.streams import Quantized
 from animtool.preview.takes import PageTake
-from animtool.preview.timing import TimedTake
+from animtool.preview.timing import TimelineTake
 
 
 def add_visibility(
-    draft: PageDraft, file: OpenFile, timed_take: TimedTake, page_take: PageTake
+    draft: PageDraft, file: OpenFile, timed_take: TimelineTake, page_take: PageTake
 ) -> None:
     """Add the visible frames of a take and its meshes.
 

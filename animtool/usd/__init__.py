@@ -19,7 +19,7 @@ _PUBLIC = {"write": "animtool.usd.takes.author"}
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+if not TYPE_CHECKING:  # type checkers only know the imported names
     __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
 
 

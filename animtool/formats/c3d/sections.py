@@ -135,7 +135,7 @@ def read_sections(data: bytes) -> Sections:
     A file without parameters is read by its header alone.
 
     Raises:
-        MalformedError: It is no C3D file.
+        MalformedError: It is not a C3D file.
     """
     if len(data) < BLOCK or data[1] != MAGIC:
         raise MalformedError("does not start like a C3D file")

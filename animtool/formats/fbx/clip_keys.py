@@ -1,4 +1,4 @@
-"""An FBX take as a clip: file keys where a clip can hold them, else samples."""
+"""An FBX take as a clip: file keys if a clip can store them, else samples."""
 
 from __future__ import annotations
 

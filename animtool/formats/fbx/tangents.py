@@ -35,8 +35,7 @@ def key_slopes(
         values: Values of the keys ``(K,)``.
         flags: Flags of the keys ``(K,)``.
         key_data: Three numbers per key in the file ``(K, 3)``: slope out, slope into
-            next
-            and, for TCB tangents, tension, continuity and bias.
+            the next and, for TCB tangents, tension, continuity and bias.
         weights: Weights of the handles out of each key and into the next ``(K, 2)``.
     """
     cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)

@@ -174,7 +174,7 @@ class Accessors:
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return an accessor's numbers as floats, normalised if it says so."""
+        """Return an accessor's numbers as floats, normalised if stated."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
         if accessor.normalized and accessor.component != FLOAT:

@@ -123,7 +123,7 @@ def _frames(
         exact_rate = file.rate(stated_rate, None)
     elif stated_rate is not None:
         message = f"states DataRate {stated_rate:g}, but its times are at "
-            message += f"{float(exact_rate):g}"
+        message += f"{float(exact_rate):g}"
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
         at = (times - times[0]) * float(exact_rate)

@@ -115,7 +115,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     names = [key.lower() for key in keys]
     unit = names.index("units") if "units" in names else len(values)
     if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
-        values.insert(unit, "")  # between blanks an empty unit is not seen
+        values.insert(unit, "")  # an empty unit between blanks has no cell
     return dict(zip(names, values, strict=False))
 
 
@@ -131,7 +131,7 @@ def _names_of_header(
         cells = split_cells(line.rstrip(b" " + separator), separator)
         names = cells[2::3]
         if any(cell for i, cell in enumerate(cells[2:]) if i % 3):
-            names = [cell for cell in cells[2:] if cell]  # one column a name
+            names = [cell for cell in cells[2:] if cell]  # one column per name
             names = _stems(names) or names
     while names and not names[-1]:
         names.pop()

@@ -74,7 +74,7 @@ class PointPrim:
 
 @dataclass(frozen=True, slots=True)
 class ChunkSet:
-    """Clip files that hold the samples of a prim and its descendants."""
+    """Clip files with the samples of a prim and its descendants."""
 
     path: str  # path of the prim
     name: str  # name of the clip set

@@ -59,9 +59,8 @@ class CacheJob:
     paths: RigPaths
     meshes: tuple[str, ...]  # prim paths of meshes, then strands, by block index
     fps: Fraction  # time codes per second
-    frames: (
-        tuple[Fraction, Fraction] | None
-    )  # first and last frame; None is the range of the samples
+    # First and last frame; None is the range of the samples.
+    frames: tuple[Fraction, Fraction] | None
     meters_per_unit: float  # unit of the layer [m]
     up: UpAxis  # up axis of a stage
     surfaces: tuple[Surface, ...] = ()  # meshes of a stage

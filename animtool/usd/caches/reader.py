@@ -155,9 +155,8 @@ class PointSample:
     ids: IntArray | None  # (N,); None without ids
     orientations: FloatArray | None = None  # x, y, z, w (N, 4); None unless instances
     scales: FloatArray | None = None  # as authored (N, 3) [1]; None unless instances
-    prototype_indices: IntArray | None = (
-        None  # prototype index (N,); None unless instances
-    )
+    # Prototype index (N,); None unless instances.
+    prototype_indices: IntArray | None = None
 
 
 class PointSource:
@@ -312,7 +311,7 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
 
 
 def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
-    """Return why points ``(N, 3)`` and faces are no valid mesh; empty if they are."""
+    """Return why points ``(N, 3)`` and faces are not a valid mesh; empty if valid."""
     if not len(points) or not len(counts):
         return "has no points or no faces"
     if not np.isfinite(points).all():

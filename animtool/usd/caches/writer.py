@@ -210,11 +210,11 @@ class PointWriter:
     def __init__(
         self,
         layer: Any,
-        report: CachedMesh,  # which prim it is
+        report: CachedMesh,  # report with the path of the prim
         *,
         every: bool = False,
         first: bool = True,
-        on_added: Callable[[int], object] | None = None,  # told the bytes of each block
+        on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
         self._every, self._first, self._on_added = every, first, on_added

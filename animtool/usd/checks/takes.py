@@ -75,9 +75,8 @@ class _Shared:
 
     # First and last sample of each prim, by path.
     spans: dict[Any, tuple[float, float]]
-    stage_range: (
-        tuple[float, float] | None
-    )  # first and last sample of the stage; None without samples
+    # First and last sample of the stage; None without samples.
+    stage_range: tuple[float, float] | None
     # Bindings and their joint indices, by the path of their Skeleton.
     skins: dict[Any, list[tuple[Any, Any]]]
 

@@ -74,7 +74,7 @@ class FixTarget:
         return prim
 
     def attribute(self, fault: Fault) -> Any:
-        """Return the root layer spec that holds an attribute's values."""
+        """Return the root layer spec with an attribute's values."""
         self.prim(fault)
         attr = self.stage.GetAttributeAtPath(fault.where)
         if not attr:
@@ -202,7 +202,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """Write a layer's content to another file, in that file's format.
 
     Relative asset paths are rewritten for another folder. Without changes the bytes
-    equal the source file's. No content keeps that of the source. Returns other changes
+    equal the source file's. None keeps the content of the source. Returns other changes
     in the copy, as text.
     """
     with edited_layer(source, content) as edited:

@@ -53,7 +53,7 @@ def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)
-    except OSError:  # nobody listens
+    except OSError:  # stderr is closed
         yield
         return
     buffer = None

@@ -371,7 +371,8 @@ def _blocks(
     prims: Sequence[SimulatedPrim],
     rows: Rows,
     layer: Any,
-    growing: GrowingLayer | None = None,  # told of each row; None is in chunks
+    growing: GrowingLayer
+    | None = None,  # counts the bytes of each row; None for chunks
 ) -> Iterator[Block]:
     """Yield blocks of frames; the prims are created at the first one.
 

@@ -101,7 +101,7 @@ class RigTarget:
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
-    """Open the stage that holds a rig: a rig layer, or a shot that references one."""
+    """Open the stage with a rig: a rig layer, or a shot that references one."""
     with usd_errors(path), without_usd_warnings():
         return _target(open_stage(path), path, prim_path)
 
