@@ -28,9 +28,8 @@ class ChannelCurve:
     name: str
     unit: str  # ``m``, ``deg`` or empty
     values: FloatArray  # ``(F,)``
-    keys: FloatArray | None = (
-        None  # time and value of each key ``(K, 2)``; None without keys
-    )
+    # Time and value of each key ``(K, 2)``; None without keys.
+    keys: FloatArray | None = None
     interp: str | None = None  # interpolation of its first key
 
 

@@ -74,9 +74,8 @@ class PreparedSkin:
     influences: Influences  # per vertex; their joints are indices into ``joints``
     report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
-    joint_from_world: (
-        FloatArray  # inverse bind transforms of the used joints ``(U, 4, 4)``
-    )
+    # Inverse bind transforms of the used joints ``(U, 4, 4)``.
+    joint_from_world: FloatArray
     world_from_points: FloatArray  # transform of the points at bind time ``(4, 4)``
 
     @property

@@ -59,9 +59,8 @@ class MeshEntry:
 
     name: str | None
     primitives: tuple[Primitive, ...]
-    weights: tuple[
-        float, ...
-    ]  # default weights of its targets; nodes may override them
+    # Default weights of its targets; nodes may override them.
+    weights: tuple[float, ...]
     target_names: tuple[str, ...]  # empty if the file has none
     where: str
     original_name: str | None = None  # written by animtool if the node's name differs

@@ -47,9 +47,8 @@ class MovingRow:
 class GltfSampler:
     """Sampler of an animation's rig motion at any times."""
 
-    rest: dict[
-        TargetPath, FloatArray
-    ]  # static values of each channel ``(rows, width)``
+    # Static values of each channel ``(rows, width)``.
+    rest: dict[TargetPath, FloatArray]
     tracks: dict[TargetPath, list[MovingRow]]
     has_scale: bool  # whether any joint has a scale
     _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
