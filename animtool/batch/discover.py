@@ -38,6 +38,8 @@ from animtool.core.files.output import inside
 from animtool.core.files.reading import (
     MatchedFile,
     PathResolver,
+    exists,
+    is_pattern,
     matching_files,
     nearest_file,
 )
@@ -491,12 +493,11 @@ def _matched_inputs(
     unmatched = []
     for i, text in enumerate(spec.inputs):
         meant = _meant(spec.folder, text, suffixes)
-        if not meant:
+        remaining = {resolve(file.path): file for file in meant}
+        remaining = {at: f for at, f in remaining.items() if at not in left_out}
+        if not meant or _is_missing(text, remaining):
             unmatched.append(_unmatched(spec, i, suffixes))
-        for file in meant:
-            where = resolve(file.path)
-            if where not in left_out:
-                files.setdefault(where, file)
+        files = {**remaining, **files}
     ordered = [files[path] for path in sorted(files, key=os.fspath)]
     return ordered, lambda path: resolve(path) in left_out, unmatched
 
@@ -506,6 +507,11 @@ def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
     return _matched_inputs(spec)[2]
 
 
+def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
+    """Return whether an entry names one file, and that does not exist."""
+    return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
+
+
 def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
     text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
     hint = nearest_file(Path(text), spec.folder)
@@ -513,6 +519,8 @@ def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
         hint = f"folders are searched for {', '.join(suffixes)}"
     where = None if path is None else f"inputs[{i}]"
     message = f"no file matches {text!r}"
+    if not is_pattern(text) and not (spec.folder / text).is_dir():
+        message = f"{text!r} does not exist"
     return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
+USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
+
+
 def _refuse_patterns(sources: Sequence[Path]) -> None:
     """Refuse an unexpanded glob pattern."""
     for path in sources:
@@ -134,6 +137,8 @@ def bake(
     _refuse_patterns(sources)
     if not params["overwrite"]:
         _refuse_swapped(sources, output)
+        if not params["skip_existing"] and output is not None:
+            _refuse_capture(sources[0], output)
     sources, output = bake_shot(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
@@ -163,12 +168,21 @@ def bake(
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
     """Refuse a missing source where -o exists, or that was meant as the output."""
     last = sources[-1]
+    is_usd = last.suffix in USD_SUFFIXES
     if len(sources) == 1 and output is not None:
         refuse_swapped(last, output, "SOURCE and -o")
-    is_usd = last.suffix in {".usd", ".usda", ".usdc", ".usdz"}
     forgotten = is_usd and sources[0].exists() and not last.exists()
     if len(sources) == 2 and output is None and forgotten:
         text = f"{last} does not exist; to write it, use -o {last}"
+        raise click.UsageError(text)
+
+
+def _refuse_capture(source: Path, output: Path) -> None:
+    """Refuse to replace a capture by what may be its bake, and name both ways."""
+    is_stage = source.suffix in USD_SUFFIXES and source.exists()
+    if is_stage and output.suffix == ".bvh" and output.is_file():
+        text = f"{output} already exists: to bake it, write animtool bake {output} -o "
+        text += f"{source} --overwrite; to replace it, add --overwrite"
         raise click.UsageError(text)
 
 

@@ -22,6 +22,7 @@ from animtool.edit.resample import (
     dropped_notice,
     plan_samples,
     sample,
+    single_frame_warning,
 )
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions
@@ -148,6 +149,9 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     if options.fps is not None:
         wrong = rate_warning(options.fps)
         notices += [replace(notice, path=str(plan.source)) for notice in wrong]
+    if frame_range is None or frame_range.first != frame_range.last:
+        single = single_frame_warning(times, clock, plan.fps)
+        notices += [replace(notice, path=str(plan.source)) for notice in single]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 

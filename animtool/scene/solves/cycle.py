@@ -64,7 +64,8 @@ def loop_source(
     for check in PASS.checks(options).values():
         check()
     stream = open_source(source, reading, progress=progress)
-    stream = with_source_warnings(source, stream, reading.up if reading else None)
+    chosen = (reading.up, reading.unit) if reading else ()
+    stream = with_source_warnings(source, stream, *chosen)
     take = stream.collect()
     with naming(source):
         if options.find:

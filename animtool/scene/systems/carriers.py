@@ -149,6 +149,6 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     offset = entry_poses.rows[0]
     return Poses(
         times,
-        gone.over(times)[:, :3] + offset[:3],
-        so3.multiply(turned.over(times)[:, 3:], offset[3:]),
+        gone.at_times(times)[:, :3] + offset[:3],
+        so3.multiply(turned.at_times(times)[:, 3:], offset[3:]),
     )

@@ -27,14 +27,14 @@ from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
-    FINER,
+    REFERENCE_FACTORS,
     Figure,
     Setting,
     Snapshot,
     Trial,
     TrialOutcome,
-    ladder,
-    stepwise,
+    multiples,
+    step_settings,
 )
 from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
@@ -102,7 +102,7 @@ def _trial(
         budget = None if spec.tried else _budget(setting.method, most, other=other)
         begun = run_entries(members, rebuild(), trials.changes(setting), budget)
         outcome = _outcome(begun, times)
-        most = max([most, *(len(shot.points) for shot in outcome.shots)])
+        most = max([most, *(len(shot.points) for shot in outcome.snapshots)])
         return outcome
 
     return Trial(
@@ -141,10 +141,12 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
         ):
             if _is_fixed(method):
-                tried += stepwise(method, spec.step)
+                tried += step_settings(method, spec.step)
                 continue
             longest = spec.step if method == spec_method else LONGER * spec.step
-            values = ladder(default if method == spec_method else TOLERANCE, TOLERANCES)
+            values = multiples(
+                default if method == spec_method else TOLERANCE, TOLERANCES
+            )
             tried += [Setting.of(method, step=longest, tolerance=v) for v in values]
         return tried
 
@@ -160,7 +162,8 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         if spec.exact:
             shares.append((exact, MUCH_FINER))
         return [
-            stepwise(method, fraction * spec.step, FINER) for method, fraction in shares
+            step_settings(method, fraction * spec.step, REFERENCE_FACTORS)
+            for method, fraction in shares
         ]
 
     def changes(setting: Setting) -> dict[str, Any]:
@@ -201,11 +204,11 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Return the result of a simulation at times ``(F,)`` [s]."""
     began = time.perf_counter()
-    shots: list[Snapshot] = []
+    snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
         for t in times.tolist():
-            shots.append(_shot(run.at(t)))
+            snapshots.append(_shot(run.at(t)))
             energies.append(run.diagnostics.energy)
     except ToleranceError as error:
         status, reason = Status.UNSTABLE, error.faults[0].message
@@ -215,11 +218,11 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     seconds = time.perf_counter() - began
     last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
     known = [energy for energy in energies if energy is not None]
-    complete = len(known) == len(shots) and _same(shots)
+    complete = len(known) == len(snapshots) and _same(snapshots)
     return TrialOutcome(
         seconds,
-        run.taken if last.steps is None else last.steps,
-        shots,
+        run.steps_taken if last.steps is None else last.steps,
+        snapshots,
         status,
         reason,
         last.stable_step() if stable is None else stable,
@@ -234,9 +237,9 @@ def _is_fixed(method: str) -> bool:
     return not known or find_integrator(method).control is StepControl.FIXED
 
 
-def _same(shots: Sequence[Snapshot]) -> bool:
+def _same(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether the number of points is constant."""
-    ids = [shot.ids for shot in shots if shot.ids is not None]
+    ids = [shot.ids for shot in snapshots if shot.ids is not None]
     return all(np.array_equal(each, ids[0]) for each in ids)
 
 

@@ -31,8 +31,8 @@ from animtool.scene.systems.trial import system_trials
 from animtool.scene.tables.ik import pass_trial
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
-    COARSER,
-    FINER,
+    REFERENCE_FACTORS,
+    STEP_FACTORS,
     Figure,
     Setting,
     Snapshot,
@@ -245,8 +245,8 @@ def _attach_trial(
         str(body.kind),
         float(clock.duration),
         Setting.of(METHOD, rate=rate),
-        lambda: settings((COARSEST, *COARSER)),
-        lambda: [settings(FINER)],
+        lambda: settings((COARSEST, *STEP_FACTORS)),
+        lambda: [settings(REFERENCE_FACTORS)],
         run,
         lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
     )

@@ -135,7 +135,7 @@ class _Known:
 
     rig: Rig
     seconds: FloatArray
-    shots: list[Snapshot]
+    snapshots: list[Snapshot]
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, curved: bool) -> _Known:
@@ -154,12 +154,12 @@ class _Known:
             motion = take.motion.select(picked)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        shots = _shots(take.rig, motion.world(take.rig))
-        return _Known(take.rig, frames / float(clock.rate), shots)
+        snapshots = _shots(take.rig, motion.world(take.rig))
+        return _Known(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
         """Return the joint of a point, and the time."""
-        each = len(self.shots[shot].points) // max(1, len(self.rig.joints))
+        each = len(self.snapshots[shot].points) // max(1, len(self.rig.joints))
         return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
 
 
@@ -207,7 +207,7 @@ def _samples(
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return TrialOutcome(0.0, take.clock.count, known.shots)
+            return TrialOutcome(0.0, take.clock.count, known.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
             began = time.perf_counter()
@@ -215,8 +215,8 @@ def _samples(
             seconds = time.perf_counter() - began
             codes = float(report.start) + known.seconds * float(report.fps)
             world = played_world(output, codes)
-        shots = _shots(known.rig, world)
-        return TrialOutcome(seconds, report.samples, shots, bytes=report.bytes)
+        snapshots = _shots(known.rig, world)
+        return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
         _bake(opened(), output, options_of(setting))
@@ -243,7 +243,7 @@ def _samples(
         where=known.where,
         lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
-        size=extent_of(known.shots[:1]),
+        size=extent_of(known.snapshots[:1]),
     )
 
 

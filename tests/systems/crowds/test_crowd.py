@@ -32,8 +32,8 @@ def simulator(tmp_path: Path) -> Simulator:
 
 
 def crowd(populations: list[dict[str, Any]], **keys: Any) -> list[dict[str, Any]]:
-    named = [{"name": f"p{i}", **one} for i, one in enumerate(populations)]
-    return [{"crowds": {"name": "it", "step": 0.05, "populations": named, **keys}}]
+    label = [{"name": f"p{i}", **one} for i, one in enumerate(populations)]
+    return [{"crowds": {"name": "it", "step": 0.05, "populations": label, **keys}}]
 
 
 def goal(name: str, x: float, z: float, **keys: Any) -> dict[str, Any]:
