@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -35,13 +35,15 @@ from animtool.cli.outputs import (
     skipped,
     writing_options,
 )
-from animtool.core.values import VERSION, plain_value
+from animtool.core.record import dataclass
+from animtool.core.values import VERSION
 from animtool.core.writers import file_suffixes
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.prims import BakeReport
+    from animtool.scene.bake.progress import BakeStats
     from animtool.scene.scene import Scene
 
 
@@ -236,6 +238,31 @@ def _bake(
     _print_reports(console, reports, scene, params, several=several)
 
 
+@dataclass(frozen=True, slots=True)
+class BakeResult:
+    """Reports of all outputs; that of a single one takes their place."""
+
+    reports: Sequence[BakeReport | ConvertReport]
+    several: bool
+    costs: BakeStats | None  # where measured
+    json_keys: ClassVar[str] = "*head written+ *only *costs"
+
+    @property
+    def head(self) -> dict[str, str]:
+        """Name of the report; empty where it is in the only one."""
+        return {"bake": VERSION} if self.several else {}
+
+    @property
+    def written(self) -> Sequence[BakeReport | ConvertReport]:
+        """Reports of several outputs."""
+        return self.reports if self.several else ()
+
+    @property
+    def only(self) -> BakeReport | ConvertReport | None:
+        """Report of a single output."""
+        return None if self.several else self.reports[0]
+
+
 def _print_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
@@ -258,9 +285,8 @@ def _print_reports(
     stages = [] if scene is None else scene.meter.stages
     costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
-        payload = {"bake": VERSION, "written": reports} if several else reports[0]
-        stats = plain_value(costs) if params["stats"] else {}
-        console.result_json({**plain_value(payload), **stats})
+        stats = costs if params["stats"] else None
+        console.result_json(BakeResult(reports, several, stats))
         raise_stopped(reports)
         return
     for report in reports:

@@ -297,7 +297,7 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     """Refuse a last input that was meant as the output: a pattern or a new folder."""
     if len(inputs) < 2 or output is not None:
         return
-    from animtool.batch.discover import SCENES, SUFFIXES
+    from animtool.batch.inputs import SCENES, SUFFIXES
     from animtool.core.files.reading import is_pattern, matching_files
 
     text, path = inputs[-1], Path(inputs[-1])
@@ -371,6 +371,10 @@ class _Repeat:
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
         self._inputs, self._params = inputs, params
 
+    def with_command(self, report: ItemReport) -> ItemReport:
+        """Return the report of a failed item with its command; others as they are."""
+        return replace(report, again=self.command(report)) if report.failed else report
+
     def command(self, report: ItemReport) -> str:
         params, item = self._params, report.item
         inputs, output = list(self._inputs), params["output"]
@@ -402,16 +406,12 @@ def _print_results(
     repeat: _Repeat,
     notices: Sequence[Fault],
 ) -> None:
-    from animtool.cli.batch_progress import (
-        DRY,
-        PLANNED,
-        SUMMARY,
-        report_json,
-    )
+    from animtool.cli.batch_progress import DRY, PLANNED, SUMMARY
 
     form = params["report_format"]
     if form == "json":
-        console.result_json(report_json(report, repeat.command))
+        items = tuple(map(repeat.with_command, report.items))
+        console.result_json(replace(report, items=items))
     elif form == "jsonl":
         if params["dry_run"]:
             for entry in report.items:

@@ -10,9 +10,9 @@ import numpy as np
 from animtool.clip.channels import ClipChannel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, listed
+from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths.curves import Extrapolation
-from animtool.motion.plausible import rate_warning
 
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})

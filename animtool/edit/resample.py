@@ -13,7 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.rates import FractionLike, rate_option
+from animtool.core.rates import FractionLike, rate_option, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
@@ -30,7 +30,6 @@ from animtool.motion.passes import (
     PassContext,
     Scope,
 )
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import Take
 
 BLOCK_FRAMES = 512

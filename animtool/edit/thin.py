@@ -33,7 +33,7 @@ class Thinned:
     samples: int  # number of samples before
     kept: IntArray  # indices of those that stay, ascending ``(N,)``
     error: float  # largest distance of a point from where it was [m]
-    joint: int  # index of the joint that carries it
+    joint_index: int  # of the joint that carries it
     code: float  # time code of that
     weight_error: float  # largest error of a shape's weight [1]
 

@@ -122,7 +122,7 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used_joints = {pair.source for pair in pairs.values()}
     used_joints |= {j for chain in chains for j in chain.source}
-    driven_joints = {*pairs, *(twist.joint for twist in twists)}
+    driven_joints = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),

@@ -15,11 +15,11 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
+from animtool.core.rates import rate_warning
 from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_size, rest_world
 from animtool.rig.skeleton import Rig

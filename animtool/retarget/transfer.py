@@ -94,7 +94,9 @@ class Transfer:
         for twist in joint_map.twists:
             twisting_joint = _below(target, twist.bone)
             if twisting_joint >= 0:
-                twists.append((twist.joint, twist.bone, twisting_joint, twist.fraction))
+                twists.append(
+                    (twist.target, twist.bone, twisting_joint, twist.fraction)
+                )
         scale = _scale(source, target, follows)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
@@ -108,7 +110,7 @@ class Transfer:
         for side in sides:
             balls = [foot_ball.balls.get(side) for foot_ball in skeletons]
             # Feet with other toes roll differently, even if they are equally long.
-            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+            if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
             bones = [foot_ball.leg_bones(side) for foot_ball in skeletons]
             if len(bones[0]) != len(bones[1]):

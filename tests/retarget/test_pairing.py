@@ -102,7 +102,7 @@ def test_twist_joints_take_their_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
+    shares = [(target.names[t.target], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("upperarm_twist_01_l", arm, pytest.approx(0.25)),
         ("upperarm_twist_02_l", arm, pytest.approx(0.75)),
@@ -123,7 +123,7 @@ def test_twist_joints_of_other_bones_have_no_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
+    shares = [(target.names[t.target], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("lowerarm_twist_01_r", arm, pytest.approx(0.2)),
         ("lowerarm_twist_02_r", arm, 1.0),

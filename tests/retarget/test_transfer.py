@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.scores import PassScores, Score, ScoreUnit
@@ -478,9 +479,9 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
     statuses = [verdict_of(PassScores((one,)), {}, {}).status for one in limbs]
     assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
     assert FrameNumbers().run(0, 3) == (1, 4)
-    assert FrameNumbers(first=5).run(0, 3) is None
-    assert FrameNumbers(first=4).run(0, 3) == (4, 4)
-    assert FrameNumbers(last=1).run(0, 3) == (1, 1)
+    assert FrameNumbers(frames=FrameRange(5, 9)).run(0, 3) is None
+    assert FrameNumbers(frames=FrameRange(4, 9)).run(0, 3) == (4, 4)
+    assert FrameNumbers(frames=FrameRange(0, 1)).run(0, 3) == (1, 1)
 
 
 def test_integrals_slopes_and_medians_of_drift() -> None:

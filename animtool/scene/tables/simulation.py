@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
+from animtool.core.files.output import STDOUT
 from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
@@ -134,7 +135,7 @@ def _times(
     # Nothing is written: chunks would need a file.
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(replace(scene, outputs=(plain,)), None, options)
+    plan = plan_stage(replace(scene, outputs=(plain,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(character.times, plan), character

@@ -18,6 +18,7 @@ from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import STDOUT
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -71,7 +72,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         OptionError: It is simulated or written as points (SCN062, CLI002).
     """
     options = options or BakeOptions()
-    plan = plan_stage(source, None, options)
+    plan = plan_stage(source, STDOUT, options)
     if plan.options.deform:
         message = (
             f"{argument('table')} measures joints, but the scene writes deformed points"
@@ -91,7 +92,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
     beyond = tuple(
-        replace(notice, path=notice.path or str(path))
+        notice.in_file(path)
         for notice in take.notices
         if notice not in full_take.notices
     )

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 class CacheJob:
     """Settings of `author_cache`."""
 
-    output: Path | None  # path of the file; None is usda for stdout
+    output: Path  # path of the file, or `STDOUT` for usda
     paths: RigPaths
     meshes: tuple[str, ...]  # prim paths of meshes, then strands, by block index
     fps: Fraction  # time codes per second
@@ -143,7 +143,7 @@ def author_cache(
     its
     SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
     """
-    layer = new_layer(job.output or Path("stdout.usda"))
+    layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]
     writers = [PointWriter(layer, report) for report in reports]
     layer_writer = OneLayer(writers)
@@ -190,7 +190,7 @@ class ChunkedCache:
     reports: list[CachedMesh]
     _chunks: Chunks
 
-    def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
+    def finish(self, save: Callable[[Any, Path], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
         files, output = self._chunks.finish(), self._chunks.files.output
         save(self.layer, output)
@@ -202,7 +202,6 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
     Files appear under their names only after all are written, the layer last.
     """
-    assert job.output is not None
     layer = new_layer(job.output)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)

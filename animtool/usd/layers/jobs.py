@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import is_text
+from animtool.core.files.output import STDOUT, is_text
 from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
@@ -100,7 +100,7 @@ class WrittenBlock:
     root: RootPath | None
     error: float  # largest distance that rounding moved a joint [m]
     error_code: float  # time code of the largest error
-    error_joint: int  # joint with the largest error
+    error_joint_index: int  # joint with the largest error
     # Weights of the rig's shapes ``(F, S)`` float32; None without shapes.
     weights: Float32Array | None = None
     scales_rounded: bool = False  # whether float16 changes a scale
@@ -113,7 +113,7 @@ class Rounding:
 
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
-    joint: int = 0  # joint with the largest error
+    joint_index: int = 0  # joint with the largest error
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def count(self, block: WrittenBlock) -> None:
@@ -121,7 +121,7 @@ class Rounding:
         self.scales |= block.scales_rounded
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
-            self.joint = block.error_joint
+            self.joint_index = block.error_joint_index
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class UsdJob:
     """Settings of `write_usd`."""
 
     form: LayerForm
-    output: Path | None  # path of the file; None writes usda to stdout
+    output: Path  # path of the file, or `STDOUT` for usda
     rig: Rig  # the rig, with joints in the order of the blocks
     names: UsdNames  # USD names of the joints
     joints: list[str]  # joint paths in the Skeleton
@@ -139,6 +139,11 @@ class UsdJob:
     target: RigTarget | None = None  # rig below a layer
     bones: bool = False  # whether to add geometry that shows the joints
     shot: Shot | None = None  # shot to record
+
+    @property
+    def where(self) -> str | None:
+        """Path of the file in faults; None for stdout."""
+        return None if self.output == STDOUT else str(self.output)
 
 
 @dataclass(frozen=True, slots=True)

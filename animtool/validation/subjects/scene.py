@@ -99,7 +99,7 @@ def open_scene(
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
         faults += _refused(scene, checked.subject.take)
-    faults = [f if f.path else replace(f, path=path) for f in faults]
+    faults = [fault.in_file(path) for fault in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
 
