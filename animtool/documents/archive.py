@@ -46,7 +46,7 @@ _STRUCTURE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
 
 
 class ArrayError(ValueError):
-    """An array or its archive cannot be read; the text says why."""
+    """An array or its archive cannot be read; the message explains why."""
 
 
 class ArrayFile(Protocol):
@@ -127,8 +127,8 @@ def _shape(text: str, where: str) -> tuple[int, ...]:
     parts = [part.strip().removesuffix("L") for part in text.split(",")]
     if parts[-1] == "":
         parts.pop()
-    wrong = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
-    if wrong or not all(part.isdecimal() and len(part) < 20 for part in parts):
+    is_invalid = len(parts) > MAX_DIMENSIONS or (len(parts) == 1 and "," not in text)
+    if is_invalid or not all(part.isdecimal() and len(part) < 20 for part in parts):
         raise ArrayError(f"{where} has a shape that is not that of an array")
     return tuple(map(int, parts))
 

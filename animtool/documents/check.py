@@ -151,7 +151,7 @@ def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
 def record_of_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, LocatedFaults]:
-    """Return options as a record, with their faults; None where a value is wrong."""
+    """Return options as a record, with their faults; None if a value is invalid."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
     known_options = {key: value for key, value in options.items() if key in names}

@@ -62,7 +62,7 @@ class Document:
 
     def written(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
-        return self._marked().plain.get(self._index(location))
+        return self._marked().unquoted.get(self._index(location))
 
     def decimal_commas(self, location: Location, width: int = 0) -> str | None:
         """Return a hint for a list whose numbers have decimal commas; None for others.

@@ -82,9 +82,11 @@ def resolve_variables(
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS:
             resolver.put(location, text)
-    stated = frozenset(resolver.stated)
-    used = frozenset().union(*resolver.uses.values())
-    return Variables(stated | used, stated - used, resolver.effective())
+    with_default = frozenset(resolver.with_default)
+    used_names = frozenset().union(*resolver.uses.values())
+    return Variables(
+        with_default | used_names, with_default - used_names, resolver.effective()
+    )
 
 
 # JSON Schema of a variable: text that becomes another type.
@@ -146,7 +148,7 @@ class _Resolver:
     model: type[BaseModel]  # expected model
     values: dict[str, str]  # known variables and their values
     # Variables with a value in the document.
-    stated: set[str] = field(default_factory=set)
+    with_default: set[str] = field(default_factory=set)
     # Variables used by texts, by key of the document; inside the values of variables
     # also by the variable's name.
     uses: dict[Location, set[str]] = field(default_factory=dict)
@@ -157,15 +159,17 @@ class _Resolver:
 
     def defaults(self) -> None:
         """Read the document's default values; each may use those above it."""
-        stated = self.document.value.get(DEFAULTS)
-        for name, value in (stated if isinstance(stated, dict) else {}).items():
+        default_values = self.document.value.get(DEFAULTS)
+        for name, value in (
+            default_values if isinstance(default_values, dict) else {}
+        ).items():
             location = (DEFAULTS, name)
             if not is_variable_name(name):
                 message = f"{name!r} is not a valid variable name"
                 hint = "use letters, digits and _, and do not start with a digit"
                 self.document.add("SCN032", location, message, hint)
                 continue
-            self.stated.add(name)
+            self.with_default.add(name)
             if name in self.values:
                 continue
             written = self.document.written(location)
@@ -185,18 +189,18 @@ class _Resolver:
             if key[0] not in {DEFAULTS, OUTPUT}
             for name in names
         }
-        used: set[str] = set()
+        used_names: set[str] = set()
         while output_only:
             name = output_only.pop()
-            used.add(name)
-            output_only |= self.uses.get((DEFAULTS, name), set()) - used
-        return frozenset(used)
+            used_names.add(name)
+            output_only |= self.uses.get((DEFAULTS, name), set()) - used_names
+        return frozenset(used_names)
 
     def put(self, location: Location, text: str) -> None:
         """Substitute variables in one text of the document."""
         resolved = self.resolved(location, text)
         if resolved is not None and (location[0], location[-1]) in WRITTEN:
-            resolved = self.named(location, text, resolved)
+            resolved = self.output_name(location, text, resolved)
         value: Any = resolved
         if resolved is not None and self.is_typed(location, text):
             try:
@@ -210,13 +214,13 @@ class _Resolver:
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
 
-    def named(self, location: Location, text: str, spelling: str) -> str | None:
+    def output_name(self, location: Location, text: str, spelling: str) -> str | None:
         """Return an output's name; None and a fault if it is unsafe."""
         for component in text.split("/"):
-            used = {
+            used_names = {
                 match["name"] for match in _USE.finditer(component) if match["name"]
             }
-            if not used & self.parts:
+            if not used_names & self.parts:
                 continue
             name = self.resolved(location, component) or ""
             problem = name_problem(name)

@@ -138,6 +138,6 @@ def version_of(
 
 def _of_another_kind(document: Document, kind: str, first: str) -> bool:
     """Return whether a file of another kind refers to a file of this one."""
-    stated = document.value[kind]
-    is_version = isinstance(stated, str) and stated.startswith("animtool/")
+    version_text = document.value[kind]
+    is_version = isinstance(version_text, str) and version_text.startswith("animtool/")
     return first != kind and not is_version

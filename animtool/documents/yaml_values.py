@@ -77,7 +77,7 @@ class Marks(NamedTuple):
     # Line and column of every node, in text order.
     positions: list[tuple[int, int]]
     # Source text of unquoted scalars, by node index.
-    plain: dict[int, str]
+    unquoted: dict[int, str]
 
 
 class ReadValues(NamedTuple):
@@ -134,7 +134,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         reader.fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
-    marks = Marks(reader.positions, reader.plain)
+    marks = Marks(reader.positions, reader.unquoted)
     return ReadValues(value, lambda: marks)
 
 
@@ -211,7 +211,7 @@ class _YamlReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.positions: list[tuple[int, int]] = []
-        self.plain: dict[int, str] = {}
+        self.unquoted: dict[int, str] = {}
         self.faults: list[Fault] = []
 
     def fault(
@@ -231,7 +231,7 @@ class _YamlReader:
     def before(self) -> tuple[str, tuple[int, int]]:
         """Return the node before the last one: its unquoted text, and its position."""
         index = max(0, len(self.positions) - 2)
-        return self.plain.get(index, ""), self.positions[index]
+        return self.unquoted.get(index, ""), self.positions[index]
 
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
@@ -246,19 +246,19 @@ class _YamlReader:
                 position = self._node_position(event)
                 if masked:
                     event.value = event.value.translate(_UNMASK)
-                plain = event.value if event.implicit[0] else ""
-                if plain:
-                    self.plain[len(self.positions) - 1] = plain
-                stack[-1].put(self._scalar(event, position), position, self, plain)
+                unquoted = event.value if event.implicit[0] else ""
+                if unquoted:
+                    self.unquoted[len(self.positions) - 1] = unquoted
+                stack[-1].put(self._scalar(event, position), position, self, unquoted)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > MAX_DEPTH:
                     self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
-                timed = stack[-1].key == TIMED
+                is_keys_value = stack[-1].key == TIMED
                 stack[-1].put(value, position, self)
                 flow = bool(event.flow_style)
-                stack.append(_Open(value, flow=flow, timed=timed))
+                stack.append(_Open(value, flow=flow, is_keys_value=is_keys_value))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop().close(self)
             elif kind is yaml.AliasEvent:
@@ -317,7 +317,7 @@ class _Open:
     key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it is in flow style
-    timed: bool = False  # whether it is the value of a `keys` list
+    is_keys_value: bool = False  # whether it is the value of a `keys` list
     # In a `keys` value: the numbers used as keys, and their positions.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # Pieces of a text that commas may have split: a value with an open bracket, and the
@@ -332,26 +332,26 @@ class _Open:
         value: Any,
         position: tuple[int, int],
         reader: _YamlReader,
-        plain: str = "",
+        unquoted: str = "",
     ) -> None:
         if isinstance(self.value, list):
             self.value.append(value)
             return
         if self.key is not None:
-            if value is None and not plain and self.flow:
+            if value is None and not unquoted and self.flow:
                 self._tight_key(reader)
             self.value[self.key] = value
             self.key = None
-            if self.flow and (self.pieces or "(" in plain):
-                self._piece(value, position, reader, plain)
+            if self.flow and (self.pieces or "(" in unquoted):
+                self._piece(value, position, reader, unquoted)
             return
-        if self.timed and type(value) in (int, float):
+        if self.is_keys_value and type(value) in (int, float):
             self.times.append((value, position))
             value = f"\0{position}"
-        elif plain.isdigit() and self._is_decimal(position, reader):
+        elif unquoted.isdigit() and self._is_decimal(position, reader):
             digits, spot = reader.before()
-            message = f"'{digits},{plain}' has a decimal comma"
-            hint = f"write {digits}.{plain}, with a decimal point"
+            message = f"'{digits},{unquoted}' has a decimal comma"
+            hint = f"write {digits}.{unquoted}, with a decimal point"
             reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
@@ -374,8 +374,8 @@ class _Open:
         self.keys.setdefault(value, position[0])
         self.key = value
         if self.pieces:
-            self.pieces.append(plain)
-            self.brackets += _open_brackets(plain)
+            self.pieces.append(unquoted)
+            self.brackets += _open_brackets(unquoted)
 
     def _tight_key(self, reader: _YamlReader) -> None:
         """Report a key that contains its value, for want of a space."""
@@ -407,12 +407,12 @@ class _Open:
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
     def _piece(
-        self, value: Any, position: tuple[int, int], reader: _YamlReader, plain: str
+        self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
         """Rejoin a text that commas split into a value and keys."""
-        if value is not None or plain or not self.pieces:
-            self.brackets = _open_brackets(plain)
-            self.pieces = [plain] if self.brackets > 0 else []
+        if value is not None or unquoted or not self.pieces:
+            self.brackets = _open_brackets(unquoted)
+            self.pieces = [unquoted] if self.brackets > 0 else []
             self.pieces_position, self.faults = position, len(reader.faults)
         elif self.brackets <= 0:
             # One fault replaces those of the pieces.

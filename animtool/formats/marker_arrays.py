@@ -114,8 +114,8 @@ def _read(
         return archives.stored(path, name)
 
     rate = file.rate(number("fs"), fps)
-    stated = archives.text(path, "up") if "up" in array_names else None
-    axis = file.up(UpAxis(stated) if stated in {"Y", "Z"} else None, up)
+    stated_up = archives.text(path, "up") if "up" in array_names else None
+    axis = file.up(UpAxis(stated_up) if stated_up in {"Y", "Z"} else None, up)
     names = (
         archives.texts(path, "marker_names") if "marker_names" in array_names else []
     )
@@ -161,10 +161,10 @@ def _array(
     return candidates[0]
 
 
-def _start(stated: float | None) -> Fraction:
-    if stated is None or not np.isfinite(stated):
+def _start(start: float | None) -> Fraction:
+    if start is None or not np.isfinite(start):
         return Fraction(1)
-    return time_fraction(stated)
+    return time_fraction(start)
 
 
 def write_marker_arrays(

@@ -107,7 +107,7 @@ def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
 def find_steps(
     times: FloatArray,
     counted_frames: IntArray | None,
-    stated: float | None,
+    stated_rate: float | None,
     rounding: float,
 ) -> TimeSteps:
     """Return times as frames: by counted frames, a stated rate, or their step."""
@@ -115,29 +115,33 @@ def find_steps(
     candidates = (
         [row_frames] if counted_frames is None else [counted_frames, row_frames]
     )
-    fits = [fit_frames(times, frames, rounding) for frames in candidates]
-    fits = [steps for steps in fits if steps.regular]
-    rates = [1.0 / stated] if stated is not None and stated > 0 else []
-    if stated is not None and rates:
-        meant = [steps for steps in fits if is_rate_of(stated, steps, rounding)]
+    fitted_steps = [fit_frames(times, frames, rounding) for frames in candidates]
+    fitted_steps = [steps for steps in fitted_steps if steps.regular]
+    rates = [1.0 / stated_rate] if stated_rate is not None and stated_rate > 0 else []
+    if stated_rate is not None and rates:
+        meant = [
+            steps for steps in fitted_steps if is_rate_of(stated_rate, steps, rounding)
+        ]
         # Times with few decimals may also fit another rate.
         gaps = fit_gaps(times, rates[0], rounding)
         if gaps is not None and gaps.regular and _has_few_gaps(gaps.frames):
             meant.append(gaps)
-        fits = [*meant, *fits]
-    if fits:
-        return fits[0]
+        fitted_steps = [*meant, *fitted_steps]
+    if fitted_steps:
+        return fitted_steps[0]
     median = median_step(times)
     intervals = np.diff(times)
     mean = float(intervals[intervals <= MAX_INTERPOLATED * median].mean())
-    fit = fit_gaps(times, mean, rounding)
-    if fit is not None and fit.regular:
-        return fit
+    gap_steps = fit_gaps(times, mean, rounding)
+    if gap_steps is not None and gap_steps.regular:
+        return gap_steps
     line = times[0] + median * row_frames
     candidates_ = [step for step in rates if abs(step - mean) <= RATE_TOLERANCE * mean]
     step = candidates_[0] if candidates_ else median
-    fit = fit_gaps(times, step, rounding)
-    error = fit.error if fit is not None else float(np.abs(times - line).max())
+    gap_steps = fit_gaps(times, step, rounding)
+    error = (
+        gap_steps.error if gap_steps is not None else float(np.abs(times - line).max())
+    )
     return TimeSteps(step, row_frames, error, False)
 
 
@@ -146,16 +150,16 @@ def _has_few_gaps(frames: IntArray) -> bool:
     return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_PER_GAP)
 
 
-def is_rate_of(stated: float, steps: TimeSteps, rounding: float) -> bool:
+def is_rate_of(stated_rate: float, steps: TimeSteps, rounding: float) -> bool:
     """Return whether a stated rate fits times within their rounding."""
-    if not stated > 0:
+    if not stated_rate > 0:
         return False
     count = int(steps.frames[-1]) if steps.regular else 1
     span = steps.step * count
     # Half a frame at the end of the take, for times that accumulate a rounded step;
     # smaller than the difference between 60 and 59.94.
-    drift = min(0.5 / stated, 0.5 * STEP_TOLERANCE * span)
-    return abs(span - count / stated) <= max(2 * rounding, drift)
+    drift = min(0.5 / stated_rate, 0.5 * STEP_TOLERANCE * span)
+    return abs(span - count / stated_rate) <= max(2 * rounding, drift)
 
 
 def has_few_empty_frames(at: FloatArray | IntArray, markers: int) -> bool:

@@ -60,7 +60,7 @@ class MarkerFile:
         """Add a note."""
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
-    def rate(self, stated: float | None, fps: FractionLike | None) -> Fraction:
+    def rate(self, stated_rate: float | None, fps: FractionLike | None) -> Fraction:
         """Return the frame rate: the option, else the stated one.
 
         Raises:
@@ -69,18 +69,18 @@ class MarkerFile:
         """
         if fps is not None:
             return rate_option(fps)
-        is_valid = stated is not None and math.isfinite(stated)
-        if stated is None or not is_valid or not _in_range(stated):
+        is_valid = stated_rate is not None and math.isfinite(stated_rate)
+        if stated_rate is None or not is_valid or not _in_range(stated_rate):
             message = "the file states no frame rate"
-            if stated:
-                message = f"the stated frame rate {stated:g} is not usable"
+            if stated_rate:
+                message = f"the stated frame rate {stated_rate:g} is not usable"
             raise self.error(
                 "MKR010", message, f"set the rate with {argument('source.fps')}"
             )
-        return rate_from_float(stated)
+        return rate_from_float(stated_rate)
 
     def unit(
-        self, stated: str | None, option: LengthUnit | None, default: LengthUnit
+        self, stated_unit: str | None, option: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
         """Return the length unit: the option, else the stated one, else the default.
 
@@ -89,7 +89,7 @@ class MarkerFile:
         """
         if option is not None:
             return LengthUnit(option)
-        if stated is None or not stated.strip():
+        if stated_unit is None or not stated_unit.strip():
             message = f"the file states no unit; using {default}"
             self.note(
                 "MKR104",
@@ -97,22 +97,22 @@ class MarkerFile:
                 f"set the unit with {argument('source.unit')}",
             )
             return default
-        unit = _unit(stated.strip().lower().rstrip("s."))
+        unit = _unit(stated_unit.strip().lower().rstrip("s."))
         if unit is None:
-            message = f"unknown unit {excerpt(stated)}"
+            message = f"unknown unit {excerpt(stated_unit)}"
             hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
             raise self.error("MKR011", message, hint)
         return unit
 
-    def up(self, stated: UpAxis | None, option: UpAxis | None) -> UpAxis:
+    def up(self, stated_up: UpAxis | None, option: UpAxis | None) -> UpAxis:
         """Return the up axis: the option, else the stated one, else Y."""
         if option is not None:
             return UpAxis(option)
-        if stated is None:
+        if stated_up is None:
             message = "the file states no up axis; using Y"
             self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")
             return UpAxis.Y
-        return stated
+        return stated_up
 
     def names(self, labels: Sequence[str], subject: str | None) -> tuple[str, ...]:
         """Return unique marker names; unlabelled ones begin with ``*``.

@@ -33,10 +33,10 @@ from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
 from animtool.preview.streams import quantized_range
-from animtool.preview.takes import ShownMotion, add_take
+from animtool.preview.takes import PageTake, add_take
 from animtool.preview.timing import (
     FEWER_FRAMES_HINT,
-    TimedPart,
+    TimelineTake,
     align,
     timed_take,
     timeline_of,
@@ -210,19 +210,19 @@ def _draft_page(
 ) -> tuple[PageDraft, list[Fault]]:
     notices = [file.located(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
-    parts = [
+    timed_takes = [
         timed_take(number, file, take, fps, options, notices)
         for number, file in enumerate(files)
         for take in file.takes
     ]
-    notices += align(parts)
-    timeline = timeline_of(files, parts, fps, options)
+    notices += align(timed_takes)
+    timeline = timeline_of(files, timed_takes, fps, options)
     draft = PageDraft(timeline)
-    page_takes = [(part, _add_part(draft, part)) for part in parts]
-    for part, page_take in page_takes:
-        add_character(draft, part.take, page_take)
-        add_visibility(draft, files[part.file], part, page_take)
-        add_channels(draft, page_take, part.take.clip, part.origin)
+    page_takes = [(timed, _add_timed_take(draft, timed)) for timed in timed_takes]
+    for timed, page_take in page_takes:
+        add_character(draft, timed.take, page_take)
+        add_visibility(draft, files[timed.file], timed, page_take)
+        add_channels(draft, page_take, timed.take.clip, timed.origin)
     for file in files:
         if file.contents is not None:
             from animtool.preview.stage import add_stage
@@ -241,10 +241,10 @@ def _draft_page(
     return draft, notices
 
 
-def _add_part(draft: PageDraft, part: TimedPart) -> ShownMotion:
-    first = draft.timeline.index(part.first)
-    page_take = add_take(draft, part.take.name, part.stream, part.motion, first)
-    page_take.entry["file"] = part.file
+def _add_timed_take(draft: PageDraft, timed: TimelineTake) -> PageTake:
+    first = draft.timeline.index(timed.first)
+    page_take = add_take(draft, timed.take.name, timed.stream, timed.motion, first)
+    page_take.entry["file"] = timed.file
     return page_take
 
 
@@ -260,12 +260,12 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
-    stored = quantized_range(positions.reshape(len(frames), -1), period=3)
-    draft.record_error(position=stored.error)
+    quantized = quantized_range(positions.reshape(len(frames), -1), period=3)
+    draft.record_error(position=quantized.error)
     draft.points.append(
         {
             "name": name,
-            "positions": draft.packer.add(stored),
+            "positions": draft.packer.add(quantized),
             "radius": 0.0,
             "radii": None,
             "color": None,

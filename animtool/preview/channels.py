@@ -12,8 +12,8 @@ from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.preview.draft import PageDraft, number
-from animtool.preview.streams import Quantized, plain
-from animtool.preview.takes import ShownMotion
+from animtool.preview.streams import Quantized, json_numbers
+from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import rest_size
 
 # Maximum number of keys on a page; with more, only the curves are drawn.
@@ -28,32 +28,34 @@ class ChannelCurve:
     name: str
     unit: str  # ``m``, ``deg`` or empty
     values: FloatArray  # ``(F,)``
-    keys: FloatArray | None = (
-        None  # time and value of each key ``(K, 2)``; None without keys
-    )
+    # Time and value of each key ``(K, 2)``; None without keys.
+    keys: FloatArray | None = None
     interp: str | None = None  # interpolation of its first key
 
 
 def add_channels(
-    draft: PageDraft, shown: ShownMotion, clip: Clip | None, origin: Fraction
+    draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: Fraction
 ) -> None:
     """Add the curves of a take to a page, in one stream.
 
     Args:
         draft: The page.
-        shown: The take.
+        page_take: The take.
         clip: Clip that the take was sampled from; None for other takes.
         origin: Page frame of the clip's first frame.
     """
-    curves = [*_keyed(draft, shown, clip, float(origin)), *_controls(shown, clip)]
-    if not curves or not shown.frames:
+    curves = [
+        *_keyed(draft, page_take, clip, float(origin)),
+        *_controls(page_take, clip),
+    ]
+    if not curves or not page_take.frames:
         return
     total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
     if total > MAX_KEYS:
         draft.note(f"{total} keys: curves are drawn without them")
     stacked = np.stack([curve.values for curve in curves], axis=1)
     stream = draft.packer.add(Quantized(stacked.astype("<f4"), "f32"))
-    size = rest_size(shown.rig) or 1.0
+    size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
         keys = curve.keys if total <= MAX_KEYS else None
         draft.channels.append(
@@ -62,10 +64,10 @@ def add_channels(
                 "unit": curve.unit,
                 "values": stream,
                 "column": column,
-                "keys": None if keys is None else plain(keys),
+                "keys": None if keys is None else json_numbers(keys),
                 "interp": curve.interp,
                 "moves": number(round(_amplitude(curve, size), 4)),
-                "take": shown.index,
+                "take": page_take.index,
             }
         )
 
@@ -81,13 +83,13 @@ def _amplitude(curve: ChannelCurve, size: float) -> float:
 
 
 def _keyed(
-    draft: PageDraft, shown: ShownMotion, clip: Clip | None, origin: float
+    draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: float
 ) -> list[ChannelCurve]:
     """Return the curves of a clip's channels at the frames of the page."""
     if clip is None:
         return []
     timeline = draft.timeline
-    codes = timeline.codes[0] + (np.arange(shown.frames) + shown.first) * float(
+    codes = timeline.codes[0] + (np.arange(page_take.frames) + page_take.first) * float(
         timeline.step
     )
     frame_ratio, first_frame = float(clip.fps / timeline.fps), float(clip.first)
@@ -98,7 +100,7 @@ def _keyed(
     curves = []
     for channel in clip.channels:
         width = channel.values.shape[1]
-        rows = np.broadcast_to(values[channel.target], (shown.frames, width))
+        rows = np.broadcast_to(values[channel.target], (page_take.frames, width))
         unit, factor = _unit(channel.target, width)
         times_of_keys = origin + (channel.times - first_frame) / frame_ratio
         axes = channel.euler.lower() or _AXES
@@ -124,14 +126,14 @@ def _unit(target: str, width: int) -> tuple[str, float]:
     return ("", 1.0) if target.endswith("scale") else ("deg", float(np.degrees(1.0)))
 
 
-def _controls(shown: ShownMotion, clip: Clip | None) -> list[ChannelCurve]:
+def _controls(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
     """Return curves of controls and shape weights that the clip does not key."""
     keyed = set() if clip is None else {channel.target for channel in clip.channels}
-    rig = shown.rig
+    rig = page_take.rig
     curves = []
     for kind, names, rows in (
-        ("control", [control.name for control in rig.controls], shown.controls),
-        ("shape", [shape.name for shape in rig.shapes], shown.weights),
+        ("control", [control.name for control in rig.controls], page_take.controls),
+        ("shape", [shape.name for shape in rig.shapes], page_take.weights),
     ):
         for i, name in enumerate(names if rows is not None else ()):
             assert rows is not None

@@ -11,8 +11,8 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import ShownTake
-from animtool.preview.streams import Quantized, plain, quantized_range
-from animtool.preview.takes import ShownMotion
+from animtool.preview.streams import Quantized, json_numbers, quantized_range
+from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import DeformedMesh, deform
@@ -31,28 +31,28 @@ STRAND_WIDTH = 0.001
 WEIGHT_ERROR = 1e-4
 
 
-def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) -> None:
+def add_character(draft: PageDraft, character: ShownTake, page_take: PageTake) -> None:
     """Add the meshes and strands of a take to a page."""
-    names = [shape.name for shape in shown.rig.shapes]
+    names = [shape.name for shape in page_take.rig.shapes]
     meshes = character_meshes(
-        character.surfaces, shown.rig.names, character.bind, names
+        character.surfaces, page_take.rig.names, character.bind, names
     )
     columns: list[FloatArray] = []
     labels: list[str] = []
     for surface, mesh in zip(character.surfaces, meshes, strict=True):
         colors = character.colors.get(surface.name)
-        entry = _mesh(draft, shown, surface, colors)
+        entry = _mesh(draft, page_take, surface, colors)
         draft.meshes.append(entry)
         if needs_points(mesh.mesh.skin):
             draft.note(
                 f"mesh {surface.name!r} is drawn from its points: the viewer skins "
                 "linearly with four joints per vertex"
             )
-            entry["cache"] = _points(draft, shown, mesh)
+            entry["cache"] = _points(draft, page_take, mesh)
             continue
         if mesh.mesh.skin is not None:
             entry["skin"] = _skin(draft, mesh.mesh.skin)
-        weights = mesh.weights(shown.weights)
+        weights = mesh.weights(page_take.weights)
         if mesh.mesh.shapes is not None and weights is not None:
             by_shape = column_weights(mesh.mesh.shapes, weights)
             visible = np.flatnonzero(by_shape.any(axis=0))
@@ -61,17 +61,22 @@ def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) ->
             columns.append(by_shape[:, visible])
     if labels:
         all_weights = np.concatenate(columns, axis=1)
-        stored = quantized_range(all_weights, WEIGHT_ERROR)
-        shown.entry["shapes"] = {"names": labels, "weights": draft.packer.add(stored)}
+        quantized = quantized_range(all_weights, WEIGHT_ERROR)
+        page_take.entry["shapes"] = {
+            "names": labels,
+            "weights": draft.packer.add(quantized),
+        }
     for strands in character.strands:
         count, points_per_strand = strands.points.shape[:2]
-        joint = shown.rig.index(strands.joint)
+        joint = page_take.rig.index(strands.joint)
         draft.curves.append(
             {
                 "name": strands.name,
-                "take": shown.index,
+                "take": page_take.index,
                 "joint": joint,
-                "bind": plain(np.linalg.inv(character.bind[joint]).T.reshape(-1), 9),
+                "bind": json_numbers(
+                    np.linalg.inv(character.bind[joint]).T.reshape(-1), 9
+                ),
                 "counts": draft.packer.static(np.full(count, points_per_strand), "u32"),
                 "points": draft.packer.static_range(strands.points),
                 "width": STRAND_WIDTH,
@@ -144,7 +149,7 @@ def mesh_entry(
 
 
 def _mesh(
-    draft: PageDraft, shown: ShownMotion, surface: Surface, colors: FloatArray | None
+    draft: PageDraft, page_take: PageTake, surface: Surface, colors: FloatArray | None
 ) -> dict[str, Any]:
     points = surface.points
     if surface.skin is None:
@@ -157,7 +162,7 @@ def _mesh(
         surface.counts,
         surface.indices,
         colors[0].tolist() if colors is not None and len(colors) == 1 else None,
-        take=shown.index,
+        take=page_take.index,
         colors=colors if colors is not None and len(colors) == len(points) else None,
     )
 
@@ -171,12 +176,12 @@ def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     # Weights are rounded to a sum of 1: the strongest takes the remainder.
     steps = np.rint(weights * 65535)
     steps[:, 0] += np.where(weight_sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
-    stored = steps.reshape(1, -1).astype("<u2")
+    stored_weights = steps.reshape(1, -1).astype("<u2")
     bind = skin.joint_from_world @ skin.world_from_points
     return {
         "palette": skin.joints.tolist(),
         "joints": draft.packer.static(joints, "u16"),
-        "weights": draft.packer.add(Quantized(stored, "u16", 1 / 65535)),
+        "weights": draft.packer.add(Quantized(stored_weights, "u16", 1 / 65535)),
         "bind": draft.packer.static(bind.swapaxes(1, 2), "f32"),
     }
 
@@ -215,20 +220,24 @@ def _shapes(
     return entries
 
 
-def _points(draft: PageDraft, shown: ShownMotion, mesh: CharacterMesh) -> int:
+def _points(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) -> int:
     """Return the stream of a mesh's points in every frame."""
     blocks = []
-    weights = mesh.weights(shown.weights)
-    for begin in range(0, shown.frames, BLOCK_FRAMES):
-        frames = slice(begin, min(begin + BLOCK_FRAMES, shown.frames))
+    weights = mesh.weights(page_take.weights)
+    for begin in range(0, page_take.frames, BLOCK_FRAMES):
+        frames = slice(begin, min(begin + BLOCK_FRAMES, page_take.frames))
         block_weights = None if weights is None else weights[frames]
         deformed = deform(
-            _with_shapes(mesh.mesh, block_weights), block_weights, shown.world(frames)
+            _with_shapes(mesh.mesh, block_weights),
+            block_weights,
+            page_take.world(frames),
         )
         blocks.append(deformed.points.astype(np.float32))
-    stored = quantized_range(np.concatenate(blocks).reshape(shown.frames, -1), period=3)
-    draft.record_error(position=stored.error)
-    return draft.packer.add(stored)
+    quantized = quantized_range(
+        np.concatenate(blocks).reshape(page_take.frames, -1), period=3
+    )
+    draft.record_error(position=quantized.error)
+    return draft.packer.add(quantized)
 
 
 def _with_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:

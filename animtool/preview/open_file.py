@@ -264,7 +264,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         unskinned = [
             surface for surface in meshes.surfaces if surface.name not in bones
         ]
-        surfaces = contents.turned_surfaces(unskinned)
+        surfaces = contents.surfaces_to_y_up(unskinned)
         colors = contents.bound_colors(prim)
         file.takes.append(
             ShownTake(
@@ -317,13 +317,13 @@ def shown_scene(scene: Scene) -> Scene:
 
 
 def _view(
-    folder: Path, shown: Path, options: PreviewOptions, below: Sequence[Path] = ()
+    folder: Path, layer_path: Path, options: PreviewOptions, weaker: Sequence[Path] = ()
 ) -> Path:
     """Return a stage that combines a layer with the given stages."""
     from animtool.usd.layers.view import write_view
 
     overlays = [Path(layer) for layer in options.over]
-    return write_view(folder / "view.usda", shown, below, overlays)
+    return write_view(folder / "view.usda", layer_path, weaker, overlays)
 
 
 def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> OpenFile:

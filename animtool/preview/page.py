@@ -98,18 +98,18 @@ def page_parts(
     }
     template = viewer_text("page.html")
     # The template is split once, so that inserted text is never parsed.
-    for part in re.split(r"(\{\{\w+\}\})", template):
-        name = part.strip("{}")
-        if part == "{{blocks}}":
+    for section in re.split(r"(\{\{\w+\}\})", template):
+        name = section.strip("{}")
+        if section == "{{blocks}}":
             for number, block in enumerate(blocks):
                 yield (
                     f'<script type="text/plain" class="block" id="b{number}">'
                     f"{block}</script>\n"
                 ).encode()
-        elif part.startswith("{{") and name in insertions:
+        elif section.startswith("{{") and name in insertions:
             yield insertions[name].encode("utf-8", "replace")
         else:
-            yield part.encode("utf-8")
+            yield section.encode("utf-8")
 
 
 @cache
@@ -119,11 +119,11 @@ def viewer_modules() -> dict[str, str]:
     texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
     modules: dict[str, str] = {}
 
-    def add(name: str, above: tuple[str, ...] = ()) -> None:
-        if name in modules or name in above or name not in texts:
+    def add(name: str, importers: tuple[str, ...] = ()) -> None:
+        if name in modules or name in importers or name not in texts:
             return
         for match in _IMPORT.finditer(texts[name]):
-            add(match[3], (*above, name))
+            add(match[3], (*importers, name))
         modules[name] = texts[name]
 
     add(ENTRY)

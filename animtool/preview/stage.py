@@ -135,9 +135,9 @@ def _point_stream(
         else:
             rows[i] = rows[i - 1] if i else 0.0
             draft.note(f"{prim.name!r} has a different number of points in some frames")
-    stored = quantized_range(rows, period=3)
-    draft.record_error(position=stored.error)
-    return draft.packer.add(stored)
+    quantized = quantized_range(rows, period=3)
+    draft.record_error(position=quantized.error)
+    return draft.packer.add(quantized)
 
 
 def _visible(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> int | None:
@@ -180,12 +180,12 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     positions = _in_slots(rows, slots.count)
     widths = _slot_values(rows, [prim.widths(t) for t in times], slots.count)
     colors = _slot_values(rows, [prim.colors(t) for t in times], slots.count)
-    stored = quantized_range(positions, period=3)
-    draft.record_error(position=stored.error)
+    quantized = quantized_range(positions, period=3)
+    draft.record_error(position=quantized.error)
     draft.points.append(
         {
             "name": prim.name,
-            "positions": draft.packer.add(stored),
+            "positions": draft.packer.add(quantized),
             "radius": 0.0 if widths is None else _mean(widths) / 2,
             "radii": None
             if widths is None or np.ptp(widths) == 0
@@ -218,11 +218,11 @@ class Slots:
             range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
         )
         previous, self._of = self._of, {}
-        kept = {name: previous[name] for name in names if name in previous}
-        used = set(kept.values())
+        continued = {name: previous[name] for name in names if name in previous}
+        used = set(continued.values())
         free = (slot for slot in range(self.count + len(rows)) if slot not in used)
         for name in names:
-            self._of[name] = kept[name] if name in kept else next(free)
+            self._of[name] = continued[name] if name in continued else next(free)
         columns = np.array([self._of[name] for name in names], np.int64)
         self.count = max(self.count, int(columns.max(initial=-1)) + 1)
         return columns
@@ -256,14 +256,14 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
     slots = Slots()
     rows = [slots.take(sample.ids, sample.points) for sample in samples]
     copies = _SlotInstances.of(samples, rows, slots.count)
-    for k, parts in enumerate(prototypes):
+    for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
-        uses_prototype = copies.copied == k
+        uses_prototype = copies.prototype_indices == k
         columns = np.flatnonzero(uses_prototype.any(axis=0))
         if not len(columns):
             continue
-        for i, (faces, matrix) in enumerate(parts):
-            name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(parts) > 1 else "")
+        for i, (faces, matrix) in enumerate(meshes):
+            name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(meshes) > 1 else "")
             placed_points = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
             default_color = DARK_COLOR if len(columns) > MANY_INSTANCES else None
             color = faces.color or prim.color or default_color
@@ -295,7 +295,7 @@ class _SlotInstances:
         self.points = np.zeros((frames, count, 3))
         self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, count, 1))
         self.scales = np.ones((frames, count, 3))
-        self.copied = np.full((frames, count), -1)
+        self.prototype_indices = np.full((frames, count), -1)
 
     @classmethod
     def of(
@@ -310,7 +310,7 @@ class _SlotInstances:
             copies.points[f, slots] = sample.points
             copies.rotations[f, slots] = sample.orientations
             copies.scales[f, slots] = sample.scales
-            copies.copied[f, slots] = sample.copied
+            copies.prototype_indices[f, slots] = sample.prototype_indices
         return copies
 
 

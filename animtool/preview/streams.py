@@ -55,7 +55,7 @@ class Quantized:
     error: float = 0.0
 
 
-def plain(values: FloatArray, digits: int = 6) -> list[Any]:
+def json_numbers(values: FloatArray, digits: int = 6) -> list[Any]:
     """Return numbers for JSON, rounded, without negative zeros.
 
     >>> plain(np.array([-0.0, 0.1234567891]))
@@ -67,9 +67,9 @@ def plain(values: FloatArray, digits: int = 6) -> list[Any]:
 
 def quantized_units(values: FloatArray) -> Quantized:
     """Quantize numbers from -1 to 1, such as unit quaternions."""
-    stored = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
-    error = np.abs(stored / MAX_QUANTIZED - values).max(initial=0.0)
-    return Quantized(stored, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
+    integers = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
+    error = np.abs(integers / MAX_QUANTIZED - values).max(initial=0.0)
+    return Quantized(integers, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
 
 
 def quantized_range(
@@ -96,19 +96,19 @@ def quantized_range(
     low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
-        stored = np.asarray(values, np.float32)
-        return Quantized(stored, "f32", error=_largest(stored - values))
+        integers = np.asarray(values, np.float32)
+        return Quantized(integers, "f32", error=_largest(integers - values))
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     numbers = np.rint((rows - offset) / divisor)
-    stored = np.where(np.isnan(numbers), NAN_STORED, numbers).astype("<i2")
+    integers = np.where(np.isnan(numbers), NAN_STORED, numbers).astype("<i2")
     error = _largest(offset + scale * numbers - values.reshape(rows.shape))
     per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
         per_column = scale[:1].tolist(), offset[:1].tolist()
     scale_and_offset = _unrepeated(per_column[0]), _unrepeated(per_column[1])
     return Quantized(
-        stored.reshape(values.shape), "i16", *scale_and_offset, gaps, error
+        integers.reshape(values.shape), "i16", *scale_and_offset, gaps, error
     )
 
 

@@ -39,8 +39,8 @@ def plot_svg(panel: Panel) -> str:
         return "".join(elements)
     every = [point for _, points in curves for point in points]
     floor = [panel.floor] if panel.floor > 0 else []
-    x = _Axis.over([point.cost for point in every], LEFT, WIDTH - RIGHT)
-    y = _Axis.over([p.error for p in every] + floor, HEIGHT - BOTTOM, TOP)
+    x = _Axis.spanning([point.cost for point in every], LEFT, WIDTH - RIGHT)
+    y = _Axis.spanning([p.error for p in every] + floor, HEIGHT - BOTTOM, TOP)
     elements += _grid(x, y, panel)
     if floor:
         elements.append(
@@ -70,7 +70,7 @@ class _Axis:
     end: float
 
     @staticmethod
-    def over(values: Sequence[float], begin: float, end: float) -> _Axis:
+    def spanning(values: Sequence[float], begin: float, end: float) -> _Axis:
         low, high = math.log10(min(values)), math.log10(max(values))
         margin = max(0.05 * (high - low), 0.1)
         return _Axis(low - margin, high + margin, begin, end)

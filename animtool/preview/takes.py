@@ -15,7 +15,12 @@ from animtool.motion.contacts import find_contacts
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import PageDraft, number
-from animtool.preview.streams import Quantized, plain, quantized_range, quantized_units
+from animtool.preview.streams import (
+    Quantized,
+    json_numbers,
+    quantized_range,
+    quantized_units,
+)
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.kinematics import WorldTransforms, forward
@@ -32,19 +37,19 @@ class QuantizedTrack:
     """One component of all joints: animated columns and constant values."""
 
     static: FloatArray  # value of every joint, also animated ones ``(J, K)``
-    moving: IntArray  # indices of animated joints ``(A,)``
+    animated: IntArray  # indices of animated joints ``(A,)``
     values: Float32Array  # of animated joints ``(F, A, K)``
 
     def dense(self, cut: slice) -> FloatArray:
         """Return the values of all joints in a range of frames ``(F, J, K)``."""
         frames = len(self.values[cut])
         values = np.repeat(self.static[None], frames, axis=0)
-        values[:, self.moving] = self.values[cut]
+        values[:, self.animated] = self.values[cut]
         return values
 
 
 @dataclass(slots=True)
-class ShownMotion:
+class PageTake:
     """A take as stored on the page.
 
     Attributes:
@@ -99,10 +104,12 @@ class BufferedMotion:
         if name == "rotations":
             # Rotations are normalized again when a layer is read, after which they stay
             # equal.
-            stored = values.astype(np.float32)
+            values_float32 = values.astype(np.float32)
             for _ in range(3):
-                stored = so3.normalize(stored.astype(np.float64)).astype(np.float32)
-            return stored
+                values_float32 = so3.normalize(
+                    values_float32.astype(np.float64)
+                ).astype(np.float32)
+            return values_float32
         return values.astype(np.float32)
 
     def track(self, name: str) -> QuantizedTrack | None:
@@ -127,7 +134,7 @@ class BufferedMotion:
 
 def add_take(
     draft: PageDraft, name: str, stream: TakeStream, motion: BufferedMotion, first: int
-) -> ShownMotion:
+) -> PageTake:
     """Add a take to a page.
 
     Args:
@@ -148,9 +155,9 @@ def add_take(
     rotations = _positive_w(rotations)
     scales = motion.track("scales")
     kinds = {"t": translations, "r": rotations, "s": scales}
-    stored = {kind: _stored(kind, track) for kind, track in kinds.items()}
+    quantized = {kind: _stored(kind, track) for kind, track in kinds.items()}
     decoded = {
-        kind: None if track is None else _decoded(track, stored[kind])
+        kind: None if track is None else _decoded(track, quantized[kind])
         for kind, track in kinds.items()
     }
 
@@ -170,12 +177,12 @@ def add_take(
         "skeleton": _skeleton(rig),
         "still": {kind: _static(track) for kind, track in kinds.items()},
         "moving": {
-            kind: [] if track is None else track.moving.tolist()
+            kind: [] if track is None else track.animated.tolist()
             for kind, track in kinds.items()
         },
         **{
             kind: None if data is None else draft.packer.add(data)
-            for kind, data in stored.items()
+            for kind, data in quantized.items()
         },
         "shapes": None,
         "contacts": _named_spans(draft, contacts, first),
@@ -184,7 +191,7 @@ def add_take(
         "span": [first, first + motion.frames - 1],
     }
     draft.takes.append(entry)
-    return ShownMotion(
+    return PageTake(
         len(draft.takes) - 1,
         rig,
         first,
@@ -208,7 +215,7 @@ def _positive_w(track: QuantizedTrack) -> QuantizedTrack:
     if len(values):
         values = so3.align_signs(values).astype(np.float32)
         values = np.where(values[:1, :, 3:] < 0, -values, values)
-    return QuantizedTrack(static, track.moving, values)
+    return QuantizedTrack(static, track.animated, values)
 
 
 def _stored(kind: str, track: QuantizedTrack | None) -> Quantized | None:
@@ -225,12 +232,12 @@ def _decoded(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
         return track
     values = data.stored * np.asarray(data.scale) + np.asarray(data.offset)
     return QuantizedTrack(
-        track.static, track.moving, values.reshape(track.values.shape)
+        track.static, track.animated, values.reshape(track.values.shape)
     )
 
 
 def _static(track: QuantizedTrack | None) -> list[Any] | None:
-    return None if track is None else plain(track.static)
+    return None if track is None else json_numbers(track.static)
 
 
 def _skeleton(rig: Rig) -> dict[str, Any]:
@@ -238,12 +245,12 @@ def _skeleton(rig: Rig) -> dict[str, Any]:
         "names": rig.names,
         "parents": rig.parents.tolist(),
         "rest": {
-            "t": plain(rig.rest_translations),
-            "r": plain(_positive_w(_constant(rig.rest_rotations)).static),
+            "t": json_numbers(rig.rest_translations),
+            "r": json_numbers(_positive_w(_constant(rig.rest_rotations)).static),
             "s": None,
         },
         "tips": [
-            [j, *plain(np.array(tip))]
+            [j, *json_numbers(np.array(tip))]
             for j, joint in enumerate(rig.joints)
             for tip in joint.tips
         ],
@@ -275,8 +282,8 @@ def _measure(
     rotations = exact["r"]
     assert rotations is not None
     if rotations.values.size:
-        stored = quantized_units(rotations.values.astype(np.float64))
-        stored_rotations = so3.normalize(stored.stored / 32767.0)
+        quantized = quantized_units(rotations.values.astype(np.float64))
+        stored_rotations = so3.normalize(quantized.stored / 32767.0)
         chords = np.linalg.norm(
             stored_rotations - so3.normalize(rotations.values), axis=-1
         )

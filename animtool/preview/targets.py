@@ -16,7 +16,7 @@ from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
 from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.streams import quantized_range
-from animtool.preview.takes import ShownMotion
+from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
 
@@ -29,14 +29,14 @@ _KINDS = {
 
 
 def add_targets(
-    draft: PageDraft, tracks: TargetTracks, shown: ShownMotion | None, up: UpAxis | str
+    draft: PageDraft, tracks: TargetTracks, page_take: PageTake | None, up: UpAxis | str
 ) -> None:
     """Add goal positions as markers, in the frames in which they are active.
 
     Args:
         draft: The page.
         tracks: The goals, read without a rig.
-        shown: The take that the goals apply to; None without a take.
+        page_take: The take that the goals apply to; None without a take.
         up: Up axis of that take's file.
     """
     with skip_unreadable(draft, f"targets {tracks.path.name!r}"):
@@ -45,9 +45,9 @@ def add_targets(
             draft.note(f"targets {tracks.path.name!r} have other frames")
             return
         up_rotation = up_from_up(UpAxis.Y, UpAxis(up))
-        rig, world = _posed(tracks, shown, frames, up_rotation)
+        rig, world = _posed(tracks, page_take, frames, up_rotation)
         rig = replace(rig, up=UpAxis(up))
-        if shown is not None:
+        if page_take is not None:
             tracks = load_targets(tracks.path, rig)
         clock = _clock(draft, tracks, frames)
         targets = tracks.placed(clock).sample(rig, clock, world)
@@ -76,24 +76,24 @@ def _clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
 
 def _posed(
     tracks: TargetTracks,
-    shown: ShownMotion | None,
+    page_take: PageTake | None,
     frames: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
     """Return the rig of targets and its joints, in the axes of its file."""
-    if shown is None or not shown.frames:
+    if page_take is None or not page_take.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
         bind = bind_matrices(rig)[None].repeat(len(frames), axis=0)
         return rig, WorldTransforms(bind[..., :3, 3], bind[..., :3, :3])
-    rows = np.clip(frames - shown.first, 0, shown.frames - 1)
-    world = shown.world(slice(int(rows.min()), int(rows.max()) + 1))
+    rows = np.clip(frames - page_take.first, 0, page_take.frames - 1)
+    world = page_take.world(slice(int(rows.min()), int(rows.max()) + 1))
     rows = rows - rows.min()
     positions, linear = world.positions[rows], world.linear[rows]
     if up_rotation is not None:
         to_file_axes = so3.to_matrix(np.array(up_rotation)).T
         positions, linear = positions @ to_file_axes.T, to_file_axes @ linear
-    return shown.rig, WorldTransforms(positions, linear)
+    return page_take.rig, WorldTransforms(positions, linear)
 
 
 def _add_markers(
@@ -121,12 +121,12 @@ def _add_markers(
         if not np.isfinite(rows).any():
             continue
         label = "" if kind == "position" else f" {kind}"
-        stored = quantized_range(rows, period=3)
-        draft.record_error(position=stored.error)
+        quantized = quantized_range(rows, period=3)
+        draft.record_error(position=quantized.error)
         draft.points.append(
             {
                 "name": f"{tracks.path.name}{label}",
-                "positions": draft.packer.add(stored),
+                "positions": draft.packer.add(quantized),
                 "radius": radius,
                 "radii": None,
                 "color": list(color),

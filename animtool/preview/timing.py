@@ -36,7 +36,7 @@ FEWER_FRAMES_HINT = (
 
 
 @dataclass(slots=True)
-class TimedPart:
+class TimelineTake:
     """A take with its position on the timeline."""
 
     file: int
@@ -60,7 +60,7 @@ def timed_take(
     fps: Fraction,
     options: PreviewOptions,
     notices: list[Fault],
-) -> TimedPart:
+) -> TimelineTake:
     """Return a take resampled to the page's frames and rate.
 
     Args:
@@ -109,29 +109,29 @@ def timed_take(
         notices.append(note)
     motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.located, stream.notices)
-    return TimedPart(number, take, stream, motion, start, origin)
+    return TimelineTake(number, take, stream, motion, start, origin)
 
 
-def align(parts: list[TimedPart]) -> list[Fault]:
+def align(timed_takes: list[TimelineTake]) -> list[Fault]:
     """Shift takes that do not overlap the first to its start; return notices."""
     notices = []
-    for part in parts[1:]:
-        first_take = parts[0]
-        if part.first > first_take.last or part.last < first_take.first:
+    for timed in timed_takes[1:]:
+        first_take = timed_takes[0]
+        if timed.first > first_take.last or timed.last < first_take.first:
             message = (
-                f"take {part.take.name!r} begins at frame {frame_label(part.first)}, "
+                f"take {timed.take.name!r} begins at frame {frame_label(timed.first)}, "
                 f"but is shown from frame {frame_label(first_take.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            part.shift = first_take.first - part.first
-            part.origin += part.shift
-            part.first = first_take.first
+            timed.shift = first_take.first - timed.first
+            timed.origin += timed.shift
+            timed.first = first_take.first
     return notices
 
 
 def timeline_of(
-    opened: Sequence[OpenFile],
-    parts: Sequence[TimedPart],
+    files: Sequence[OpenFile],
+    timed_takes: Sequence[TimelineTake],
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
@@ -142,12 +142,12 @@ def timeline_of(
             frames (PRV003).
     """
     spans = [
-        _within(part, _authored_range(opened[part.file], fps))
-        for part in parts
-        if part.motion.frames > 1
+        _within(timed, _authored_range(files[timed.file], fps))
+        for timed in timed_takes
+        if timed.motion.frames > 1
     ]
     step = Fraction(1)
-    for file in opened:
+    for file in files:
         if file.contents is not None and (span := _moving_span(file.contents)):
             ratio = fps / file.contents.fps
             spans.append((span[0] * ratio, span[1] * ratio))
@@ -156,12 +156,17 @@ def timeline_of(
             ratio = fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
-        if file.targets is not None and all(part.motion.frames < 2 for part in parts):
+        if file.targets is not None and all(
+            timed.motion.frames < 2 for timed in timed_takes
+        ):
             clock = file.targets.clock
             ratio = Fraction(1) if file.targets.fps is None else fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
-    first = min((a for a, _ in spans), default=parts[0].first if parts else Fraction(1))
+    first = min(
+        (a for a, _ in spans),
+        default=timed_takes[0].first if timed_takes else Fraction(1),
+    )
     last = max((b for _, b in spans), default=first)
     frames = options.frame_range
     if frames is not None:
@@ -178,13 +183,16 @@ def timeline_of(
 
 
 def _within(
-    part: TimedPart, authored: tuple[Fraction, Fraction] | None
+    timed: TimelineTake, authored: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
-    if authored is None or part.shift:
-        return part.first, part.last
-    first, last = max(part.first, authored[0]), min(part.last, authored[1])
-    return (first, last) if first <= last else (part.first, part.last)
+    if authored is None or timed.shift:
+        return timed.first, timed.last
+    first, last = (
+        max(timed.first, authored[0]),
+        min(timed.last, authored[1]),
+    )
+    return (first, last) if first <= last else (timed.first, timed.last)
 
 
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:

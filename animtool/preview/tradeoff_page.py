@@ -69,17 +69,17 @@ def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]
     pairs = {pair.table: pair for pair in report.pairs}
     panels = panels_of(report.tables)
     for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):
-        parts = table_parts(table)
-        yield f"<h2>{html.escape(parts.head[0])}</h2>\n"
-        for line in parts.head[1:]:
+        table_ = table_parts(table)
+        yield f"<h2>{html.escape(table_.head[0])}</h2>\n"
+        for line in table_.head[1:]:
             yield f'<p class="soft">{html.escape(line.strip())}</p>\n'
         yield f"<figure>{plot_svg(panel)}</figure>\n"
-        for line in parts.advice:
+        for line in table_.advice:
             yield f"<p>{html.escape(line.strip())}</p>\n"
         if table.lines:
             lines = worded("\n".join(table.lines), calling)
             yield f"<pre>{html.escape(lines)}</pre>\n"
-        yield from _table(parts.rows, parts.left, parts.classes)
+        yield from _table(table_.rows, table_.left, table_.classes)
         if i in pairs:
             yield from _viewer(pairs[i])
     yield "</body>\n</html>\n"

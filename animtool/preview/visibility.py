@@ -9,31 +9,35 @@ from animtool.core.clock import time_codes
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import OpenFile
 from animtool.preview.streams import Quantized
-from animtool.preview.takes import ShownMotion
-from animtool.preview.timing import TimedPart
+from animtool.preview.takes import PageTake
+from animtool.preview.timing import TimelineTake
 
 
 def add_visibility(
-    draft: PageDraft, file: OpenFile, part: TimedPart, shown: ShownMotion
+    draft: PageDraft, file: OpenFile, timed_take: TimelineTake, page_take: PageTake
 ) -> None:
     """Add the visible frames of a take and its meshes.
 
     Args:
         draft: The page, with the take and its meshes.
         file: The file of the take.
-        part: The take on the timeline.
-        shown: The take on the page.
+        timed_take: The take on the timeline.
+        page_take: The take on the page.
     """
-    contents, prim = file.contents, part.take.prim
+    contents, prim = file.contents, timed_take.take.prim
     if contents is None or not prim:
         return
-    codes = time_codes(part.first - part.shift, part.stream.step, shown.frames)
+    codes = time_codes(
+        timed_take.first - timed_take.shift, timed_take.stream.step, page_take.frames
+    )
     codes = codes * float(contents.fps / draft.timeline.fps)
     prim_visible = contents.visible(prim, codes)
-    shown.entry["visible"] = visibility_stream(draft, prim_visible)
+    page_take.entry["visible"] = visibility_stream(draft, prim_visible)
     if not prim_visible.any():
-        draft.note(f"{part.take.name!r} is hidden in every frame: it is not drawn")
-    meshes = [mesh for mesh in draft.meshes if mesh["take"] == shown.index]
+        draft.note(
+            f"{timed_take.take.name!r} is hidden in every frame: it is not drawn"
+        )
+    meshes = [mesh for mesh in draft.meshes if mesh["take"] == page_take.index]
     by_mesh = contents.visible_meshes(prim, codes) if meshes else {}
     for mesh in meshes:
         mesh_visible = by_mesh.get(mesh["name"], prim_visible)

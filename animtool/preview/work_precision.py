@@ -163,15 +163,15 @@ def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
 
 
 def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
-    shown = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
-    if not shown:
+    drawable = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
+    if not drawable:
         return
-    x, y = [p.cost for p in shown], [p.error for p in shown]
+    x, y = [p.cost for p in drawable], [p.error for p in drawable]
     marker = MARKERS[i % len(MARKERS)]
     (line,) = frame.plot(
         x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
-    best = [p for p in shown if p.best]
+    best = [p for p in drawable if p.best]
     frame.plot(
         [p.cost for p in best],
         [p.error for p in best],

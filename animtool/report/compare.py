@@ -365,12 +365,14 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
         for key in {joint.source_name or joint.name, joint.name}:
             index.setdefault(key, []).append(i)
     pairs: list[tuple[int, int]] = []
-    used: set[int] = set()
+    used_indices: set[int] = set()
     for i, joint in enumerate(first.joints):
         keys = (joint.source_name or joint.name, joint.name)
-        candidates = [k for key in keys for k in index.get(key, []) if k not in used]
+        candidates = [
+            k for key in keys for k in index.get(key, []) if k not in used_indices
+        ]
         if candidates:
-            used.add(candidates[0])
+            used_indices.add(candidates[0])
             pairs.append((i, candidates[0]))
     return pairs
 

@@ -67,22 +67,24 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     """
     from animtool.usd.caches.reader import open_points
 
-    one = open_points(first)
-    two = None if one is None else open_points(second)
-    if one is None or two is None:
+    source_a = open_points(first)
+    source_b = None if source_a is None else open_points(second)
+    if source_a is None or source_b is None:
         return None
-    mismatches = _missing_prims(one, two)
-    common = [name for name in one.names if name in two.names]
+    mismatches = _missing_prims(source_a, source_b)
+    common = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     samples = 0
     for name in common:
-        codes = one.codes(name), two.codes(name)
-        if one.type(name) != two.type(name):
-            mismatches.append(f"{name}: {one.type(name)} instead of {two.type(name)}")
+        codes = source_a.codes(name), source_b.codes(name)
+        if source_a.type(name) != source_b.type(name):
+            mismatches.append(
+                f"{name}: {source_a.type(name)} instead of {source_b.type(name)}"
+            )
         if len(codes[0]) != len(codes[1]):
             counts = f"{counted(len(codes[0]), 'sample')} instead of {len(codes[1])}"
             mismatches.append(f"{name}: {counts}")
-        for code, a, b in _pairs(one, two, name, codes):
+        for code, a, b in _pairs(source_a, source_b, name, codes):
             samples += 1
             mismatch = _point_mismatch(a, b)
             if mismatch:
@@ -93,8 +95,10 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
                 if len(values) and values[worst] > largest[quantity].value:
                     candidate = float(values[worst]), name, int(ids[worst]), code
                     largest[quantity] = PointDifference(*candidate)
-    if one.fps != two.fps:
-        mismatches.append(f"{one.fps} time codes per second instead of {two.fps}")
+    if source_a.fps != source_b.fps:
+        mismatches.append(
+            f"{source_a.fps} time codes per second instead of {source_b.fps}"
+        )
     return PointsDifference(
         "points",
         **largest,
@@ -103,17 +107,20 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         mismatches=mismatches,
         notes=[
             *space_notes(
-                (one.up, two.up),
-                (one.unit, two.unit),
+                (source_a.up, source_b.up),
+                (source_a.unit, source_b.unit),
             ),
-            *_start_notes(one, two, common),
+            *_start_notes(source_a, source_b, common),
         ],
     )
 
 
-def _missing_prims(one: PointSource, two: PointSource) -> list[str]:
+def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:
     names = []
-    for source, other, ordinal in ((one, two, "second"), (two, one, "first")):
+    for source, other, ordinal in (
+        (source_a, source_b, "second"),
+        (source_b, source_a, "first"),
+    ):
         missing = [name for name in source.names if name not in other.names]
         if missing:
             names.append(missing_text("prim", missing, ordinal))
@@ -121,29 +128,39 @@ def _missing_prims(one: PointSource, two: PointSource) -> list[str]:
 
 
 def _pairs(
-    one: PointSource,
-    two: PointSource,
+    source_a: PointSource,
+    source_b: PointSource,
     name: str,
     codes: tuple[list[float], list[float]],
 ) -> Iterator[tuple[float, PointSample, PointSample]]:
     """Yield time codes of the first stage, with both samples."""
     first_codes, second_codes = codes
     if not first_codes or not second_codes:
-        yield 0.0, one.at(name, None), _in_axes_of_first(one, two, two.at(name, None))
+        yield (
+            0.0,
+            source_a.at(name, None),
+            _in_axes_of_first(source_a, source_b, source_b.at(name, None)),
+        )
         return
-    duration = float((second_codes[-1] - second_codes[0]) / two.fps) + 1e-9
+    duration = float((second_codes[-1] - second_codes[0]) / source_b.fps) + 1e-9
     for code in first_codes:
-        elapsed = float((code - first_codes[0]) / one.fps)
+        elapsed = float((code - first_codes[0]) / source_a.fps)
         if elapsed <= duration:
-            second_sample = two.at(name, second_codes[0] + elapsed * float(two.fps))
-            yield code, one.at(name, code), _in_axes_of_first(one, two, second_sample)
+            second_sample = source_b.at(
+                name, second_codes[0] + elapsed * float(source_b.fps)
+            )
+            yield (
+                code,
+                source_a.at(name, code),
+                _in_axes_of_first(source_a, source_b, second_sample),
+            )
 
 
 def _in_axes_of_first(
-    one: PointSource, two: PointSource, sample: PointSample
+    source_a: PointSource, source_b: PointSource, sample: PointSample
 ) -> PointSample:
     """Return a sample of the second stage in the up axis of the first."""
-    up_rotation = up_from_up(one.up, two.up)
+    up_rotation = up_from_up(source_a.up, source_b.up)
     if up_rotation is None:
         return sample
     orientations = sample.orientations
@@ -164,9 +181,12 @@ def _point_mismatch(a: PointSample, b: PointSample) -> str:
         unmatched_ids = np.setdiff1d(a.ids, b.ids)
         if len(unmatched_ids):
             return f"the second file has no point with the id {int(unmatched_ids[0])}"
-    if a.copied is not None and b.copied is not None:
+    if a.prototype_indices is not None and b.prototype_indices is not None:
         ids, first_indices, second_indices = _matched_indices(a, b)
-        first_meshes, second_meshes = a.copied[first_indices], b.copied[second_indices]
+        first_meshes, second_meshes = (
+            a.prototype_indices[first_indices],
+            b.prototype_indices[second_indices],
+        )
         (different,) = np.nonzero(first_meshes != second_meshes)
         if len(different):
             i = int(different[0])
@@ -208,9 +228,11 @@ def _distances(
     return distances
 
 
-def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[str]:
+def _start_notes(
+    source_a: PointSource, source_b: PointSource, names: list[str]
+) -> list[str]:
     """Return a note if the samples of a prim start at different time codes."""
-    starts = [(one.codes(name)[:1], two.codes(name)[:1]) for name in names]
+    starts = [(source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names]
     for first_start, second_start in starts:
         if first_start and second_start and first_start != second_start:
             codes = f"{first_start[0]:g} instead of {second_start[0]:g}"

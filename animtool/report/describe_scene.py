@@ -140,8 +140,8 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
     writer = writer_of(path)
     usd = writer is None or writer.stage
-    written = [s for s in scene.writing(output).systems if s.written]
-    files = output_files(path, bake, simulated=bool(written))
+    written_systems = [s for s in scene.writing(output).systems if s.written]
+    files = output_files(path, bake, simulated=bool(written_systems))
     if writer is not None and not usd:
         files = writer.files(path)
     return OutputDescription(
@@ -152,6 +152,6 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
         [str(path) for path in files if path.exists()],
         bake.deform,
         bake.chunk,
-        [system.name for system in written] if usd else [],
+        [system.name for system in written_systems] if usd else [],
         output.location.line,
     )

@@ -115,9 +115,9 @@ class Template:
         return render(record, self.details, self.printers)
 
 
-def _names(most: int | None) -> Callable[..., str]:
+def _names(max_count: int | None) -> Callable[..., str]:
     def print_names(value: Any, default: str = "") -> str:
-        return listed(list(value), most or int(default or len(value)))
+        return listed(list(value), max_count or int(default or len(value)))
 
     return print_names
 
@@ -322,8 +322,8 @@ def _count(value: Any, *nouns: str) -> str:
     return counted(count, noun, plural)
 
 
-def _listed(value: Any, most: str = "5") -> str:
-    return listed(list(value), int(most))
+def _listed(value: Any, max_count: str = "5") -> str:
+    return listed(list(value), int(max_count))
 
 
 def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., str]:

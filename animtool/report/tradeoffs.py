@@ -166,9 +166,8 @@ class TableParts:
     head: list[str]  # what was measured, and the reference
     rows: list[list[str]]  # cells, header row first
     left: set[int]  # left-aligned columns
-    classes: list[
-        str
-    ]  # CSS classes of each row below the header: ``chosen`` or ``recommended``
+    # CSS classes of each row below the header: ``chosen`` or ``recommended``.
+    classes: list[str]
     advice: list[str]
 
 

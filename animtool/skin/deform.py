@@ -158,7 +158,7 @@ def _deform(
 class _Buffers:
     """Buffers reused from block to block."""
 
-    shaped: FloatArray  # points or normals before skinning ``(F, V, 3)``
+    unskinned: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
     normals: FloatArray  # ``(F, N, 3)``
 
@@ -223,8 +223,8 @@ def block_frames(vertices: int) -> int:
     >>> block_frames(10_000)
     16
     """
-    fitting = BLOCK_BYTES // max(24 * vertices, 1)
-    return max(MIN_FRAMES, fitting // MIN_FRAMES * MIN_FRAMES)
+    count = BLOCK_BYTES // max(24 * vertices, 1)
+    return max(MIN_FRAMES, count // MIN_FRAMES * MIN_FRAMES)
 
 
 def extents(points: ArrayLike) -> FloatArray:
@@ -258,8 +258,10 @@ def _points(
     is_skinned = mesh.skin is not None and world is not None
     out = None if buffers is None else buffers.points[:frames]
     if mesh.shapes is not None and weights is not None and weights.any():
-        shaped = buffers.shaped[:frames] if is_skinned and buffers is not None else out
-        points = blend_points(mesh.shapes, weights, out=shaped)
+        unskinned = (
+            buffers.unskinned[:frames] if is_skinned and buffers is not None else out
+        )
+        points = blend_points(mesh.shapes, weights, out=unskinned)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world, out=out)
     return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
@@ -279,7 +281,7 @@ def _normals(
     has_normal_offsets = shapes is not None and shapes.normals is not None
     if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        shaped_out = None if buffers is None else buffers.shaped[:frames]
+        shaped_out = None if buffers is None else buffers.unskinned[:frames]
         normals = blend_normals(shapes, weights, out=shaped_out)
     if mesh.skin is not None and world is not None:
         out = None if buffers is None else buffers.normals[:frames]

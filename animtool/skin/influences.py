@@ -94,10 +94,14 @@ def read_influences(
         numbers.astype(np.int64), values, max(joints, 1)
     )
     weight_sums = np.bincount(rows, strengths, count).astype(np.float64)
-    kept = _strongest(rows, count, max_influences)
-    is_pruned = np.bincount(rows[~kept], minlength=count) > 0
+    is_kept = _strongest(rows, count, max_influences)
+    is_pruned = np.bincount(rows[~is_kept], minlength=count) > 0
     nonzero, merged = int(np.count_nonzero(values)), len(rows)
-    rows, joints_of_rows, strengths = rows[kept], joints_of_rows[kept], strengths[kept]
+    rows, joints_of_rows, strengths = (
+        rows[is_kept],
+        joints_of_rows[is_kept],
+        strengths[is_kept],
+    )
     totals = np.bincount(rows, strengths, count).astype(np.float64)
     _check_sums(weight_sums, totals)
     errors = np.abs(weight_sums - 1)
@@ -198,21 +202,21 @@ def _check_values(
         raise FormatError(faults)
 
 
-def _any_per_vertex(wrong: BoolArray) -> BoolArray:
-    return np.asarray(wrong.any(axis=1), np.bool_)
+def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
+    return np.asarray(is_wrong.any(axis=1), np.bool_)
 
 
-def _check_sums(sums: FloatArray, kept: FloatArray) -> None:
-    empty = np.minimum(sums, kept) <= 0
+def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
+    empty = np.minimum(sums, kept_sums) <= 0
     faults = _faults("SKIN004", np.asarray(empty), "no weight on any joint")
     if faults:
         raise FormatError(faults)
 
 
-def _faults(code: str, wrong: BoolArray, what: str) -> list[Fault]:
+def _faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
     """Return a fault that lists the vertices of a mask, if any."""
-    at = np.flatnonzero(wrong).tolist()
+    at = np.flatnonzero(is_wrong).tolist()
     if not at:
         return []
     noun = "vertex" if len(at) == 1 else f"{len(at)} vertices"
-    return [Fault(code, f"{noun} with {what}: {listed(at)}")]
+    return [Fault(code, f"{noun} with {problem}: {listed(at)}")]

@@ -203,11 +203,14 @@ def _product(
     columns: _Columns, weights: FloatArray, active: BoolArray, out: FloatArray
 ) -> None:
     """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
-    dense_weights, used = weights[:, columns.dense], active[columns.dense]
+    dense_weights, is_used = weights[:, columns.dense], active[columns.dense]
     table = columns.table
-    inactive = len(used) - int(used.sum())
-    if inactive * len(weights) > COPY_FRAMES * (len(used) - inactive + 1):
-        table, dense_weights = table[np.append(True, used)], dense_weights[:, used]
+    inactive = len(is_used) - int(is_used.sum())
+    if inactive * len(weights) > COPY_FRAMES * (len(is_used) - inactive + 1):
+        table, dense_weights = (
+            table[np.append(True, is_used)],
+            dense_weights[:, is_used],
+        )
     factors = np.concatenate([np.ones((len(dense_weights), 1)), dense_weights], axis=1)
     np.matmul(factors, table, out=out)
 
@@ -244,14 +247,15 @@ def _all_offsets(shape: ShapeDeltas) -> list[InbetweenDeltas]:
 
     Empty offsets with normal offsets mean a shape of normals only.
     """
-    full = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
-    parts = [
-        replace(part, offsets=None)
-        if part.normal_offsets is not None and np.size(cast("Any", part.offsets)) == 0
-        else part
-        for part in (*shape.inbetweens, full)
+    full_offsets = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
+    all_offsets = [
+        replace(offset, offsets=None)
+        if offset.normal_offsets is not None
+        and np.size(cast("Any", offset.offsets)) == 0
+        else offset
+        for offset in (*shape.inbetweens, full_offsets)
     ]
-    return sorted(parts, key=lambda part: part.at)
+    return sorted(all_offsets, key=lambda offset: offset.at)
 
 
 def _columns(
@@ -335,12 +339,12 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
             )
             faults.append(Fault("SKIN002", message))
     for offset in _all_offsets(shape):
-        for what, values in (
+        for array_name, values in (
             ("offsets", offset.offsets),
             ("normal offsets", offset.normal_offsets),
         ):
             if values is not None:
-                name = f"{where}: {what} at {offset.at:g}"
+                name = f"{where}: {array_name} at {offset.at:g}"
                 faults += _offset_faults(name, values, length)
     return faults + _knot_faults(where, shape)
 

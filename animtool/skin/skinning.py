@@ -74,9 +74,8 @@ class PreparedSkin:
     influences: Influences  # per vertex; their joints are indices into ``joints``
     report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
-    joint_from_world: (
-        FloatArray  # inverse bind transforms of the used joints ``(U, 4, 4)``
-    )
+    # Inverse bind transforms of the used joints ``(U, 4, 4)``.
+    joint_from_world: FloatArray
     world_from_points: FloatArray  # transform of the points at bind time ``(4, 4)``
 
     @property
@@ -269,10 +268,10 @@ def _check_order(order: IntArray, joints: int) -> None:
             f"the mesh's joint order is {order.dtype} {order.shape}, not integers (U,)"
         )
         raise FormatError(Fault("SKIN001", message))
-    wrong = order[(order < 0) | (order >= joints)].tolist()
-    if wrong:
+    out_of_range = order[(order < 0) | (order >= joints)].tolist()
+    if out_of_range:
         message = f"the mesh's joint order has joints outside 0…{joints - 1}: "
-        raise FormatError(Fault("SKIN002", message + listed(wrong)))
+        raise FormatError(Fault("SKIN002", message + listed(out_of_range)))
 
 
 def _check_regular(bind: FloatArray, joints: IntArray) -> None:

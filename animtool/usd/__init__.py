@@ -19,15 +19,16 @@ _PUBLIC = {"write": "animtool.usd.takes.author"}
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+if not TYPE_CHECKING:  # type checkers only know the imported names
     __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
 
 
 class _PxrFinder:
-    """Finds modules of pxr, whose import is not interrupted.
+    """Finds modules of pxr and protects their import from interrupts.
 
-    USD's loader in C++ imports the modules that a module needs, and goes on where an
-    interrupt ends one of them: what follows would work with half of USD.
+    USD's C++ loader imports the modules that a module needs, and continues if an
+    interrupt
+    ends one of these imports: the program would then run with half of USD.
     """
 
     @staticmethod
@@ -44,9 +45,11 @@ class _PxrFinder:
 
 
 class _UninterruptedLoader:
-    """Runs a module to its end before a signal is obeyed.
+    """Delays signals until a module has been imported.
 
-    It has what `importlib.abc` asks of a loader, which loads 40 modules.
+    It has the interface of `importlib.abc.Loader` without importing that, which loads
+    40
+    modules.
     """
 
     def __init__(self, loader: Any) -> None:
@@ -56,7 +59,7 @@ class _UninterruptedLoader:
         return getattr(self._loader, name)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return the new module, as its own loader makes it."""
+        """Return the new module, created by its own loader."""
         module: ModuleType | None = self._loader.create_module(spec)
         return module
 

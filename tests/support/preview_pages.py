@@ -15,7 +15,7 @@ from animtool.preview.page import page_parts
 from animtool.preview.streams import (
     Packer,
     Quantized,
-    plain,
+    json_numbers,
     quantized_range,
     quantized_units,
 )
@@ -98,8 +98,8 @@ class PageDraft:
         frames = len(chain.translations)
         moving = np.flatnonzero(np.ptp(chain.translations, axis=0).any(axis=-1))
         still = {
-            "t": plain(chain.translations[0], 9),
-            "r": plain(chain.rotations[0], 9),
+            "t": json_numbers(chain.translations[0], 9),
+            "r": json_numbers(chain.rotations[0], 9),
             "s": None,
         }
         joints = range(len(chain.names))

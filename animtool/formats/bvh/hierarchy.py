@@ -56,7 +56,7 @@ class _OpenBrace:
     joint_index: int
     is_end: bool
     line: int
-    opened: bool = False
+    is_opened: bool = False
     has_offset: bool = False
 
 
@@ -99,7 +99,7 @@ class _Hierarchy:
     def _statement(self, keyword: str, words: list[str]) -> None:
         upper = keyword.upper()
         block = self.stack[-1] if self.stack else None
-        if block is not None and not block.opened and upper != "{":
+        if block is not None and not block.is_opened and upper != "{":
             self.lines.fail(
                 "BVH004",
                 f"'{{' is missing before {excerpt(keyword)}",
@@ -126,9 +126,9 @@ class _Hierarchy:
                 )
 
     def _open(self, block: _OpenBrace | None) -> None:
-        if block is None or block.opened:
+        if block is None or block.is_opened:
             self.lines.fail("BVH004", "'{' without a joint")
-        block.opened = True
+        block.is_opened = True
 
     def _close(self) -> None:
         if not self.stack:

@@ -134,7 +134,7 @@ def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
         return []
     numbers = size / rig.meters_per_unit
     smallest, largest = PERSON_METERS
-    fitting = [
+    fitting_units = [
         unit for unit in LengthUnit if smallest <= numbers * unit.meters <= largest
     ]
     unit = option or LengthUnit.CM
@@ -143,10 +143,10 @@ def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
         f"{unit}"
     )
     hint = f"set the unit with {argument('source.unit')}"
-    if fitting:
+    if fitting_units:
         hint = (
-            f"with {argument('source.unit', fitting[0])} it would be "
-            f"{numbers * fitting[0].meters:.2g} m"
+            f"with {argument('source.unit', fitting_units[0])} it would be "
+            f"{numbers * fitting_units[0].meters:.2g} m"
         )
     severity = Severity.NOTE if option is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]

@@ -55,7 +55,7 @@ class Claims:
         points: Points per frame.
         analog: Analogue values per frame, all samples of all channels.
         frames: Number of frames.
-        others: Further candidates for `analog` that no field states.
+        candidates: Further values tried for `analog` that no field states.
         after: End of the parameters [byte]; no data lie between it and `begin`.
     """
 
@@ -64,7 +64,7 @@ class Claims:
     points: tuple[Claim, ...]
     analog: tuple[Claim, ...]
     frames: tuple[Claim, ...]
-    others: tuple[int, ...] = ()
+    candidates: tuple[int, ...] = ()
     after: int = 0
 
 

@@ -106,7 +106,7 @@ def choose_layout(
     claims: Claims,
     data: bytes,
     ends: Sequence[int],
-    judge: Callable[[Layout], Evidence],
+    evidence_of: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the combination of claims that fits the file at the lowest cost.
 
@@ -114,7 +114,7 @@ def choose_layout(
         claims: Values stated by the file.
         data: Content of the file.
         ends: Offsets at which the points may end [byte]; the last is the file size.
-        judge: Returns the evidence for a layout.
+        evidence_of: Returns the evidence for a layout.
     """
     cheapest: dict[tuple[int, ...], Layout] = {}
     short: Layout | None = None
@@ -135,20 +135,20 @@ def choose_layout(
         )
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
-    ranked = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
+    candidates = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
     if short is not None and short.cost < MIN_CLAIM_WEIGHT:
         # If all claims agree but the file is too small, it is truncated, unless other
         # claims fill it.
-        ranked = [
+        candidates = [
             layout_
-            for layout_ in ranked
+            for layout_ in candidates
             if layout_.trailing == 0 and not layout_.solved
         ]
-    if not ranked:
+    if not candidates:
         return LayoutResult(None, short)
-    if ranked[0].cost < MIN_CLAIM_WEIGHT:
-        return LayoutResult(ranked[0])
-    outcome = _decide(ranked, short, judge)
+    if candidates[0].cost < MIN_CLAIM_WEIGHT:
+        return LayoutResult(candidates[0])
+    outcome = _decide(candidates, short, evidence_of)
     best = outcome.layout
     if best is None:
         return outcome
@@ -192,17 +192,17 @@ def _order(layout: Layout) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
+def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
     """Yield combinations of stated counts, one of them solved from the size.
 
-    ``size`` is that of the file, ``tail`` that of the zeros at its end [byte].
+    ``size`` is that of the file, ``padding`` that of the zeros at its end [byte].
     """
     widths = _with_costs(claims.width, (2, 4))
     for (begin, by_b), (width, by_w) in itertools.product(
         _with_costs(claims.begin), widths
     ):
         against_width = by_w >= MIN_CLAIM_WEIGHT and _all_agree(claims.width)
-        capacity = ((size - begin) // width, (size - begin - tail) // width)
+        capacity = ((size - begin) // width, (size - begin - padding) // width)
         for p, a, f, counts, solved in _counts(claims, *capacity):
             cost, needs_evidence = by_b + by_w + counts, against_width or solved
             yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, solved)
@@ -217,7 +217,7 @@ def _counts(
     at its end.
     """
     points, frames = _with_costs(claims.points), _with_costs(claims.frames)
-    analog = _with_costs(claims.analog, claims.others)
+    analog = _with_costs(claims.analog, claims.candidates)
     stated = {claim.value for claim in claims.analog}
     for (p, by_p), (a, by_a) in itertools.product(points, analog):
         row, unstated = 4 * p + a, a not in stated
@@ -319,12 +319,12 @@ def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
 
 
 def _decide(
-    ranked: Sequence[Layout],
+    candidates: Sequence[Layout],
     truncated_layout: Layout | None,
-    judge: Callable[[Layout], Evidence],
+    evidence_of: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the best of several layouts after judging their numbers."""
-    with_evidence = [(layout, judge(layout)) for layout in ranked]
+    with_evidence = [(layout, evidence_of(layout)) for layout in candidates]
     outliers = min(evidence.outliers for _, evidence in with_evidence)
     smallest_step = min(
         (e.rough for _, e in with_evidence if e.rough >= 0), default=0.0
@@ -344,7 +344,7 @@ def _decide(
         scored.append(replace(layout, cost=layout.cost + penalty))
     if not scored:
         return LayoutResult(
-            None, truncated_layout, () if truncated_layout else tuple(ranked[:3])
+            None, truncated_layout, () if truncated_layout else tuple(candidates[:3])
         )
     scored.sort(key=_order)
     best = scored[0]

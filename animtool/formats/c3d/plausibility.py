@@ -24,7 +24,7 @@ MIN_COORDINATE = 1e-12
 MAX_WORD = 32768.0
 
 
-def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
+def evidence_of(layout: Layout, data: bytes, processor: Processor) -> Evidence:
     """Return how plausible a layout's numbers are as positions over frames."""
     if layout.points == 0:
         return Evidence(0.0, math.nan)

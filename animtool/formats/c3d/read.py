@@ -31,7 +31,7 @@ from animtool.formats.c3d.layout import (
     choose_layout,
     contradicted,
 )
-from animtool.formats.c3d.plausibility import judge
+from animtool.formats.c3d.plausibility import evidence_of
 from animtool.formats.c3d.sections import (
     BLOCK,
     MalformedError,
@@ -211,7 +211,7 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
         claims,
         data,
         ends,
-        lambda contradiction: judge(contradiction, data, sections.processor),
+        lambda contradiction: evidence_of(contradiction, data, sections.processor),
     )
     layout = outcome.layout
     if layout is None:
@@ -297,17 +297,17 @@ def _first(sections: Sections, frames: int) -> int:
 
 def _scale(sections: Sections) -> float:
     """Return the scale of integers; negative means floats."""
-    stated = sections.number("POINT", "SCALE")
-    scale = sections.header.scale if stated is None else stated
+    parameter_scale = sections.number("POINT", "SCALE")
+    scale = sections.header.scale if parameter_scale is None else parameter_scale
     return scale if np.isfinite(scale) and scale != 0 else -1.0
 
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
     """Warn about a scale that is missing or stated with two values."""
-    header, stated = sections.header.scale, sections.number("POINT", "SCALE")
+    header, parameter_scale = sections.header.scale, sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
-    scales = [abs(s) for s in (stated, header) if s and np.isfinite(s)]
+    scales = [abs(s) for s in (parameter_scale, header) if s and np.isfinite(s)]
     if not scales:
         message = "has integers without a scale; they are read unscaled"
         file.warn("C3D101", message, "check the size of the captured subject")
@@ -322,13 +322,15 @@ def _rate(
     file: MarkerFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
     """Return the stated frame rate; parameters come before the header."""
-    header, stated = sections.header.rate, sections.number("POINT", "RATE")
-    if not stated or not np.isfinite(stated):
+    header, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
+    if not parameter_rate or not np.isfinite(parameter_rate):
         return header
-    if fps is None and header > 0 and not np.isclose(header, stated, rtol=1e-4):
-        message = f"its header has {header:g} fps, but its parameters {stated:g}"
+    if fps is None and header > 0 and not np.isclose(header, parameter_rate, rtol=1e-4):
+        message = (
+            f"its header has {header:g} fps, but its parameters {parameter_rate:g}"
+        )
         file.warn("C3D101", f"{message}; using the parameters")
-    return stated
+    return parameter_rate
 
 
 def _unit(sections: Sections) -> str | None:
@@ -416,7 +418,7 @@ def _filled(
 def _recorded_filled(
     sections: Sections, visible: BoolArray, marker_columns: IntArray
 ) -> BoolArray | None:
-    filled = np.zeros(visible.shape, bool)
+    is_filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(marker_columns.tolist())}
     number = 1
     while True:
@@ -428,7 +430,7 @@ def _recorded_filled(
             if np.isfinite([marker, first, last]).all() and marker in columns:
                 begin = int(min(max(first, 0), len(visible)))
                 end = int(min(max(last + 1, 0), len(visible)))
-                filled[begin:end, columns[int(marker)]] = True
+                is_filled[begin:end, columns[int(marker)]] = True
         number += 1
-    filled &= visible
-    return filled if filled.any() else None
+    is_filled &= visible
+    return is_filled if is_filled.any() else None

@@ -97,7 +97,7 @@ class Sections:
     # Block after the parameters, as stated by them; 2 without parameters.
     end_block: int = 2
     # Whether the file states its processor.
-    stated: bool = True
+    has_processor: bool = True
     # Parameter values by group and name in capitals: arrays or lists of texts.
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -135,7 +135,7 @@ def read_sections(data: bytes) -> Sections:
     A file without parameters is read by its header alone.
 
     Raises:
-        MalformedError: It is no C3D file.
+        MalformedError: It is not a C3D file.
     """
     if len(data) < BLOCK or data[1] != MAGIC:
         raise MalformedError("does not start like a C3D file")
@@ -147,11 +147,11 @@ def read_sections(data: bytes) -> Sections:
         processor = Processor(kind)
         sections = Sections(_header(data, processor), processor)
     else:
-        sections = Sections(*_header_only(data, kind), stated=False)
+        sections = Sections(*_header_only(data, kind), has_processor=False)
     if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
-        sections = Sections(*_header_only(data, kind), stated=is_known)
+        sections = Sections(*_header_only(data, kind), has_processor=is_known)
     if is_known or sections.groups:
         sections.end_block = data[0] + data[start + 2]
     return sections

@@ -1,4 +1,4 @@
-"""Characters of a file: each skeleton, where a file has several."""
+"""Characters of a file: one per skeleton, if a file has several."""
 
 from __future__ import annotations
 

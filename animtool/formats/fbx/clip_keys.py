@@ -1,4 +1,4 @@
-"""An FBX take as a clip: file keys where a clip can hold them, else samples."""
+"""An FBX take as a clip: file keys if a clip can store them, else samples."""
 
 from __future__ import annotations
 
@@ -217,8 +217,11 @@ class _ClipBuilder:
         """Return keys with values transformed by a matrix and an offset."""
         per_second = float(self.frames.fps)
         handles = []
-        for one in (keys.ins, keys.outs):
-            times, values = one[:, :1] * per_second, one[:, 1:] @ linear.T
+        for handle_rows in (keys.ins, keys.outs):
+            times, values = (
+                handle_rows[:, :1] * per_second,
+                handle_rows[:, 1:] @ linear.T,
+            )
             handles.append(np.concatenate([times, values], axis=1))
         count = len(keys.ticks)
         return ClipChannel(

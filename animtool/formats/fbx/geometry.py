@@ -89,15 +89,19 @@ def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
     """
     if file.version < NUMBERED:
         old_meshes = [
-            one for one in file.of_kind("Model") if one.element.find("Vertices")
+            model_object
+            for model_object in file.of_kind("Model")
+            if model_object.element.find("Vertices")
         ]
-        shown_meshes = [(one, one) for one in old_meshes]
+        shown_meshes = [(model_object, model_object) for model_object in old_meshes]
         # Instances share the mesh of another object.
         old_meshes = file.of_kind("Geometry", "Mesh")
     else:
         shown_meshes, old_meshes = [], file.of_kind("Geometry", "Mesh")
-    for one in old_meshes:
-        shown_meshes += [(one, model) for model in file.targets(one.id, "Model")]
+    for model_object in old_meshes:
+        shown_meshes += [
+            (model_object, model) for model in file.targets(model_object.id, "Model")
+        ]
     meshes_by_id: dict[Id, FbxGeometry | None] = {}
     meshes: dict[Id, FbxGeometry] = {}
     for holder, model in shown_meshes:
@@ -152,25 +156,24 @@ def _faces(
 def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) -> None:
     notes = file.notes
     deformers = file.sources(mesh_object.id, "Deformer")
-    for one in deformers:
-        if one.subtype not in {"Skin", "BlendShape"}:
-            message = (
-                f"{one.subtype or 'deformer'} {one.name!r} of {name!r} is not supported"
-            )
+    for deformer in deformers:
+        if deformer.subtype not in {"Skin", "BlendShape"}:
+            noun = deformer.subtype or "deformer"
+            message = f"{noun} {deformer.name!r} of {name!r} is not supported"
             hint = "the mesh follows only its skin, shapes and node"
-            notes.warn("FBX107", one.element.where, message, hint)
-    skins = [one for one in deformers if one.subtype == "Skin"]
+            notes.warn("FBX107", deformer.element.where, message, hint)
+    skins = [deformer for deformer in deformers if deformer.subtype == "Skin"]
     if len(skins) > 1:
         # A skin without weights has no effect.
-        skins = [one for one in skins if _has_weights(file, one)]
+        skins = [deformer for deformer in skins if _has_weights(file, deformer)]
     if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins on top of each other"
         notes.fail(
             "FBX004", mesh_object.element.where, message, "export it with one skin"
         )
     for skin in skins:
-        for one in file.sources(skin.id, "Deformer", "Cluster"):
-            cluster = _cluster(file, one, len(mesh.points), name)
+        for deformer in file.sources(skin.id, "Deformer", "Cluster"):
+            cluster = _cluster(file, deformer, len(mesh.points), name)
             if cluster is not None:
                 mesh.clusters.append(cluster)
         kind = skin.element.find("SkinningType")
@@ -185,13 +188,17 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    indices = [integers(one.element, "Indexes", file.notes) for one in clusters]
-    return any(one is not None and len(one) for one in indices)
+    indices = [integers(cluster.element, "Indexes", file.notes) for cluster in clusters]
+    return any(cluster is not None and len(cluster) for cluster in indices)
 
 
 def _cluster(file: FbxFile, source: Object, points: int, name: str) -> Cluster | None:
     notes, element = file.notes, source.element
-    bones = [one for one in file.sources(source.id, "Model") if one.id not in ROOTS]
+    bones = [
+        bone_object
+        for bone_object in file.sources(source.id, "Model")
+        if bone_object.id not in ROOTS
+    ]
     indices = integers(element, "Indexes", notes)
     weights = floats(element, "Weights", notes)
     if indices is None or weights is None or not len(indices):
@@ -250,9 +257,9 @@ def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     points without weights.
     """
     count, clusters = len(mesh.points), len(mesh.clusters)
-    points = np.concatenate([one.indices for one in mesh.clusters])
-    weights = np.concatenate([one.weights for one in mesh.clusters])
-    sizes = [len(one.indices) for one in mesh.clusters]
+    points = np.concatenate([cluster.indices for cluster in mesh.clusters])
+    weights = np.concatenate([cluster.weights for cluster in mesh.clusters])
+    sizes = [len(cluster.indices) for cluster in mesh.clusters]
     of = np.repeat(np.arange(clusters), sizes)
     has_weight = weights > 0
     points, weights, of = points[has_weight], weights[has_weight], of[has_weight]
@@ -274,8 +281,8 @@ def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
 def has_free_points(mesh: FbxGeometry) -> bool:
     """Return whether some point of a skinned mesh has no weights."""
     weight_sums = np.zeros(len(mesh.points))
-    for one in mesh.clusters:
-        np.add.at(weight_sums, one.indices, one.weights)
+    for cluster in mesh.clusters:
+        np.add.at(weight_sums, cluster.indices, cluster.weights)
     return bool((weight_sums <= 0).any())
 
 
@@ -325,15 +332,17 @@ def _channel(file: FbxFile, source: Object, points: int) -> ShapeChannel | None:
     for shape, at in zip(shapes, full_weights.tolist(), strict=False):
         offsets = _offsets(file, shape.element, shape.name, points, point_percents)
         targets.append((at, offsets))
-    targets.sort(key=lambda one: one[0])
+    targets.sort(key=lambda target_: target_[0])
     return ShapeChannel(source.id, source.name, percent, targets)
 
 
 def _counts_points(file: FbxFile) -> bool:
     """Return whether full weights are per point (Blender writes vertex groups)."""
     header = file.root.find("FBXHeaderExtension")
-    creators = [one for top in (file.root, header) if top for one in top.all("Creator")]
-    return any(one.text(0).lower().startswith(_BLENDER) for one in creators)
+    creators = [
+        creator for top in (file.root, header) if top for creator in top.all("Creator")
+    ]
+    return any(creator.text(0).lower().startswith(_BLENDER) for creator in creators)
 
 
 def _offsets(

@@ -64,12 +64,12 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     if len(track.layers) != 1 or not track.layers[0].is_first:
         return None
     curves = track.layers[0].curves
-    keyed_curves = [one for one in curves if one is not None]
+    keyed_curves = [curve_ for curve_ in curves if curve_ is not None]
     extrapolation = _outside(keyed_curves)
     if not keyed_curves or extrapolation is None:
         return None
-    ticks = np.unique(np.concatenate([one.times for one in keyed_curves]))
-    segmented = [_segmented(one, ticks) for one in curves if one is not None]
+    ticks = np.unique(np.concatenate([curve_.times for curve_ in keyed_curves]))
+    segmented = [_segmented(curve_, ticks) for curve_ in curves if curve_ is not None]
     interps = _kinds(segmented, len(ticks) - 1)
     weights = _weights(segmented)
     if interps is None or weights is None:
@@ -81,9 +81,9 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     remaining = iter(segmented)
     for component, curve in enumerate(curves):
         if curve is not None:
-            one = next(remaining)
-            outs[:-1, 1 + component] = one.out_slopes * outs[:-1, 0]
-            ins[1:, 1 + component] = one.in_slopes * ins[1:, 0]
+            curve_ = next(remaining)
+            outs[:-1, 1 + component] = curve_.out_slopes * outs[:-1, 0]
+            ins[1:, 1 + component] = curve_.in_slopes * ins[1:, 0]
     values = track.at(base, ticks)
     return JoinedKeys(
         ticks, values, (*interps, Interp.LINEAR), ins, outs, *extrapolation
@@ -97,17 +97,19 @@ def _outside(
     extrapolations = []
     for side in ("pre", "post"):
         side_extrapolations = {
-            _extrapolation(one, getattr(one, side)) for one in curves
+            _extrapolation(curve_, getattr(curve_, side)) for curve_ in curves
         }
         if len(side_extrapolations) != 1 or None in side_extrapolations:
             return None
-        extrapolations += [one for one in side_extrapolations if one is not None]
+        extrapolations += [
+            curve_ for curve_ in side_extrapolations if curve_ is not None
+        ]
     if extrapolations and set(extrapolations) != {Extrapolation.HOLD}:
         times = curves[0].times
-        if any(not np.array_equal(times, one.times) for one in curves):
+        if any(not np.array_equal(times, curve_.times) for curve_ in curves):
             return None
     # At a jump between repeats, a clip has the other of the two values.
-    jumps = any(one.values[0] != one.values[-1] for one in curves)
+    jumps = any(curve_.values[0] != curve_.values[-1] for curve_ in curves)
     if not extrapolations or (jumps and Extrapolation.CYCLE in extrapolations):
         return None
     return extrapolations[0], extrapolations[1]
@@ -169,7 +171,7 @@ def _segmented(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
         for at in (starts, ends)
     ]
     out_slopes, in_slopes = (
-        np.where(in_range & ~is_stepped, one, 0.0) for one in ends_of
+        np.where(in_range & ~is_stepped, slopes, 0.0) for slopes in ends_of
     )
     # Complete segments keep the slopes of the keys, whatever their weights.
     is_complete = is_cubic & ~is_split
@@ -220,13 +222,19 @@ def _slope_at(
 
 def _kinds(curves: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
     """Return the interpolation of each segment; None if components differ."""
-    is_cubic = np.logical_or.reduce([one.is_cubic & ~one.is_flat for one in curves])
-    is_moving = np.logical_or.reduce([~one.is_flat & ~one.is_stepped for one in curves])
-    is_stepped = np.logical_or.reduce([one.is_stepped & ~one.is_flat for one in curves])
+    is_cubic = np.logical_or.reduce(
+        [curve_.is_cubic & ~curve_.is_flat for curve_ in curves]
+    )
+    is_moving = np.logical_or.reduce(
+        [~curve_.is_flat & ~curve_.is_stepped for curve_ in curves]
+    )
+    is_stepped = np.logical_or.reduce(
+        [curve_.is_stepped & ~curve_.is_flat for curve_ in curves]
+    )
     if (is_stepped & is_moving).any():
         return None
     # A step of a split segment is at the end of the curve's own segment.
-    steps = [one.is_stepped & one.is_split & ~one.is_flat for one in curves]
+    steps = [curve_.is_stepped & curve_.is_split & ~curve_.is_flat for curve_ in curves]
     if len(curves) > 1 and np.logical_or.reduce(steps).any():
         return None
     choices = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))
@@ -238,14 +246,14 @@ def _weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
     """Return the tangent weights common to all components; else None."""
     weights = np.full(curves[0].weights.shape, THIRD)
     is_fixed = np.zeros(len(weights), bool)
-    for one in curves:
-        is_cubic = one.is_cubic & ~one.is_flat
-        is_third = np.abs(one.weights - THIRD).max(axis=1) <= SAME_WEIGHT
-        if not (is_third | ~one.is_split | ~is_cubic).all():
+    for curve_ in curves:
+        is_cubic = curve_.is_cubic & ~curve_.is_flat
+        is_third = np.abs(curve_.weights - THIRD).max(axis=1) <= SAME_WEIGHT
+        if not (is_third | ~curve_.is_split | ~is_cubic).all():
             return None
-        differs = np.abs(one.weights - weights).max(axis=1) > SAME_WEIGHT
+        differs = np.abs(curve_.weights - weights).max(axis=1) > SAME_WEIGHT
         if (is_fixed & is_cubic & differs).any():
             return None
-        weights = np.where(is_cubic[:, None], one.weights, weights)
+        weights = np.where(is_cubic[:, None], curve_.weights, weights)
         is_fixed |= is_cubic
     return None if np.isnan(weights).any() else weights

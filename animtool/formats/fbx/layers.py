@@ -127,7 +127,7 @@ class PropertyTrack:
     ) -> FloatArray:
         additive = layer.mode == ADDITIVE
         if self.name == ROTATION and layer.by_layer:
-            a, b = (rotations_of(one, XYZ) for one in (below, above))
+            a, b = (rotations_of(angles, XYZ) for angles in (below, above))
             if additive:
                 identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], b.shape)
                 rotations = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))

@@ -178,9 +178,13 @@ def open_objects(path: Path | str) -> FbxFile:
 def _stated_version(root: Element, version: int) -> int:
     """Return the version in the header element, used by old files."""
     header = root.find("FBXHeaderExtension")
-    stated = None if header is None else header.find("FBXVersion")
-    if stated is not None and stated.values and isinstance(stated.values[0], int):
-        return stated.values[0] if version < WITH_OBJECTS else version
+    version_element = None if header is None else header.find("FBXVersion")
+    if (
+        version_element is not None
+        and version_element.values
+        and isinstance(version_element.values[0], int)
+    ):
+        return version_element.values[0] if version < WITH_OBJECTS else version
     return version
 
 

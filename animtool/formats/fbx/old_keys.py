@@ -52,8 +52,8 @@ def curve_of_channel(
     if key is None or not key.values:
         return None
     version = element.find("KeyVer")
-    stated = None if version is None or not version.values else version.values[0]
-    keys = _Keys(key, notes, stated if isinstance(stated, int) else layout)
+    key_version = None if version is None or not version.values else version.values[0]
+    keys = _Keys(key, notes, key_version if isinstance(key_version, int) else layout)
     rows = []
     while keys.in_slopes():
         rows.append(_key(keys))

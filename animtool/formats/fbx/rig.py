@@ -266,7 +266,7 @@ def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -
         Inbetween(at / full_percent, LoadedArray(offsets @ rotation))
         for at, offsets in channel.targets[:-1]
     ]
-    inbetweens.sort(key=lambda one: one.at)
+    inbetweens.sort(key=lambda inbetween_: inbetween_.at)
     full_offsets = LoadedArray(channel.targets[-1][1] @ rotation)
     return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 

@@ -173,7 +173,7 @@ class _Stacks:
                     key, PropertyTrack(target, property_name)
                 )
                 if track.layers and track.layers[-1].layer is layer:
-                    continue  # a layer has one say of a property
+                    continue  # a layer affects a property once
                 track.layers.append(self._values(node, property_name, layer, is_first))
 
     def _check_not_animated(self, node: Object, name: str, take: AnimTake) -> None:

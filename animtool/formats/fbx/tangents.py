@@ -25,7 +25,7 @@ def key_slopes(
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
-    stated: FloatArray,
+    key_data: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return slopes leaving and entering keys ``(K,)`` [1/s].
@@ -34,16 +34,15 @@ def key_slopes(
         seconds: Times of the keys, ascending ``(K,)``.
         values: Values of the keys ``(K,)``.
         flags: Flags of the keys ``(K,)``.
-        stated: Three numbers per key in the file ``(K, 3)``: slope out, slope into the
-            next
-            and, for TCB tangents, tension, continuity and bias.
+        key_data: Three numbers per key in the file ``(K, 3)``: slope out, slope into
+            the next and, for TCB tangents, tension, continuity and bias.
         weights: Weights of the handles out of each key and into the next ``(K, 2)``.
     """
     cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
     auto = cubic & ~tcb & (flags & USER == 0)
     chords = _chords(seconds, values)
-    out_slopes, in_slopes = stated[:, 0].copy(), stated[:, 1].copy()
+    out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     straight = (flags & (STEPPED | CURVED)) == 0
     out_slopes[straight] = in_slopes[straight] = np.append(chords, 0.0)[straight]
     out_slopes[flags & STEPPED != 0] = in_slopes[flags & STEPPED != 0] = 0.0
@@ -52,7 +51,7 @@ def key_slopes(
     if auto.any():
         _set_auto(seconds, values, flags, weights, chords, (auto, into, out_slopes))
     if tcb.any():
-        _set_tcb(chords, stated, (tcb, into, out_slopes))
+        _set_tcb(chords, key_data, (tcb, into, out_slopes))
     # The last key has no segment after it.
     return out_slopes, np.append(into[1:], in_slopes[-1:])
 
@@ -148,12 +147,12 @@ def _inner_slopes(
 
 def _set_tcb(
     chords: FloatArray,
-    stated: FloatArray,
+    key_data: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
     """Set the slopes of keys from tension, continuity and bias."""
     is_tcb, into, out_slopes = slopes
-    tension, continuity, bias = stated[is_tcb].T
+    tension, continuity, bias = key_data[is_tcb].T
     chord_before = np.concatenate([[0.0], chords])[is_tcb]
     chord_after = np.concatenate([chords, [0.0]])[is_tcb]
     at = np.flatnonzero(is_tcb)

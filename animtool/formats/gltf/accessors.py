@@ -164,7 +164,7 @@ class Accessors:
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return an accessor's numbers as floats, normalised if it says so."""
+        """Return an accessor's numbers as floats, normalised if stated."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
         if accessor.normalized and accessor.component != FLOAT:
@@ -363,9 +363,11 @@ def _check_bounds_form(accessor: Accessor) -> None:
     for key in ("min", "max"):
         if key not in item.values:
             continue
-        stated = item.values[key]
-        is_valid = isinstance(stated, list) and len(stated) == accessor.width
-        if not is_valid or not {*map(type, stated)} <= {int, float}:
+        bound_values = item.values[key]
+        is_valid = (
+            isinstance(bound_values, list) and len(bound_values) == accessor.width
+        )
+        if not is_valid or not {*map(type, bound_values)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.at(key), message)
 

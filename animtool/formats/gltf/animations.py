@@ -84,14 +84,14 @@ class GltfTrack:
         segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
-        return self.between(segment, times)
+        return self.interpolate(segment, times)
 
-    def between(self, segment: IntArray, times: FloatArray) -> FloatArray:
+    def interpolate(self, segment: IntArray, times: FloatArray) -> FloatArray:
         """Return values at times, each in the segment after a given key."""
-        return between([self], segment, times)[:, 0]
+        return interpolate([self], segment, times)[:, 0]
 
 
-def between(
+def interpolate(
     tracks: Sequence[GltfTrack], segment: IntArray, times: FloatArray
 ) -> FloatArray:
     """Return values ``(F, N, W)`` of N tracks within segments of their keys.
@@ -206,8 +206,8 @@ class _Samplers:
         times = self.accessors.floats(accessor)[:, 0]
         if accessor not in self.checked:
             self.checked.add(accessor)
-            stated = {"min", "max"} & entry.item.values.keys()
-            if self.accessors.has_data(accessor) or not stated:
+            stated_bounds = {"min", "max"} & entry.item.values.keys()
+            if self.accessors.has_data(accessor) or not stated_bounds:
                 check_bounds(entry.item, times[:, None], missing=item.at("input"))
         return times
 

@@ -76,23 +76,23 @@ class JsonItem:
             self.fail(key, f"{key} is {value}, and must be at least {minimum}")
         return value
 
-    def index(self, key: str, count: int, what: str) -> int:
+    def index(self, key: str, count: int, noun: str) -> int:
         """Return an index into a list of the file; -1 if missing."""
         value = self.number(key)
         if value is None:
             return -1
-        self.check_index(key, value, count, what)
+        self.check_index(key, value, count, noun)
         return value
 
-    def check_index(self, key: str, value: int, count: int, what: str) -> None:
+    def check_index(self, key: str, value: int, count: int, noun: str) -> None:
         """Raise for an index out of range."""
         if not 0 <= value < count:
             allowed = f"0 to {count - 1}" if count else "none"
             self.fail(
-                key, f"{what} {value} does not exist; the file has {allowed}", "GLT006"
+                key, f"{noun} {value} does not exist; the file has {allowed}", "GLT006"
             )
 
-    def indices(self, key: str, count: int, what: str) -> list[int]:
+    def indices(self, key: str, count: int, noun: str) -> list[int]:
         """Return a list of indices; empty if missing."""
         entries = self.list_of(key)
         for i, value in enumerate(entries):
@@ -104,7 +104,7 @@ class JsonItem:
                     f"{key}", f"entry {i} is {excerpt(repr(value))}, not an integer"
                 )
             if not 0 <= value < count:
-                message = f"{what} {int(value)} does not exist"
+                message = f"{noun} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
         return [int(value) for value in entries]
 

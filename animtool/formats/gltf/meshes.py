@@ -60,9 +60,8 @@ class MeshEntry:
 
     name: str | None
     primitives: tuple[Primitive, ...]
-    weights: tuple[
-        float, ...
-    ]  # default weights of its targets; nodes may override them
+    # Default weights of its targets; nodes may override them.
+    weights: tuple[float, ...]
     target_names: tuple[str, ...]  # empty if the file has none
     where: str
     original_name: str | None = None  # written by animtool if the node's name differs
@@ -330,10 +329,10 @@ def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
             item.notes.fail("GLT011", where, message)
-        stored = np.zeros((len(joints), 4, 4))
+        matrices_ = np.zeros((len(joints), 4, 4))
         if accessors.has_data(index):
-            stored = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
-        matrices = np.ascontiguousarray(stored.swapaxes(1, 2))
+            matrices_ = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
+        matrices = np.ascontiguousarray(matrices_.swapaxes(1, 2))
         row_error = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
         if (row_error > 1e-4).any() and accessors.has_data(index):
             joint = int(row_error.argmax())

@@ -15,7 +15,7 @@ from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.gltf.animation_targets import TargetPath
-from animtool.formats.gltf.animations import Animation, GltfTrack, between
+from animtool.formats.gltf.animations import Animation, GltfTrack, interpolate
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
 from animtool.formats.gltf.timing import GltfFrames
@@ -43,9 +43,8 @@ class MovingRow:
 class GltfSampler:
     """Sampler of an animation's rig motion at any times."""
 
-    rest: dict[
-        TargetPath, FloatArray
-    ]  # static values of each channel ``(rows, width)``
+    # Static values of each channel ``(rows, width)``.
+    rest: dict[TargetPath, FloatArray]
     tracks: dict[TargetPath, list[MovingRow]]
     has_scale: bool  # whether any joint has a scale
     _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
@@ -137,7 +136,7 @@ class GltfSampler:
             return np.stack(
                 [track.values[key_indices[chunk]] for track in tracks], axis=1
             )
-        return between(tracks, key_indices[chunk], fractions[chunk])
+        return interpolate(tracks, key_indices[chunk], fractions[chunk])
 
 
 def _groups(row_tracks: list[MovingRow]) -> list[list[int]]:
@@ -294,7 +293,9 @@ def _weight_rows(
 ) -> list[tuple[TargetPath, MovingRow]]:
     """Return animated shapes; tracks of nodes come before those of meshes."""
     by_row: dict[int, GltfTrack] = {}
-    for track in sorted(tracks, key=lambda one: (one.node < 0, one.weight_index < 0)):
+    for track in sorted(
+        tracks, key=lambda track_: (track_.node < 0, track_.weight_index < 0)
+    ):
         for row, (node, target) in enumerate(gltf_rig.shapes):
             entry = gltf.nodes[node]
             by_mesh = track.mesh == entry.mesh and entry.weights is None

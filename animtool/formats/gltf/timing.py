@@ -61,11 +61,11 @@ def frames_of(
     """
     if animation is None or not animation.tracks:
         return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
-    stated, start = _stated(animation.extras)
+    stated_rate, start = _stated(animation.extras)
     times = key_times(animation)
     rate = (
         fps
-        or stated
+        or stated_rate
         or next((rate_ for rate_ in RATES if _fits(times, rate_)), DEFAULT_RATE)
     )
     first_time, last_time = animation.span

@@ -17,7 +17,7 @@ from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
 from animtool.formats.gltf.glb import GlbBuilder
 from animtool.formats.gltf.reduce import linear_keys
 from animtool.formats.gltf.sampling import NativeKeys
-from animtool.formats.gltf.write_rig import WrittenRig
+from animtool.formats.gltf.write_rig import RigIndices
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 
@@ -81,7 +81,7 @@ def write_clip(
     builder: GlbBuilder,
     take: Take,
     name: str,
-    written: WrittenRig,
+    rig_indices: RigIndices,
     scales: FloatArray,
     tolerance: float | None,
 ) -> list[Fault]:
@@ -98,7 +98,7 @@ def write_clip(
         builder: Builder of the file.
         take: The take, Y up.
         name: Name of the animation.
-        written: Indices of the rig in the file.
+        rig_indices: Indices of the rig in the file.
         scales: Scales of the nodes ``(J, 3)``.
         tolerance: Largest error of a joint position [m]; None writes a key per frame.
     """
@@ -128,15 +128,17 @@ def write_clip(
                 elif bounds is not None:
                     keys = linear_keys(keys, _tolerance(path, j, bounds, take))
             if keys is not None:
-                animation.add(written.joints[j], path, keys)
-    lost_notices = _weights(animation, take, written, seconds, source_keys, tolerance)
+                animation.add(rig_indices.joints[j], path, keys)
+    lost_notices = _weights(
+        animation, take, rig_indices, seconds, source_keys, tolerance
+    )
     duration = float(seconds[-1])
     if tolerance is None and is_of_curve(take):
         native = getattr(take.curve, "native", None)
         duration = native.last if isinstance(native, NativeKeys) else duration
     if not animation.lasts_until(duration):
         # glTF requires a channel: a static key keeps the name and duration of the clip.
-        _add_static_key(animation, take, written, seconds[:1])
+        _add_static_key(animation, take, rig_indices, seconds[:1])
         animation.lasts_until(duration)
     animation.write()
     entry = {
@@ -162,14 +164,14 @@ def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
 
 
 def _add_static_key(
-    animation: _Animation, take: Take, written: WrittenRig, times: FloatArray
+    animation: _Animation, take: Take, rig_indices: RigIndices, times: FloatArray
 ) -> None:
     """Add a static key for a joint, of the first part without keys."""
     rig = take.rig
     keyed_paths = {(node, path) for node, path, _ in animation.tracks}
     rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
     for path, rest in rests.items():
-        for node, row in zip(written.joints, rest, strict=True):
+        for node, row in zip(rig_indices.joints, rest, strict=True):
             if (node, path) not in keyed_paths:
                 animation.add(node, path, _single_key(row, times))
                 return
@@ -255,7 +257,7 @@ def _reaches(take: Take) -> FloatArray:
 def _weights(
     animation: _Animation,
     take: Take,
-    written: WrittenRig,
+    rig_indices: RigIndices,
     seconds: FloatArray,
     source_keys: dict[tuple[int, str], Keys],
     tolerance: float | None,
@@ -267,7 +269,7 @@ def _weights(
     names = [shape.name for shape in take.rig.shapes]
     dense = weights.dense()[:, :, 0]
     rest = animation.builder.json
-    for node, shapes in written.targets.items():
+    for node, shapes in rig_indices.targets.items():
         rows = [names.index(shape) for shape in shapes]
         values = dense[:, rows]
         mesh = rest["meshes"][rest["nodes"][node]["mesh"]]
@@ -285,7 +287,7 @@ def _weights(
     homeless = [
         names[row]
         for row in weights.animated.tolist()
-        if names[row] not in written.shapes
+        if names[row] not in rig_indices.shapes
     ]
     if not homeless:
         return []

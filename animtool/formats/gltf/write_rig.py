@@ -23,7 +23,7 @@ SMALLEST_WEIGHT = 1e-7
 
 
 @dataclass(slots=True)
-class WrittenRig:
+class RigIndices:
     """Indices of a rig's joints and shapes in the file."""
 
     joints: list[int]  # node of each joint
@@ -38,7 +38,7 @@ def write_rig(
     rig: Rig,
     scales: FloatArray,
     weights: dict[str, float],
-) -> WrittenRig:
+) -> RigIndices:
     """Write a rig with Y up, in metres.
 
     Args:
@@ -47,7 +47,7 @@ def write_rig(
         scales: Joint scales at rest ``(J, 3)``.
         weights: Shape weights at rest, by name.
     """
-    written = WrittenRig(list(range(len(rig.joints))))
+    rig_indices = RigIndices(list(range(len(rig.joints))))
     for j, joint in enumerate(rig.joints):
         node: dict[str, Any] = {"name": joint.source_name or joint.name}
         if joint.source_name:
@@ -63,14 +63,14 @@ def write_rig(
     left_out: dict[str, list[str]] = defaultdict(list)
     bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
     for surface in surfaces_of(rig):
-        at = _surface(builder, rig, surface, bind, weights, written, left_out)
+        at = _surface(builder, rig, surface, bind, weights, rig_indices, left_out)
         if at >= len(rig.joints):
             roots.append(at)
     roots = _with_common_root(builder, rig, roots)
     builder.json["scene"] = 0
     builder.json["scenes"] = [{"name": rig.name, "nodes": roots}]
-    written.notices += _unstored_notice(rig, left_out, written)
-    return written
+    rig_indices.notices += _unstored_notice(rig, left_out, rig_indices)
+    return rig_indices
 
 
 def _with_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
@@ -113,7 +113,7 @@ def _surface(
     surface: Surface,
     bind: FloatArray,
     weights: dict[str, float],
-    written: WrittenRig,
+    rig_indices: RigIndices,
     left_out: dict[str, list[str]],
 ) -> int:
     """Write a mesh; return its node."""
@@ -141,7 +141,7 @@ def _surface(
     if carrier >= 0 and builder.json["nodes"][carrier]["name"] != surface.name:
         mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = builder.add("meshes", mesh)
-    return _node_of(builder, rig, surface, index, carrier, bind, written)
+    return _node_of(builder, rig, surface, index, carrier, bind, rig_indices)
 
 
 def _in_node(surface: Surface, local: FloatArray) -> Surface:
@@ -178,7 +178,7 @@ def _node_of(
     mesh: int,
     carrier: int,
     bind: FloatArray,
-    written: WrittenRig,
+    rig_indices: RigIndices,
 ) -> int:
     """Attach a mesh to the joint that carries it, or to a new node."""
     if carrier >= 0:
@@ -191,9 +191,9 @@ def _node_of(
         at = builder.add("nodes", node)
     names = [shape.name for shape in surface.shapes]
     for k, name in enumerate(names):
-        written.shapes[name] = (at, k)
+        rig_indices.shapes[name] = (at, k)
     if names:
-        written.targets[at] = names
+        rig_indices.targets[at] = names
     return at
 
 
@@ -329,13 +329,15 @@ def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
 
 
 def _unstored_notice(
-    rig: Rig, left_out: dict[str, list[str]], written: WrittenRig
+    rig: Rig, left_out: dict[str, list[str]], rig_indices: RigIndices
 ) -> list[Fault]:
     """Return one notice about rig contents that glTF cannot store."""
     combined = [shape.name for shape in rig.shapes if shape.combine]
     if combined:
         left_out["products of shapes (each gets its own weight)"] += combined
-    unwritten = [one.name for one in rig.shapes if one.name not in written.shapes]
+    unwritten = [
+        shape_.name for shape_ in rig.shapes if shape_.name not in rig_indices.shapes
+    ]
     if unwritten:
         left_out["shapes without a mesh (skipped)"] += unwritten
     texts = [

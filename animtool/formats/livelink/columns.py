@@ -248,13 +248,15 @@ class _Table:
         if self.count is None:
             return []
         counts = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
-        stated = values[:, self.count]
-        mismatched: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(counts))
+        stated_counts = values[:, self.count]
+        mismatched: BoolArray = np.isfinite(stated_counts) & ~np.isin(
+            stated_counts, list(counts)
+        )
         if not mismatched.any():
             return []
         row = int(np.flatnonzero(mismatched)[0])
         values_text = counted(max(counts), "value")
-        message = f"{COUNT} is {stated[row]:g}, but the row has {values_text}"
+        message = f"{COUNT} is {stated_counts[row]:g}, but the row has {values_text}"
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))
         return [_warning(notice)]

@@ -140,13 +140,13 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
     """Return the timecode rate [1/s] that fits the labels best."""
     max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
-    fitting = [n for n in CLOCKS if n > max_label] or [max_label + 1]
+    candidates = [n for n in CLOCKS if n > max_label] or [max_label + 1]
     if drop:
-        fitting = [n for n in (30, 60) if n > max_label] or [60]
-        return Fraction(fitting[0] * 1000, 1001)
+        candidates = [n for n in (30, 60) if n > max_label] or [60]
+        return Fraction(candidates[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
-    if len(fitting) > 1 and not len(seconds_ends):
-        rate = DEFAULT_CLOCK if DEFAULT_CLOCK in fitting else fitting[0]
+    if len(candidates) > 1 and not len(seconds_ends):
+        rate = DEFAULT_CLOCK if DEFAULT_CLOCK in candidates else candidates[0]
         message = (
             f"the time code never reaches another second, so {rate} frames per "
             "second are assumed, the default of the app"
@@ -154,14 +154,14 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
         hint = f"set the rate of its time code with {argument('source.fps')}"
         notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
         return Fraction(rate)
-    if len(fitting) == 1:
-        return Fraction(fitting[0])
+    if len(candidates) == 1:
+        return Fraction(candidates[0])
     steps = np.diff(fields[:, 3])[np.diff(seconds) == 0]
     typical = np.median(steps[steps > 0]) if (steps > 0).any() else 1
     # A step across the end of a second equals those within it.
     wrap_steps = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
-    misses = [np.median(np.abs(wrap_steps + n - typical)) for n in fitting]
-    return Fraction(fitting[int(np.argmin(misses))])
+    misses = [np.median(np.abs(wrap_steps + n - typical)) for n in candidates]
+    return Fraction(candidates[int(np.argmin(misses))])
 
 
 def _label_numbers(

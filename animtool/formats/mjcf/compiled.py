@@ -136,7 +136,7 @@ def _link(
     for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
         at = np.array(model.jnt_pos[joint])
         if model.jnt_type[joint] in {_FREE, _SLIDE}:
-            at = pivot  # where it is makes no difference
+            at = pivot  # its position has no effect
         translation = position + so3.rotate(rotation, at - pivot)
         link.joints.append(_move(model, joint, translation, rotation, equalities))
         position, rotation, pivot = np.zeros(3), np.array(IDENTITY_ROTATION), at

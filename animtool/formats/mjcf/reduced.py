@@ -88,19 +88,19 @@ def reduced_model(
     bodies: list[str] = []
     with_unknown_mass: set[str] = set()
 
-    def put(element: XmlElement, text: str, body: str = "") -> None:
+    def add_line(element: XmlElement, text: str, body: str = "") -> None:
         lines.append(text)
         elements.append(element)
         bodies.append(body)
 
-    def write(element: XmlElement, inside: str, classes: str, body: str) -> None:
+    def write(element: XmlElement, section: str, classes: str, body: str) -> None:
         tag = element.tag
         kept_children = [
             child
             for child in element.children
-            if _is_kept(element, child, inside, notes)
+            if _is_kept(element, child, section, notes)
         ]
-        of_body = tag == "geom" and inside == "worldbody"
+        of_body = tag == "geom" and section == "worldbody"
         if of_body and meshes.is_mesh(element, classes):
             notes.leave_out(["geoms of meshes"])
             with_unknown_mass.add(body)
@@ -109,22 +109,26 @@ def reduced_model(
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
             body = element.attributes.get("name", "")
-        put(element, f"<{tag}{_attributes(element, inside, notes)}>", body)
+        add_line(element, f"<{tag}{_attributes(element, section, notes)}>", body)
         for child in kept_children:
-            write(child, inside or child.tag, classes, body)
-        put(element, f"</{tag}>", body)
+            write(child, section or child.tag, classes, body)
+        add_line(element, f"</{tag}>", body)
 
     compiler = XmlElement("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
-    put(root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>")
+    add_line(
+        root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>"
+    )
     # Written before the file's defaults, which may override these.
-    put(compiler, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>')
+    add_line(
+        compiler, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>'
+    )
     for section in root.children:
         if section.tag in _SECTIONS:
             notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
         else:
             write(section, section.tag, "", "")
-    put(root, "</mujoco>")
+    add_line(root, "</mujoco>")
     with_inertia = {
         body.attributes.get("name", "")
         for body in root.walk()
@@ -136,7 +140,7 @@ def reduced_model(
         for actuator in section.children
         if actuator.tag != "plugin"
     ]
-    actuated = frozenset(one.attributes.get("joint", "") for one in acts)
+    actuated = frozenset(actuator_.attributes.get("joint", "") for actuator_ in acts)
     return ReducedModel(
         "\n".join(lines),
         elements,

@@ -106,11 +106,11 @@ def _frames(
     fps: FractionLike | None,
 ) -> RowFrames:
     """Return the frames of rows; record warnings about their times."""
-    stated, count = header.counts.get("rate"), len(times)
+    stated_rate, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
-        rate, at = file.rate(stated, fps), np.arange(count, dtype=np.float64)
+        rate, at = file.rate(stated_rate, fps), np.arange(count, dtype=np.float64)
         return _rows_from(times, rate, at, rounding)
-    steps = find_steps(times, None, stated, rounding)
+    steps = find_steps(times, None, stated_rate, rounding)
     intervals = int(steps.frames[-1]) if steps.regular else 1
     exact_rate = rate_of_step(steps.step, rounding, intervals)
     if exact_rate is None:
@@ -119,12 +119,11 @@ def _frames(
             f"has a row every {steps.step:g} s",
             f"set the rate with {argument('source.fps')}",
         )
-    if stated is not None and is_rate_of(stated, steps, rounding):
-        exact_rate = file.rate(stated, None)
-    elif stated is not None:
-        message = (
-            f"states DataRate {stated:g}, but its times are at {float(exact_rate):g}"
-        )
+    if stated_rate is not None and is_rate_of(stated_rate, steps, rounding):
+        exact_rate = file.rate(stated_rate, None)
+    elif stated_rate is not None:
+        message = f"states DataRate {stated_rate:g}, but its times are at "
+        message += f"{float(exact_rate):g}"
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
         at = (times - times[0]) * float(exact_rate)

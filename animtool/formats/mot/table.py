@@ -84,7 +84,7 @@ def read_table(path: Path) -> MotionTable:
     """
     lines = read_lines(path)
     header = read_header(path, lines)
-    names, stated, degrees = header.names, header.counts, header.degrees
+    names, stated_counts, degrees = header.names, header.counts, header.degrees
     _check_kind(path, header, lines)
     notices: list[Fault] = []
     rows = read_rows(path, lines, header, len(names) + 1, notices)
@@ -92,8 +92,8 @@ def read_table(path: Path) -> MotionTable:
     values = numbers_of(path, rows, len(names) + 1)
     counts = {"rows": len(values), "columns": len(names) + 1}
     for noun, count in counts.items():
-        if noun in stated and stated[noun] != count:
-            message = f"states {stated[noun]:g} {noun}, but has {count}"
+        if noun in stated_counts and stated_counts[noun] != count:
+            message = f"states {stated_counts[noun]:g} {noun}, but has {count}"
             warning = Severity.WARNING
             notices.append(Fault("MOF101", message, str(path), (), None, warning))
     times = values[:, 0].copy()
@@ -162,9 +162,9 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     separator = separator_of(lines[names_line])
     names = _names(path, lines[names_line], separator, names_line + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
-    stated = texts.get("indegrees", "")
+    in_degrees_text = texts.get("indegrees", "")
     return MotHeader(
-        names, counts, degrees, stated, kind, unit, separator, names_line + 1
+        names, counts, degrees, in_degrees_text, kind, unit, separator, names_line + 1
     )
 
 

@@ -22,7 +22,7 @@ from animtool.core.units import UpAxis
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.parts import ORIGIN, Link, Robot, RobotJoint
 from animtool.formats.robots.solids import capsule_of, masses_of
-from animtool.formats.robots.triangles import joined
+from animtool.formats.robots.triangles import merged_surfaces
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -65,8 +65,8 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     largest_error = 0.0
     for i, link in enumerate(robot.links):
         parent = frames[link.parent] if link.parent >= 0 else -1
-        for move, name in zip(link.joints, names.joints[i], strict=True):
-            joints.append(_joint(move, name, parent, rig_names))
+        for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
+            joints.append(_joint(robot_joint, name, parent, rig_names))
             parent = len(joints) - 1
         carrier = parent
         if not names.merged[i]:
@@ -116,7 +116,7 @@ def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh
     for link, name in zip(robot.links, names.links, strict=True):
         if not link.surfaces:
             continue
-        surface, j = joined(link.surfaces), rest_rig.index(name)
+        surface, j = merged_surfaces(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
         bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
         count = len(surface.points)
@@ -140,19 +140,19 @@ def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh
 
 
 def _joint(
-    move: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
+    robot_joint: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
 ) -> Joint:
-    mimic, driven = move.mimic, move.driver
+    mimic, driven = robot_joint.mimic, robot_joint.driver
     if mimic is not None:
         mimic = replace(mimic, joint=rig_names[mimic.joint])
     return Joint(
         name,
         parent,
-        move.type,
-        move.translation,
-        move.rotation,
-        move.axis,
-        limits=move.limits,
+        robot_joint.type,
+        robot_joint.translation,
+        robot_joint.rotation,
+        robot_joint.axis,
+        limits=robot_joint.limits,
         mimic=mimic,
         driven=None if driven is None else driven.renamed(rig_names),
     )
@@ -189,7 +189,7 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
         return unique
 
     links = [unique_name(legal_name(link.name), link.name) for link in robot.links]
-    moves: list[list[str]] = []
+    joint_names: list[list[str]] = []
     merged: list[bool] = []
     of_file: dict[str, str] = {}
     for link, name in zip(robot.links, links, strict=True):
@@ -197,17 +197,19 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
         is_merged = last_joint is not None and _is_link(link, last_joint)
         merged.append(is_merged)
         row = []
-        for k, move in enumerate(link.joints):
-            if is_merged and move is last_joint:
+        for k, robot_joint in enumerate(link.joints):
+            if is_merged and robot_joint is last_joint:
                 new = name
-            elif move.name:
-                new = unique_name(legal_name(move.name), move.name, "_joint")
+            elif robot_joint.name:
+                new = unique_name(
+                    legal_name(robot_joint.name), robot_joint.name, "_joint"
+                )
             else:
                 new = unique_name(f"{name}_joint_{k + 1}", "")
             row.append(new)
-            if move.name:
-                of_file[move.name] = new
-        moves.append(row)
+            if robot_joint.name:
+                of_file[robot_joint.name] = new
+        joint_names.append(row)
     sites = {
         (i, site): unique_name(legal_name(site), site, "_site")
         for i, link in enumerate(robot.links)
@@ -217,7 +219,7 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
         message = f"{counted(len(renamed), 'name')} changed, as links and joints "
         message += f"of a rig share their names: {listed(renamed, MAX_NAMED)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
-    return _JointNames(links, moves, merged, sites, of_file)
+    return _JointNames(links, joint_names, merged, sites, of_file)
 
 
 def _is_link(link: Link, joint: RobotJoint) -> bool:

@@ -13,7 +13,7 @@ from animtool.maths import so3
 CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 
 
-def joined(surfaces: list[Triangles]) -> Triangles:
+def merged_surfaces(surfaces: list[Triangles]) -> Triangles:
     """Return several surfaces as one."""
     counts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
     faces = [
@@ -52,7 +52,7 @@ def _box(size: FloatArray) -> Triangles:
             other_axes = [(axis + 1) % 3, (axis + 2) % 3]
             points[:, other_axes] = square if face_side > 0 else square[::-1]
             sides.append(Triangles(points * size, np.array([[0, 1, 2], [0, 2, 3]])))
-    return joined(sides)
+    return merged_surfaces(sides)
 
 
 def _circle(count: int = CIRCLE_CORNERS) -> FloatArray:
@@ -68,7 +68,9 @@ def _cylinder(radius: float, length: float) -> Triangles:
     ]
     sides = Triangles(np.concatenate(rings), _side_faces(0, CIRCLE_CORNERS))
     fan = np.array([[0, k, k + 1] for k in range(1, CIRCLE_CORNERS - 1)])
-    return joined([sides, Triangles(rings[0], fan[:, ::-1]), Triangles(rings[1], fan)])
+    return merged_surfaces(
+        [sides, Triangles(rings[0], fan[:, ::-1]), Triangles(rings[1], fan)]
+    )
 
 
 def _side_faces(lower: int, upper: int) -> IntArray:

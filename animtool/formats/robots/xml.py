@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 MAX_ELEMENTS = 300_000
 MAX_DEPTH = 500
 MAX_ATTRIBUTES = 100
-MAX_VALUE = 100_000  # letters of an attribute
+MAX_VALUE = 100_000  # longest attribute value [characters]
 # Longest text of an element that is read, such as the name of a package.
 MAX_TEXT = 1000
 
@@ -65,7 +65,7 @@ class XmlCodes:
     limits: str
 
 
-class _InvalidXmlError(Exception):  # control flow inside this module
+class _InvalidXmlError(Exception):
     """Raised by handlers for an invalid file: a code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:

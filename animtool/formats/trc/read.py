@@ -115,7 +115,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     names = [key.lower() for key in keys]
     unit = names.index("units") if "units" in names else len(values)
     if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
-        values.insert(unit, "")  # between blanks an empty unit is not seen
+        values.insert(unit, "")  # an empty unit between blanks has no cell
     return dict(zip(names, values, strict=False))
 
 
@@ -131,7 +131,7 @@ def _names_of_header(
         cells = split_cells(line.rstrip(b" " + separator), separator)
         names = cells[2::3]
         if any(cell for i, cell in enumerate(cells[2:]) if i % 3):
-            names = [cell for cell in cells[2:] if cell]  # one column a name
+            names = [cell for cell in cells[2:] if cell]  # one column per name
             names = _stems(names) or names
     while names and not names[-1]:
         names.pop()
@@ -162,30 +162,35 @@ def _is_heading(line: bytes) -> bool:
 
 
 def columns_of(
-    file: MarkerFile, header: TrcHeader, filled: int
+    file: MarkerFile, header: TrcHeader, cell_count: int
 ) -> tuple[list[str], int]:
     """Return the marker names of the rows' columns, and the count of unnamed markers.
 
     Warns if the header states another count (TRC101).
 
-    ``filled`` is the number of cells of the longest row, up to the last nonempty one.
+    ``cell_count`` is the number of cells of the longest row, up to the last nonempty
+    one.
     """
-    rows = max(0, -(-(filled - 2) // 3))
-    names, stated = header.names, header.markers
-    columns = max(rows, header.axes if header.axes == stated else 0)
-    if header.separator == b" " and len(names) > columns > 0 and columns == stated:
+    rows = max(0, -(-(cell_count - 2) // 3))
+    names, stated_count = header.names, header.markers
+    columns = max(rows, header.axes if header.axes == stated_count else 0)
+    if (
+        header.separator == b" "
+        and len(names) > columns > 0
+        and columns == stated_count
+    ):
         message = f"the header has {len(names)} names, but rows have columns of "
         message += counted(columns, "marker")
         hint = "separate columns by tabs if names contain blanks: "
         hint += excerpt(" ".join(names))
         raise file.error("TRC001", message, hint)
-    if len(names) > columns > 0 and columns == stated:
+    if len(names) > columns > 0 and columns == stated_count:
         message = f"the header names {len(names)} markers, but rows have columns of "
         file.warn("TRC101", f"{message}{columns}; the last names are ignored")
         names = names[:columns]
     count = max(len(names), columns)
-    if stated is not None and stated not in (count, len(header.names)):
-        message = f"the header states {stated:g} markers, but there are {count}"
+    if stated_count is not None and stated_count not in (count, len(header.names)):
+        message = f"the header states {stated_count:g} markers, but there are {count}"
         file.warn("TRC101", f"{message}; all are read")
     names = [*names, *[""] * (count - len(names))]
     return names, sum(not name for name in names)

@@ -29,7 +29,7 @@ def frames_of_rows(
     columns: FloatArray,
     lines: IntArray,
     decimals: int,
-    stated: float | None,
+    stated_rate: float | None,
     fps: FractionLike | None,
     markers: int,
 ) -> RowFrames:
@@ -40,7 +40,7 @@ def frames_of_rows(
         columns: Frame# and Time [s] ``(R, 2)``.
         lines: Line numbers of the rows ``(R,)``.
         decimals: Number of decimals of the times.
-        stated: DataRate [1/s]; None without one.
+        stated_rate: DataRate [1/s]; None without one.
         fps: Requested rate; Time is then ignored.
         markers: Number of markers, to limit the memory of frames without a row.
 
@@ -52,7 +52,7 @@ def frames_of_rows(
     numbers, times = columns[:, 0], columns[:, 1]
     counted_frames = _counted_frames(numbers)
     if fps is not None or len(times) == 1 or np.isnan(times).all():
-        rate = file.rate(stated, fps)
+        rate = file.rate(stated_rate, fps)
         if fps is None and len(times) > 1:
             message = f"Time is empty; rows are placed by Frame# at {float(rate):g} fps"
             file.warn("TRC107", message, "write Time, which other programs need")
@@ -63,8 +63,8 @@ def frames_of_rows(
     else:
         _check_times(file, numbers, times, lines)
         rounding = rounding_of(decimals)
-        steps = find_steps(times, counted_frames, stated, rounding)
-        rate = _rate(file, steps, stated, rounding)
+        steps = find_steps(times, counted_frames, stated_rate, rounding)
+        rate = _rate(file, steps, stated_rate, rounding)
         if not steps.regular:
             with np.errstate(over="ignore"):
                 at_times = (times - times[0]) * float(rate)
@@ -131,33 +131,32 @@ def _check_times(
 
 
 def _rate(
-    file: MarkerFile, steps: TimeSteps, stated: float | None, rounding: float
+    file: MarkerFile, steps: TimeSteps, stated_rate: float | None, rounding: float
 ) -> Fraction:
     """Return the rate of the times; the header's if it fits."""
-    if stated is not None and is_rate_of(stated, steps, rounding):
-        return file.rate(stated, None)
+    if stated_rate is not None and is_rate_of(stated_rate, steps, rounding):
+        return file.rate(stated_rate, None)
     count = int(steps.frames[-1]) if steps.regular else 1
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
         message = f"no frame rate fits a row every {steps.step:g} s"
         hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
-    if stated is None or stated <= 0:
+    if stated_rate is None or stated_rate <= 0:
         no_rate = (
             "the header has no DataRate"
-            if stated is None
-            else f"DataRate is {stated:g}"
+            if stated_rate is None
+            else f"DataRate is {stated_rate:g}"
         )
         message = f"{no_rate}; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
     message = (
         f"Time has a step of {steps.step:.6g} s, {float(rate):g} fps, but DataRate is "
-        f"{stated:g}; using Time"
+        f"{stated_rate:g}; using Time"
     )
-    hint = (
-        f"{argument('source.fps', f'{float(rate_from_float(stated)):g}')} uses DataRate"
-    )
+    rate_text = f"{float(rate_from_float(stated_rate)):g}"
+    hint = f"{argument('source.fps', rate_text)} uses DataRate"
     file.warn("TRC104", message, hint)
     return rate
 

@@ -87,7 +87,7 @@ def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
     if len(notes.faults) > fault_count:
         return None
     if not mass and not inertia.any():
-        return None  # a frame that weighs nothing
+        return None  # a frame without mass
     problem = weight_problem(mass, inertia)
     if problem:
         message = f"no body can have this mass: {problem}; it is ignored"

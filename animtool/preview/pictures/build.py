@@ -349,7 +349,7 @@ class PictureRenderer:
         """Return a camera view that frames the complete motion."""
         view = CameraView(*size, caption.height, light=light_of(self._options))
         camera.aim(view)
-        self._scene.look(view, sample)
+        self._scene.frame_motion(view, sample)
         camera.position(view)
         return view
 
@@ -357,8 +357,8 @@ class PictureRenderer:
         number = ""
         if sample is not None:
             number = f"frame {frame_label(self._scene.codes[sample])}"
-        ink, back = self._colors["ink"], self._colors["view"]
-        return with_caption(pixels, caption, number, ink, back)
+        ink, background = self._colors["ink"], self._colors["view"]
+        return with_caption(pixels, caption, number, ink, background)
 
     def _film(self, output: Path) -> PictureReport:
         samples, rate = self._film_samples()

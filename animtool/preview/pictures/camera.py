@@ -140,7 +140,7 @@ class CameraView:
     radius: float = 1.0
     floor: float = 0.0
     follow: bool = False
-    followed: FloatArray | None = None
+    followed_position: FloatArray | None = None
     light: FloatArray = field(
         default_factory=lambda: KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
     )
@@ -179,9 +179,13 @@ class CameraView:
 
     def track(self, position: FloatArray | None) -> None:
         """Follow a joint horizontally."""
-        if self.follow and position is not None and self.followed is not None:
-            self.target = self.target + (position - self.followed) * [1.0, 0.0, 1.0]
-        self.followed = position
+        if self.follow and position is not None and self.followed_position is not None:
+            self.target = self.target + (position - self.followed_position) * [
+                1.0,
+                0.0,
+                1.0,
+            ]
+        self.followed_position = position
 
     def eye(self) -> EyeMatrices:
         """Return the camera matrices."""

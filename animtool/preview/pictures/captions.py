@@ -91,7 +91,7 @@ def _wrapped(text: str, width: float, font: Any) -> Iterator[str]:
 
 
 def with_caption(
-    pixels: Array, caption: Caption, number: str, ink: Color, back: Color
+    pixels: Array, caption: Caption, number: str, ink: Color, background: Color
 ) -> Array:
     """Return pixels with a caption at the top and a number at the bottom left."""
     if not (caption.lines or number):
@@ -102,19 +102,24 @@ def with_caption(
     letters = caption.letters
     for i, line in enumerate(caption.lines):
         at = MARGIN * letters, letters * (MARGIN + LEADING * i)
-        _draw_text(pen, at, line, _font(letters), ink, back)
+        _draw_text(pen, at, line, _font(letters), ink, background)
     if number:
         letters = max(MIN_TEXT_HEIGHT, round(letters_of(image.height) * 0.8))
         at = MARGIN * letters, image.height - letters * (MARGIN + LEADING)
-        _draw_text(pen, at, number, _font(letters), ink, back)
+        _draw_text(pen, at, number, _font(letters), ink, background)
     return np.asarray(image)
 
 
 def _draw_text(
-    pen: Any, at: tuple[float, float], text: str, font: Any, ink: Color, back: Color
+    pen: Any,
+    at: tuple[float, float],
+    text: str,
+    font: Any,
+    ink: Color,
+    background: Color,
 ) -> None:
     corner = tuple(map(round, at))
-    pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
+    pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=background)
 
 
 def _font(letters: int) -> Any:
@@ -149,10 +154,10 @@ def _span(count: int, size: int, gap: int) -> int:
     return count * size + (count - 1) * gap
 
 
-def evenly_spaced(count: int, parts: int) -> IntArray:
+def evenly_spaced(count: int, samples: int) -> IntArray:
     """Return evenly spaced samples, including the first and the last.
 
     >>> evenly_spaced(100, 4).tolist(), evenly_spaced(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])
     """
-    return np.rint(np.linspace(0, count - 1, parts)).astype(np.int64)
+    return np.rint(np.linspace(0, count - 1, samples)).astype(np.int64)

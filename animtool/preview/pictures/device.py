@@ -157,12 +157,14 @@ class Picture:
         )
         self._resolved = gl.framebuffer([gl.renderbuffer(self.size, 3)])
 
-    def draw(self, back: tuple[int, int, int], draw: Callable[[Any], None]) -> Array:
+    def draw(
+        self, background: tuple[int, int, int], draw: Callable[[Any], None]
+    ) -> Array:
         """Return the pixels ``(H, W, 3)`` that a function draws."""
         gl = self._device.gl
         self._multisampled.use()
         self._multisampled.depth_mask = True
-        self._multisampled.clear(*(x / 255 for x in back), 1.0, depth=1.0)
+        self._multisampled.clear(*(x / 255 for x in background), 1.0, depth=1.0)
         gl.enable(self._device.module.DEPTH_TEST)
         draw(self._multisampled)
         gl.copy_framebuffer(self._resolved, self._multisampled)

@@ -114,11 +114,11 @@ class DrawnTrails:
         samples = np.arange(first, last + 1)
         closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
         alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
-        touching = pose.touching(self._codes[samples])
+        contacts_at = pose.contacts_at(self._codes[samples])
         segments = []
         # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trailed)):
-            tints = np.where(touching[1:, column, None], contact, color)
+            tints = np.where(contacts_at[1:, column, None], contact, color)
             at = paths[:, column]
             segments.append(
                 np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1)

@@ -115,13 +115,13 @@ class Sprites:
         if not self._count:
             return
         pairs = zip(self._buffers, arrays, strict=True)
-        if any([stored.write(array) for stored, array in pairs]):
+        if any([buffer.write(array) for buffer, array in pairs]):
             forms = ("3f", "point"), ("3f1", "color"), ("1f", "own")
             self._array = self._device.gl.vertex_array(
                 self._program,
                 [
-                    (stored.buffer, *form)
-                    for stored, form in zip(self._buffers, forms, strict=True)
+                    (buffer.buffer, *form)
+                    for buffer, form in zip(self._buffers, forms, strict=True)
                 ],
             )
 

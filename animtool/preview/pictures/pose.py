@@ -149,7 +149,7 @@ class DrawnPose:
                 self._paths[sample] = world[self.trailed, :3, 3]
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
-    def touching(self, codes: FloatArray) -> BoolArray:
+    def contacts_at(self, codes: FloatArray) -> BoolArray:
         """Return which trail joints are in contact at time codes ``(F, T)``."""
         in_contact = np.zeros((len(codes), len(self.trailed)), bool)
         for contact in self.record.get("contacts") or []:

@@ -93,7 +93,7 @@ class DrawnScene:
         take = entry.get("take")
         return None if take is None else self._poses[take]
 
-    def look(self, view: CameraView, sample: int) -> None:
+    def frame_motion(self, view: CameraView, sample: int) -> None:
         """Frame everything from first to last sample; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
@@ -123,7 +123,7 @@ class DrawnScene:
             shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if follow else 0.0
             box = self._grow_bounds(everything, cast, shift)
         view.frame(box)
-        view.follow, view.followed = follow, None
+        view.follow, view.followed_position = follow, None
         self._ground = DrawnGround(self._device, box.radius)
 
     def _root_at(self, sample: int) -> FloatArray:

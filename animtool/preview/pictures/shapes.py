@@ -234,8 +234,8 @@ class DrawnMesh:
             faceted=0.0 if self.geometry.smooth else 1.0,
             **palette,
         )
-        drawn = self._array if array is None else array
-        drawn.render(self._device.module.TRIANGLES, instances=copies)
+        vertex_array = self._array if array is None else array
+        vertex_array.render(self._device.module.TRIANGLES, instances=copies)
 
 
 class Instances:
@@ -354,8 +354,8 @@ class DrawnStrands:
         """Place the strands at a sample."""
         pose, record = self.pose, self._record
         first = pose.first if pose else 0
-        stored = self._streams.at(record["points"], sample - first)
-        points = stored.reshape(-1, 3).astype(np.float64)
+        stream_values = self._streams.at(record["points"], sample - first)
+        points = stream_values.reshape(-1, 3).astype(np.float64)
         if pose is not None:
             joint, bind = record.get("joint"), record.get("bind")
             if joint is not None and bind:

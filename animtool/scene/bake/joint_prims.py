@@ -170,7 +170,7 @@ class _JointTake:
             plan.start,
             step,
             frames=frames,
-            chosen=chosen,
+            written_joints=chosen,
             shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,

@@ -399,7 +399,7 @@ def _mapped(
         target,
         options.strip_namespace,
         force_fit=options.force_fit,
-        over=over_rig,
+        converted=over_rig,
     )
     if mapping.fit is not None:
         over_rig.stream.details["fit"] = round(mapping.fit.score, 4)

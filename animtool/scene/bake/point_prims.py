@@ -50,7 +50,7 @@ from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import layer_span
 from animtool.usd.props.placement import prop_placements
 from animtool.usd.props.writer import author_props
-from animtool.usd.rigs.skeleton import WIDTH
+from animtool.usd.rigs.skeleton import STRAND_WIDTH
 
 if TYPE_CHECKING:
     pass
@@ -281,7 +281,7 @@ def _job(
         shot=plan.options.shot,
     )
     spaces = [PointSpace()] * len(character.surfaces)
-    spaces += [PointSpace(margin=WIDTH / unit / 2)] * len(character.strands)
+    spaces += [PointSpace(margin=STRAND_WIDTH / unit / 2)] * len(character.strands)
     return job, character, spaces
 
 

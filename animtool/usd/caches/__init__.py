@@ -1,1 +1,1 @@
-"""Points that move: caches of meshes, curves and particles."""
+"""Animated points: caches of meshes, curves and particles."""

@@ -21,10 +21,10 @@ from animtool.usd.caches.reader import (
     PointReader,
     all_prims,
     codes_of,
-    copied_meshes,
     has_character,
     lengths,
     point_prims,
+    prototype_paths,
 )
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
@@ -35,8 +35,8 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 
-# What points are joined to, and the attribute with an entry for each.
-_PIECES = {
+# What points form, and the attribute with an entry per face or curve.
+_ELEMENTS = {
     "Mesh": ("faces", "faceVertexCounts"),
     "BasisCurves": ("curves", "curveVertexCounts"),
     "NurbsCurves": ("curves", "curveVertexCounts"),
@@ -48,53 +48,53 @@ _PIECES = {
 class PointPrim:
     """Summary of one prim with points."""
 
-    path: str  # of the prim
-    type: str  # of the prim; empty of one that only goes over another layer's
-    points: tuple[int, int]  # least and most points at a sample
-    # What they are joined to, `faces` or `curves`, or what stands at them: the
-    # `meshes` of a PointInstancer; empty where there is none.
+    path: str  # path of the prim
+    type: str  # type of the prim; empty for an over
+    points: tuple[int, int]  # fewest and most points of a sample
+    # What the points form, `faces` or `curves`, or the `meshes` of a PointInstancer;
+    # empty for separate points.
     pieces: str
-    piece_count: tuple[int, int]  # least and most of these
-    samples: int  # of points and transforms; 0 if static
-    first: float | None  # time code of the first sample; None without
-    last: float | None  # time code of the last; likewise
-    # Whether the same points stay, joined alike, as far as numbers of points, ids at
-    # both ends and what may change tell.
+    piece_count: tuple[int, int]  # fewest and most of these
+    samples: int  # samples of points and transforms; 0 if static
+    first: float | None  # time code of the first sample; None if static
+    last: float | None  # time code of the last sample; None if static
+    # Whether the points and their topology stay the same, judged by counts, ids at both
+    # ends and varying attributes.
     fixed: bool
-    velocities: bool  # whether there are any
-    widths: bool  # likewise
-    ids: bool  # likewise
-    normals: bool  # likewise
-    orientations: bool  # likewise
-    primvars: list[str]  # names of those that it has
-    # Lowest and highest corner over all samples, in its own space, as it is stated;
-    # None where none is.
+    velocities: bool  # whether it has velocities
+    widths: bool  # whether it has widths
+    ids: bool  # whether it has ids
+    normals: bool  # whether it has normals
+    orientations: bool  # whether it has orientations
+    primvars: list[str]  # names of its primvars
+    # Lowest and highest corner of its authored extents over all samples, in local
+    # space; None without one.
     extent: tuple[list[float], list[float]] | None
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkSet:
-    """Clip files that hold the samples of a prim and its descendants."""
+    """Clip files with the samples of a prim and its descendants."""
 
-    path: str  # of the prim
-    name: str  # of the set
-    files: list[str]  # as the layer names them
-    missing: list[str]  # those that are not there
+    path: str  # path of the prim
+    name: str  # name of the clip set
+    files: list[str]  # asset paths in the layer
+    missing: list[str]  # files that do not exist
 
 
 @dataclass(frozen=True, slots=True)
 class PointsDescription:
     """Summary of the animated points in a USD file."""
 
-    path: str  # the file
+    path: str  # path of the file
     format: str  # USD
-    frames: int  # most samples of any of its prims; 0 where nothing moves
-    fps: Fraction  # time codes a second, exact
+    frames: int  # most samples of any prim; 0 if all are static
+    fps: Fraction  # time codes per second, exact
     start: Fraction  # time code of the first frame
     end: Fraction  # time code of the last frame
-    duration: Fraction  # from the first to the last [s]
-    types: dict[str, int]  # how many prims there are, by type
-    prims: list[PointPrim]  # what there is of each
+    duration: Fraction  # from the first to the last frame [s]
+    types: dict[str, int]  # number of prims by type
+    prims: list[PointPrim]  # prims with points
     chunks: list[ChunkSet]  # clip files in time order
     units: str  # unit of the file
     up: str  # up axis of the file
@@ -105,22 +105,21 @@ class PointsDescription:
 def describe_points(path: Path) -> PointsDescription | None:
     """Describe a USD file that has points and no character; otherwise None.
 
-    Arrays of crates are looked at, not read: only their lengths and the extents are
-    taken of each sample.
+    Only array lengths and extents are read of each sample of a crate file.
     """
     note_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        pointed = () if has_character(stage) else point_prims(stage)
-        prims = [_described(prim) for prim in pointed]
+        prims_with_points = () if has_character(stage) else point_prims(stage)
+        prims = [_point_prim(prim) for prim in prims_with_points]
         if not prims:
             return None
-        chunks = [one for prim in all_prims(stage) for one in _chunks(prim)]
-        codes = [code for one in prims for code in (one.first, one.last)]
-        known = [code for code in codes if code is not None]
+        chunks = [chunk for prim in all_prims(stage) for chunk in _chunks(prim)]
+        codes = [code for chunk in prims for code in (chunk.first, chunk.last)]
+        sample_codes = [code for code in codes if code is not None]
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-        if known and not stage.HasAuthoredTimeCodeRange():
-            start, end = min(known), max(known)
+        if sample_codes and not stage.HasAuthoredTimeCodeRange():
+            start, end = min(sample_codes), max(sample_codes)
         fps = rate_from_float(stage.GetTimeCodesPerSecond())
         return PointsDescription(
             str(path),
@@ -135,7 +134,7 @@ def describe_points(path: Path) -> PointsDescription | None:
             chunks,
             unit_name(UsdGeom.GetStageMetersPerUnit(stage)),
             up_axis(stage).value,
-            composition_notices(stage, str(path)) + _gone(chunks, str(path)),
+            composition_notices(stage, str(path)) + _missing_chunks(chunks, str(path)),
         )
 
 
@@ -143,30 +142,32 @@ def displaced_points(path: Path) -> list[PointPrim]:
     """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
-        moving = (prim for prim in point_prims(stage) if PointReader(prim).times)
-        return [_described(prim) for prim in moving]
+        animated = (prim for prim in point_prims(stage) if PointReader(prim).times)
+        return [_point_prim(prim) for prim in animated]
 
 
-def _described(prim: Any) -> PointPrim:
+def _point_prim(prim: Any) -> PointPrim:
     reader = PointReader(prim)
     times, copies, has = reader.times, reader.copies, reader.has
     codes = reader.codes
     rows_at = codes_of(times)
     counts = lengths(reader.attr, rows_at)
     kind = str(prim.GetTypeName())
-    pieces, name = ("meshes", "") if copies else _PIECES.get(kind, ("", ""))
+    pieces, name = ("meshes", "") if copies else _ELEMENTS.get(kind, ("", ""))
     shape = prim.GetAttribute(name) if name else None
-    # Those of many samples are packed: the ends tell as much as all.
-    many = lengths(shape, codes_of([*times[:1], *times[1:][-1:]])) if shape else []
+    # Arrays of many samples are compressed; the lengths at both ends are enough.
+    point_counts = (
+        lengths(shape, codes_of([*times[:1], *times[1:][-1:]])) if shape else []
+    )
     if copies:
-        many = [len(copied_meshes(prim))]
+        point_counts = [len(prototype_paths(prim))]
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
     return PointPrim(
         str(prim.GetPath()),
         kind,
         _span(counts),
         pieces,
-        _span(many),
+        _span(point_counts),
         len(codes),
         codes[0] if codes else None,
         codes[-1] if codes else None,
@@ -184,8 +185,8 @@ def _described(prim: Any) -> PointPrim:
 
 
 def _span(counts: Sequence[int | None]) -> tuple[int, int]:
-    known = [count for count in counts if count is not None]
-    return min(known, default=0), max(known, default=0)
+    counts_ = [count for count in counts if count is not None]
+    return min(counts_, default=0), max(counts_, default=0)
 
 
 def _same_ids(prim: Any, times: Sequence[float]) -> bool:
@@ -200,16 +201,16 @@ def _same_ids(prim: Any, times: Sequence[float]) -> bool:
 def _extent(prim: Any, codes: Sequence[Any]) -> tuple[list[float], list[float]] | None:
     """Return the union of all authored extents; None if any of them is invalid."""
     attribute = prim.GetAttribute("extent")
-    stated = [array_value(attribute, code) for code in codes] if attribute else []
-    pairs = [np.array(two) for two in stated if len(two) == 2]
+    extents = [array_value(attribute, code) for code in codes] if attribute else []
+    pairs = [np.array(extent) for extent in extents if len(extent) == 2]
     corners = np.array([pair for pair in pairs if pair.dtype.kind == "f"])
     if corners.shape[1:] != (2, 3) or not np.isfinite(corners).all():
         return None
-    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-    return low.astype(float).tolist(), high.astype(float).tolist()
+    lowest, highest = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    return lowest.astype(float).tolist(), highest.astype(float).tolist()
 
 
-def _gone(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
+def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
     """Report missing chunk files."""
     return [
         Fault(

@@ -55,20 +55,21 @@ if TYPE_CHECKING:
 class CacheJob:
     """Settings of `author_cache`."""
 
-    output: Path  # the file, or `STDOUT` for usda
+    output: Path  # path of the file, or `STDOUT` for usda
     paths: RigPaths
-    meshes: tuple[str, ...]  # prims of meshes, then of strands, as blocks count them
-    fps: Fraction  # time codes a second
-    frames: tuple[Fraction, Fraction] | None  # first and last; None takes the samples'
-    meters_per_unit: float  # of the layer [m]
-    up: UpAxis  # of a stage
-    surfaces: tuple[Surface, ...] = ()  # of a stage
-    strands: tuple[Strands, ...] = ()  # of a stage
-    # Of a layer, whether blocks have those of meshes that have them; False blocks the
-    # rig's.
+    meshes: tuple[str, ...]  # prim paths of meshes, then strands, by block index
+    fps: Fraction  # time codes per second
+    # First and last frame; None is the range of the samples.
+    frames: tuple[Fraction, Fraction] | None
+    meters_per_unit: float  # unit of the layer [m]
+    up: UpAxis  # up axis of a stage
+    surfaces: tuple[Surface, ...] = ()  # meshes of a stage
+    strands: tuple[Strands, ...] = ()  # strands of a stage
+    # In a layer over a rig: whether blocks have normals; False blocks the rig's
+    # normals.
     normals: bool = True
-    target: CacheTarget | None = None  # of a layer, the rig; None is a stage
-    shot: Shot | None = None  # that is written
+    target: CacheTarget | None = None  # rig below a layer; None for a stage
+    shot: Shot | None = None  # shot to record in the layer
 
 
 def mesh_paths(
@@ -87,8 +88,12 @@ def round_points(
 ) -> Block:
     """Return frames of a mesh rounded to float32, and the rounding error.
 
-    codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
-    layer [m].
+    Args:
+        mesh: Index of the mesh.
+        codes: Time codes ``(F,)``.
+        deformed: Frames of the mesh [m].
+        meters_per_unit: Unit of the layer [m].
+        space: Space of the written points.
     """
     points, extents = deformed.points, deformed.extents
     velocities, normals = deformed.velocities, deformed.normals
@@ -98,7 +103,7 @@ def round_points(
         points = points @ linear.T + shift
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
-        normals = None if normals is None else _turned(normals, linear)
+        normals = None if normals is None else _transformed_normals(normals, linear)
     rounded_points, error, frame, vertex = rounded(
         points, meters_per_unit, Labels("points", "point"), codes
     )
@@ -107,7 +112,7 @@ def round_points(
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
-    values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
+    values = {"points": rounded_points, "extent": _padded(extent, space.margin)}
     if normals is not None:
         values["normals"] = to_float32("normals", normals, 1.0)
     if velocities is not None:
@@ -116,16 +121,16 @@ def round_points(
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
-def _widened(extents: Float32Array, margin: float) -> Float32Array:
+def _padded(extents: Float32Array, margin: float) -> Float32Array:
     """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)
 
 
-def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
-    turned = normals @ np.linalg.inv(linear)
-    length = np.linalg.norm(turned, axis=-1, keepdims=True)
-    return np.asarray(turned / np.where(length > 0, length, 1.0))
+def _transformed_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
+    transformed_ = normals @ np.linalg.inv(linear)
+    length = np.linalg.norm(transformed_, axis=-1, keepdims=True)
+    return np.asarray(transformed_ / np.where(length > 0, length, 1.0))
 
 
 def author_cache(
@@ -133,10 +138,10 @@ def author_cache(
 ) -> tuple[Any, list[CachedMesh]]:
     """Author the cache layer in memory; nothing is saved yet.
 
-    A stage has ``Xform`` prims where one with a skeleton has the model and the
-    SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
-    the SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is
-    deformed already.
+    A stage has ``Xform`` prims in place of the model and the SkelRoot of a stage with a
+    skeleton, and unbound meshes and strands at the same paths. A layer over a rig turns
+    its
+    SkelRoot into an ``Xform``, so that UsdSkel does not deform the points again.
     """
     layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]
@@ -179,7 +184,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
 
 @dataclass(frozen=True, slots=True)
 class ChunkedCache:
-    """A cache whose chunks are written, and the in-memory layer that joins them."""
+    """A cache with written chunks, and the in-memory layer that combines them."""
 
     layer: Any
     reports: list[CachedMesh]
@@ -195,23 +200,23 @@ class ChunkedCache:
 def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
     """Write the points of a cache in files of some samples each.
 
-    Nothing is there under its name before all is written, the layer last.
+    Files appear under their names only after all are written, the layer last.
     """
     layer = new_layer(job.output)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)
-    chunked = [_ChunkedMesh(path) for path in job.meshes]
-    reports = [mesh.report for mesh in chunked]
+    chunked_meshes = [_ChunkedMesh(path) for path in job.meshes]
+    reports = [mesh.report for mesh in chunked_meshes]
 
     def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
-        return _chunk(job, path, reports, rest=number == 0 and job.target is None)
+        return _chunk(job, path, reports, with_rest=number == 0 and job.target is None)
 
     files = point_files(job.output)
-    with Chunks(files, size, len(chunked), chunk) as chunks:
-        write_frames(blocks, chunks, chunked)
+    with Chunks(files, size, len(chunked_meshes), chunk) as chunks:
+        write_frames(blocks, chunks, chunked_meshes)
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     with Sdf.ChangeBlock():
-        for mesh in chunked:
+        for mesh in chunked_meshes:
             mesh.author(
                 layer.GetPrimAtPath(mesh.report.path), with_defaults=job.target is None
             )
@@ -223,8 +228,8 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
             for name in report.sampled:
                 empty_attribute(spec, name)
 
-    moves = any(report.samples for report in reports)
-    defaults = job.target is None and moves
+    is_animated = any(report.samples for report in reports)
+    defaults = job.target is None and is_animated
     chunks.join(layer, job.paths.root, metadata, declare, defaults=defaults)
     if job.target is not None:
         job.target.check(layer, points=False)
@@ -233,7 +238,7 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
 @contextmanager
 def _chunk(
-    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, rest: bool
+    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, with_rest: bool
 ) -> Iterator[list[PointWriter]]:
     """Return the writers of one chunk file, optionally with default points."""
     layer = new_layer(path)
@@ -243,18 +248,18 @@ def _chunk(
     yield writers
     with Sdf.ChangeBlock():
         for writer in writers:
-            writer.release(rest=rest)
+            writer.release(rest=with_rest)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
     with replacing(path) as temporary:
         export_layer(layer, temporary, path)
 
 
 class _ChunkedMesh:
-    """A mesh of the joining layer, and its report."""
+    """A mesh of the combining layer, and its report."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
-        # Values of the first frame, while points are where they are there.
+        # Values of the first frame, as long as points equal them.
         self._static: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
@@ -269,9 +274,9 @@ class _ChunkedMesh:
             self._static = None
 
     def author(self, spec: Any, *, with_defaults: bool) -> None:
-        """Declare the attributes of the chunks; author constant ones as defaults here.
+        """Declare the attributes of the chunks; author constant ones as defaults.
 
-        with_defaults: author first values here, where no rig has them.
+        ``with_defaults`` authors first values of animated ones too, if no rig has them.
         """
         for name in self.report.sampled:
             if self._static is None:

@@ -1,6 +1,6 @@
 """Reads points of prims over time: meshes, curves, particles, instances.
 
-Whoever reads points, faces or when they move does it by `PointReader`.
+All readers of points and faces use `PointReader`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 
-# Half floats are as far from a unit quaternion as this.
+# Half-float quaternions deviate from unit length by this.
 UNIT_TOLERANCE = 5e-3
 
 
@@ -49,7 +49,7 @@ class PointReader:
 
     @property
     def times(self) -> list[float]:
-        """Time codes of the samples; none where the points never move."""
+        """Time codes of the samples; empty if the points are static."""
         return list(self.attr.GetTimeSamples())
 
     @property
@@ -85,11 +85,11 @@ class PointReader:
 def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return points ``(N, 3)`` transformed by a row-vector matrix ``(4, 4)``.
 
-    What is not finite there is for callers to find.
+    Callers must check that the result is finite.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
-    return placed
+        result: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
+    return result
 
 
 def codes_of(times: Sequence[float]) -> list[Any]:
@@ -119,19 +119,19 @@ def has_character(stage: Any) -> bool:
 def point_prims(stage: Any) -> Iterator[Any]:
     """Yield prims with points, except prototypes of a PointInstancer."""
     prims = [prim for prim in all_prims(stage) if _has_points(prim)]
-    copied = {
+    prototypes = {
         path
         for prim in prims
         if prim.IsA(UsdGeom.PointInstancer)
-        for path in copied_meshes(prim)
+        for path in prototype_paths(prim)
         if not prim.GetPath().HasPrefix(path)
     }
     for prim in prims:
-        if not any(path in copied for path in prim.GetPath().GetPrefixes()):
+        if not any(path in prototypes for path in prim.GetPath().GetPrefixes()):
             yield prim
 
 
-def copied_meshes(instancer: Any) -> list[Any]:
+def prototype_paths(instancer: Any) -> list[Any]:
     """Return the paths of the prototypes of a PointInstancer."""
     prototypes = UsdGeom.PointInstancer(instancer).GetPrototypesRel()
     return list(prototypes.GetForwardedTargets())
@@ -143,8 +143,8 @@ def _has_points(prim: Any) -> bool:
     if prim.IsA(UsdGeom.PointInstancer):
         return True
     points = prim.GetAttribute("points")
-    bare = not prim.GetTypeName() and points and points.HasAuthoredValue()
-    return bool(prim.IsA(UsdGeom.PointBased) or bare)
+    is_untyped = not prim.GetTypeName() and points and points.HasAuthoredValue()
+    return bool(prim.IsA(UsdGeom.PointBased) or is_untyped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +152,11 @@ class PointSample:
     """Points and other values of a prim at one time code, world space."""
 
     points: FloatArray  # (N, 3) [m]
-    ids: IntArray | None  # (N,); None where there are none
-    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None but of copies
-    scales: FloatArray | None = None  # as they are stated (N, 3) [1]; likewise
-    copied: IntArray | None = None  # which mesh each is a copy of (N,); likewise
+    ids: IntArray | None  # (N,); None without ids
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None unless instances
+    scales: FloatArray | None = None  # as authored (N, 3) [1]; None unless instances
+    # Prototype index (N,); None unless instances.
+    prototype_indices: IntArray | None = None
 
 
 class PointSource:
@@ -164,10 +165,10 @@ class PointSource:
     def __init__(self, path: Path, stage: Any) -> None:
         self._path, self._stage = path, stage
         root = stage.GetDefaultPrim()
-        above = root.GetPath() if root else Sdf.Path.absoluteRootPath
-        # What is below the default prim is the same whatever that is called.
+        default_path = root.GetPath() if root else Sdf.Path.absoluteRootPath
+        # Names are relative to the default prim, so that its name does not matter.
         self._readers = {
-            str(prim.GetPath().MakeRelativePath(above)): PointReader(prim)
+            str(prim.GetPath().MakeRelativePath(default_path)): PointReader(prim)
             for prim in point_prims(stage)
         }
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
@@ -184,56 +185,56 @@ class PointSource:
         return str(self._readers[name].prim.GetTypeName())
 
     def codes(self, name: str) -> list[float]:
-        """Return the time codes of a prim's samples; none if it is static."""
+        """Return the time codes of a prim's samples; empty if it is static."""
         return [float(code) for code in self._readers[name].codes]
 
     def at(self, name: str, code: float | None) -> PointSample:
         """Return the sample of a prim at a time code; None is the default time.
 
-        Copies without orientations or scales are as if these changed nothing.
+        Instances without orientations or scales have identity ones.
 
         Raises:
-            FormatError: Its arrays do not fit each other (USD269), or hold what is no
-                number (USD265) or no rotation (USD288).
+            FormatError: Its arrays do not match (USD269), or contain non-finite numbers
+                (USD265) or invalid rotations (USD288).
         """
         reader = self._readers[name]
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        prim, spot = reader.prim, PrimLocation.of(self._path, reader.prim)
+        prim, location = reader.prim, PrimLocation.of(self._path, reader.prim)
         points_local, matrix = reader.at(time), reader.world_from_prim(time)
         if not (np.isfinite(points_local).all() and np.isfinite(matrix).all()):
-            spot.fail("USD265", "points are not finite")
+            location.fail("USD265", "points are not finite")
         points = transformed(points_local, matrix) * self.unit
         count = len(points)
 
-        def each(*names: str, width: int = 0) -> Any:
+        def array_rows(*names: str, width: int = 0) -> Any:
             """Return rows of an attribute, integers without a width; None if absent."""
             attr = next((prim.GetAttribute(n) for n in names if reader.has(n)), None)
             if attr is None:
                 return None
             rows = numbers(attr, width, time) if width else integers(attr, time)
             if not len(rows) == len(array_value(attr, time)) in {0, count}:
-                spot.at(attr).fail("USD269", f"{len(rows)} for {count} points")
+                location.at(attr).fail("USD269", f"{len(rows)} for {count} points")
             return rows if len(rows) else None
 
-        ids = each("ids")
+        ids = array_rows("ids")
         if not reader.copies:
             return PointSample(points, ids)
-        orientations = each("orientationsf", "orientations", width=4)
+        orientations = array_rows("orientationsf", "orientations", width=4)
         if orientations is None:
             orientations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
         sizes = np.linalg.norm(orientations, axis=1, keepdims=True)
         if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
-            spot.fail("USD288", "a quaternion is not of length 1")
+            location.fail("USD288", "a quaternion is not of length 1")
         orientations = so3.multiply(decompose(matrix[None])[1][0], orientations / sizes)
-        scales = each("scales", width=3)
+        scales = array_rows("scales", width=3)
         if scales is None:
             scales = np.ones((count, 3))
         if not np.isfinite(scales).all():
-            spot.fail("USD265", "scales are not finite")
-        copied = each("protoIndices")
-        if copied is None:
-            copied = np.full(count, -1)
-        return PointSample(points, ids, orientations, scales, copied)
+            location.fail("USD265", "scales are not finite")
+        prototype_indices = array_rows("protoIndices")
+        if prototype_indices is None:
+            prototype_indices = np.full(count, -1)
+        return PointSample(points, ids, orientations, scales, prototype_indices)
 
 
 def open_points(path: Path) -> PointSource | None:
@@ -261,12 +262,13 @@ def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
 class MeshSource:
     """A mesh of an open stage, sampled by time.
 
-    span: first and last time code at which it is told to move, in shape or place; None
-    where it never does.
+    ``span`` is the first and last time code at which its points or transform change;
+    None
+    if it is static.
     """
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
-        # A prim lives no longer than its stage.
+        # A prim is only valid while its stage exists.
         self._stage, self._reader = stage, PointReader(prim)
         self._unit = UsdGeom.GetStageMetersPerUnit(stage)
         self._up_rotation = up_from_up(up, up_axis(stage))
@@ -284,15 +286,15 @@ class MeshSource:
         points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
         _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
         world = self._reader.world_from_prim(time)
-        placed = transformed(points, world) * self._unit
-        if not np.isfinite(placed).all():
+        world_points = transformed(points, world) * self._unit
+        if not np.isfinite(world_points).all():
             message = f"the transform of {self._reader.prim.GetPath()} is not finite"
             raise OptionError(
                 Fault("SIM051", message, hint="check the transforms above it")
             )
         if self._up_rotation is not None:
-            placed = so3.rotate(np.array(self._up_rotation), placed)
-        return StaticMesh(np.asarray(placed, np.float64), counts, indices)
+            world_points = so3.rotate(np.array(self._up_rotation), world_points)
+        return StaticMesh(np.asarray(world_points, np.float64), counts, indices)
 
 
 def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
@@ -301,15 +303,15 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
         stage = open_stage(path)
         mesh = find_prim(stage, prim)
         if mesh is None or not mesh.IsA(UsdGeom.Mesh):
-            what = "no prim" if mesh is None else "no mesh"
+            problem = "no prim" if mesh is None else "no mesh"
             hint = nearest_prim(stage, prim) if mesh is None else None
-            message = f"{path.name} holds {what} {excerpt(prim)}"
+            message = f"{path.name} holds {problem} {excerpt(prim)}"
             raise OptionError(Fault("SIM051", message, hint=hint))
         return MeshSource(stage, mesh, up)
 
 
 def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
-    """Return why points ``(N, 3)`` and faces are no valid mesh; empty if they are."""
+    """Return why points ``(N, 3)`` and faces are not a valid mesh; empty if valid."""
     if not len(points) or not len(counts):
         return "has no points or no faces"
     if not np.isfinite(points).all():
@@ -318,9 +320,9 @@ def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
         return f"has a face of {counts.min()} corners"
     if counts.sum() != len(indices):
         return f"has {len(indices)} corners, and its faces {counts.sum()}"
-    outside = indices[(indices < 0) | (indices >= len(points))]
-    if len(outside):
-        return f"has a corner {outside[0]} outside its {len(points)} points"
+    out_of_range = indices[(indices < 0) | (indices >= len(points))]
+    if len(out_of_range):
+        return f"has a corner {out_of_range[0]} outside its {len(points)} points"
     return ""
 
 

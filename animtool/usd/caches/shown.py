@@ -25,8 +25,8 @@ from animtool.usd.caches.reader import (
     PointSample,
     PointSource,
     all_prims,
-    copied_meshes,
     mesh_fault,
+    prototype_paths,
     transformed,
 )
 from animtool.usd.layers.sdf import usd_errors
@@ -59,7 +59,7 @@ class ShownFaces:
     points: FloatArray  # ``(N, 3)``
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
-    color: tuple[float, float, float] | None  # None where none is stated
+    color: tuple[float, float, float] | None  # None if not authored
     double_sided: bool
     # Linear, per point ``(N, 3)``; None without point colors.
     colors: FloatArray | None = None
@@ -69,7 +69,7 @@ class ShownPrim:
     """A prim with points, or an implicit shape, over time.
 
     Attributes:
-        name: Its path below the default prim.
+        name: Path below the default prim.
         kind: ``mesh``, ``curves``, ``points`` or ``copies``.
     """
 
@@ -105,13 +105,15 @@ class ShownPrim:
         """Return its world transform, column vectors, Y up ``(4, 4)`` [m]."""
         matrix = self._reader.world_from_prim(Usd.TimeCode(code)).T.copy()
         matrix[:3, 3] *= self._stage.meters
-        return self._stage.turned_matrix(matrix)
+        return self._stage.matrix_to_y_up(matrix)
 
     def points(self, code: float) -> FloatArray:
         """Return its points in the world, Y up ``(N, 3)`` [m]."""
         time = Usd.TimeCode(code)
-        placed = transformed(self._reader.at(time), self._reader.world_from_prim(time))
-        return self._stage.turned(placed * self._stage.meters)
+        world_points = transformed(
+            self._reader.at(time), self._reader.world_from_prim(time)
+        )
+        return self._stage.to_y_up(world_points * self._stage.meters)
 
     def faces(self) -> ShownFaces | None:
         """Return its local mesh at the earliest time; None if invalid."""
@@ -121,17 +123,19 @@ class ShownPrim:
             counts, indices = self._reader.faces(time)
             if mesh_fault(points, counts, indices):
                 return None
-            sided = bool(UsdGeom.Mesh(self.prim).GetDoubleSidedAttr().Get())
+            double_sided = bool(UsdGeom.Mesh(self.prim).GetDoubleSidedAttr().Get())
         else:
             points, counts, indices = _solid(self.prim)
-            sided = False
+            double_sided = False
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
-        scaled = points * self._stage.meters
-        return ShownFaces(scaled, counts, indices, self.color, sided, vertex_colors)
+        points_meters = points * self._stage.meters
+        return ShownFaces(
+            points_meters, counts, indices, self.color, double_sided, vertex_colors
+        )
 
     def counts(self) -> IntArray:
-        """Return how many points each curve has ``(C,)``."""
+        """Return the number of points of each curve ``(C,)``."""
         counts = UsdGeom.Curves(self.prim).GetCurveVertexCountsAttr()
         return np.array(counts.Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
 
@@ -172,29 +176,31 @@ class ShownPrim:
         if up_rotation is not None:
             rotations = so3.multiply(up_rotation, rotations)
         return PointSample(
-            self._stage.turned(sample.points),
+            self._stage.to_y_up(sample.points),
             sample.ids,
             rotations,
             sample.scales,
-            sample.copied,
+            sample.prototype_indices,
         )
 
     def prototypes(self) -> list[list[tuple[ShownFaces, FloatArray]]]:
         """Return its prototype meshes, each with its transform ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
-        for path in copied_meshes(self.prim):
+        for path in prototype_paths(self.prim):
             root = stage.GetPrimAtPath(path)
-            parts = []
+            meshes = []
             for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
                 kind = _kind(prim)
                 if kind != "mesh" or is_bones(prim):
                     continue
-                shown = ShownPrim(self._stage, prim, "", kind)
-                faces = shown.faces()
+                shown_prim = ShownPrim(self._stage, prim, "", kind)
+                faces = shown_prim.faces()
                 if faces is not None:
-                    parts.append((faces, _below(prim, root, self._stage.meters)))
-            prototypes.append(parts)
+                    meshes.append(
+                        (faces, _relative_transform(prim, root, self._stage.meters))
+                    )
+            prototypes.append(meshes)
         return prototypes
 
     def visible(self, codes: FloatArray) -> BoolArray:
@@ -216,21 +222,21 @@ class StageContents:
     """The visible contents of an open stage over time.
 
     Attributes:
-        stage: It.
-        meters: Its length unit [m].
-        up: Its up axis.
-        fps: Time codes a second.
-        turn: From its up axis to Y; None is none.
+        stage: The stage.
+        meters: Length unit of the stage [m].
+        up: Up axis of the stage.
+        fps: Time codes per second.
+        turn: Rotation from its up axis to Y; None for no rotation.
     """
 
-    def __init__(self, path: Path, stage: Any, below: str) -> None:
+    def __init__(self, path: Path, stage: Any, root_path: str) -> None:
         self.path, self.stage = path, stage
         self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.up = up_axis(stage)
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
         up_rotation = up_from_up(UpAxis.Y, self.up)
         self.up_rotation = None if up_rotation is None else np.array(up_rotation)
-        self._below = below
+        self._relative_transform = root_path
 
     @property
     def unit(self) -> str:
@@ -242,13 +248,13 @@ class StageContents:
         """Source of the prims with points."""
         return PointSource(self.path, self.stage)
 
-    def turned(self, points: FloatArray) -> FloatArray:
+    def to_y_up(self, points: FloatArray) -> FloatArray:
         """Return points ``(N, 3)`` rotated to Y up."""
         return (
             points if self.up_rotation is None else so3.rotate(self.up_rotation, points)
         )
 
-    def turned_matrix(self, matrix: FloatArray) -> FloatArray:
+    def matrix_to_y_up(self, matrix: FloatArray) -> FloatArray:
         """Return a column-vector transform ``(4, 4)`` rotated to Y up."""
         if self.up_rotation is not None:
             matrix[:3] = so3.to_matrix(self.up_rotation) @ matrix[:3]
@@ -257,36 +263,36 @@ class StageContents:
     @cached_property
     def prims(self) -> list[ShownPrim]:
         """Visible prims that no skeleton deforms."""
-        skinned = {
+        skinned_paths = {
             query.GetPrim().GetPath()
             for skeleton in find_skeletons(self.stage)
             for query in skinned_prims(skeleton, UsdGeom.PointBased)
         }
-        copied = {
+        prototypes = {
             path
             for prim in all_prims(self.stage)
             if prim.IsA(UsdGeom.PointInstancer)
-            for path in copied_meshes(prim)
+            for path in prototype_paths(prim)
         }
         root = self.stage.GetDefaultPrim()
-        shown = []
+        shown_prims = []
         for prim in self._visible_prims():
             kind, path = _kind(prim), prim.GetPath()
-            if not kind or path in skinned or is_bones(prim):
+            if not kind or path in skinned_paths or is_bones(prim):
                 continue
-            if any(path.HasPrefix(one) for one in copied):
+            if any(path.HasPrefix(prototype) for prototype in prototypes):
                 continue
-            above = root.GetPath() if root else path.absoluteRootPath
-            name = str(path.MakeRelativePath(above))
-            shown.append(ShownPrim(self, prim, name, kind))
-        return shown
+            default_path = root.GetPath() if root else path.absoluteRootPath
+            name = str(path.MakeRelativePath(default_path))
+            shown_prims.append(ShownPrim(self, prim, name, kind))
+        return shown_prims
 
     def _visible_prims(self) -> Iterator[Any]:
-        start = self.stage.GetPrimAtPath(self._below)
-        drawn = {UsdGeom.Tokens.default_, UsdGeom.Tokens.render}
-        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies()):
+        root_prim = self.stage.GetPrimAtPath(self._relative_transform)
+        purposes = {UsdGeom.Tokens.default_, UsdGeom.Tokens.render}
+        for prim in Usd.PrimRange(root_prim, Usd.TraverseInstanceProxies()):
             image = UsdGeom.Imageable(prim)
-            if not image or image.ComputePurpose() not in drawn:
+            if not image or image.ComputePurpose() not in purposes:
                 continue
             attr = image.GetVisibilityAttr()
             always = attr and not attr.ValueMightBeTimeVarying()
@@ -318,7 +324,7 @@ class StageContents:
         """Names of meshes that visualize the bones of skeletons."""
         return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
 
-    def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
+    def surfaces_to_y_up(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
         """Return meshes rotated to Y up; skinned ones follow their joints."""
         if self.up_rotation is None:
             return tuple(surfaces)
@@ -334,16 +340,19 @@ class StageContents:
     def bound_colors(self, skeleton: str) -> dict[str, FloatArray]:
         """Return linear colors of skinned meshes by name.
 
-        They are of points or of all ``(N or 1, 3)``; those that animtool gives what has
-        none are left out.
+        Colors are per point or one per mesh ``(N or 1, 3)``. Default colors that
+        animtool
+        authors are omitted.
         """
         prim = self.stage.GetPrimAtPath(skeleton)
         colors_by_name = {}
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
             colors = _colors(query.GetPrim(), code)
-            plain = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(1)
-            if len(colors) and not np.any(plain):
+            is_default = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(
+                1
+            )
+            if len(colors) and not np.any(is_default):
                 colors_by_name[name] = colors
         return colors_by_name
 
@@ -360,36 +369,36 @@ class StageContents:
         """Authored start and end time codes of the stage; None if not authored."""
         if not self.stage.HasAuthoredTimeCodeRange():
             return None
-        ends = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
-        first, last = map(time_fraction, ends)
-        return (first, last) if last > first else None
+        time_codes = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
+        first_code, last_code = map(time_fraction, time_codes)
+        return (first_code, last_code) if last_code > first_code else None
 
     @property
     def span(self) -> tuple[Fraction, Fraction]:
         """First and last time code, authored or of the samples."""
         if self.stage.HasAuthoredTimeCodeRange():
-            ends = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
+            codes = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:
-            ends = [t for p in self.prims for t in PointReader(p.prim).codes] or [1.0]
-        return time_fraction(min(ends)), time_fraction(max(ends))
+            codes = [t for p in self.prims for t in PointReader(p.prim).codes] or [1.0]
+        return time_fraction(min(codes)), time_fraction(max(codes))
 
 
 def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
-    """Open the visible contents of a stage; prim_path limits them to one subtree."""
+    """Open the visible contents of a stage; ``prim_path`` limits them to a subtree."""
     note_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        below = "/" if prim_path is None else prim_below(stage, prim_path)
-        return StageContents(path, stage, below)
+        root_path = "/" if prim_path is None else prim_below(stage, prim_path)
+        return StageContents(path, stage, root_path)
 
 
 def _visible(prim: Any, codes: FloatArray) -> BoolArray:
     """Return whether a prim is visible at each time code ``(F,)``."""
     image, hidden = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
-        UsdGeom.Imageable(one).GetVisibilityAttr().ValueMightBeTimeVarying()
-        for one in upwards(prim)
-        if UsdGeom.Imageable(one)
+        UsdGeom.Imageable(ancestor).GetVisibilityAttr().ValueMightBeTimeVarying()
+        for ancestor in upwards(prim)
+        if UsdGeom.Imageable(ancestor)
     ):
         return np.full(len(codes), image.ComputeVisibility() != hidden)
     times = [Usd.TimeCode(code) for code in codes.tolist()]
@@ -406,12 +415,12 @@ def _kind(prim: Any) -> str:
     return "points" if prim.IsA(UsdGeom.Points) else ""
 
 
-def _below(prim: Any, root: Any, meters: float) -> FloatArray:
+def _relative_transform(prim: Any, root: Any, meters: float) -> FloatArray:
     """Return the transform of a prim relative to its prototype root."""
     world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
-    # The transform of the prototype itself counts, those above it do not.
-    above = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
-    matrix = np.array(world * above.GetInverse(), np.float64).T.copy()
+    # The prototype's own transform applies, but not those above it.
+    parent_transform = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
+    matrix = np.array(world * parent_transform.GetInverse(), np.float64).T.copy()
     matrix[:3, 3] *= meters
     return matrix
 

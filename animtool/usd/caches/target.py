@@ -22,19 +22,19 @@ from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
 from animtool.usd.rigs.skinned import MAX_NAMED
 from animtool.usd.rigs.target import RigTarget, compose_check
 
-# A transform between mesh and skeleton nearer to none than this is rounding.
-SAME = 1e-9
+# A transform between mesh and skeleton closer to identity than this is rounding.
+IDENTITY_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class TargetMesh:
     """A mesh or strands of a rig layer."""
 
-    name: str  # as the rig names it
-    path: str  # its prim, as a layer over the rig names it
-    space: PointSpace  # where its points are, in the rig's unit
+    name: str  # name in the rig
+    path: str  # prim path in a layer over the rig
+    space: PointSpace  # space of its points, in the rig's unit
     normals: bool  # whether it has normals that a cache can replace
-    blocked: tuple[str, ...]  # attributes whose values do not hold for deformed points
+    blocked: tuple[str, ...]  # attributes that are invalid for deformed points
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class CacheTarget:
     """A rig whose meshes and strands a cache animates instead of UsdSkel."""
 
     rig: RigTarget  # the rig's stage
-    meshes: tuple[TargetMesh, ...]  # those that the cache has points of
+    meshes: tuple[TargetMesh, ...]  # meshes with points in the cache
     strands: tuple[TargetMesh, ...]
     notices: tuple[Fault, ...]  # warnings and notes
 
@@ -63,7 +63,7 @@ class CacheTarget:
 
     def author(self, layer: Any, *, normals: bool) -> None:
         """Write overs on the SkelRoot, the meshes and the strands."""
-        # As UsdSkel.BakeSkinning does it: outside a SkelRoot nothing is skinned.
+        # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
         root = prim(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
             author_order(root, *self.rig.operations)
@@ -77,29 +77,28 @@ class CacheTarget:
                 attribute(spec, name, kind, Sdf.ValueBlock())
 
     def check(self, layer: Any, *, points: bool = True) -> None:
-        """Compose the layer with its rig, and verify that its points win.
+        """Compose the layer with its rig, and verify that its points are the strongest.
 
-        points: whether it holds the points itself.
+        ``points`` says whether the layer itself has the points.
         """
         stage = compose_check(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
-        wrong = []
+        hidden = []
         if root.IsA(UsdSkel.Root):
-            wrong.append(str(root.GetPath()))
+            hidden.append(str(root.GetPath()))
         for mesh in self.prims:
             prim = stage.GetPrimAtPath(mesh.path)
             if prim.IsInstanceProxy():
-                wrong.append(mesh.path)
+                hidden.append(mesh.path)
             if not points:
                 continue
             attr = prim.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
-            if mesh.path not in wrong and (not stack or stack[0].layer != layer):
-                wrong.append(mesh.path)
-        if wrong:
-            message = (
-                f"the rig's own opinions are stronger than the cache at {listed(wrong)}"
-            )
+            if mesh.path not in hidden and (not stack or stack[0].layer != layer):
+                hidden.append(mesh.path)
+        if hidden:
+            message = "the rig's own opinions are stronger than the cache at "
+            message += listed(hidden)
             hint = "a layer cannot reach into instances"
             where = str(self.rig.path)
             raise OutputError(Fault("USD042", message, where, (), hint))
@@ -112,41 +111,43 @@ def open_cache_target(
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()
-    skinned = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
+    bound = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
     faults, meshes, strands = [], [], []
     for name, count in counts.items():
-        if name not in skinned:
+        if name not in bound:
             continue
-        mesh = UsdGeom.Mesh(skinned[name])
-        faults += _misfits(mesh, name, count, rig) + _moving(mesh, skeleton, rig)
+        mesh = UsdGeom.Mesh(bound[name])
+        faults += _mesh_mismatches(mesh, name, count, rig) + _animated_ancestors(
+            mesh, skeleton, rig
+        )
         meshes.append(_mesh(mesh, name, skeleton, rig))
-    matched = {
+    attachments = {
         entry.name: (entry, source)
         for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
     }
     for name, shape in curves.items():
-        if name not in matched:
+        if name not in attachments:
             continue
-        entry, source = matched[name]
+        entry, source = attachments[name]
         basis_curves = UsdGeom.BasisCurves(source)
-        faults += _uneven(basis_curves, entry, shape, rig) + _moving(
-            basis_curves, skeleton, rig
-        )
+        faults += _curve_mismatch(
+            basis_curves, entry, shape, rig
+        ) + _animated_ancestors(basis_curves, skeleton, rig)
         strands.append(_strands(basis_curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
-    missing = [name for name in counts if name not in skinned]
-    missing += [name for name in curves if name not in matched]
-    what = "meshes or strands of the take are not in the rig layer"
-    notices = _notice("USD141", missing, what, "they are skipped", rig.path)
-    deformed = {skinned[mesh.name].GetPath() for mesh in meshes}
-    deformed |= {matched[entry.name][1].GetPath() for entry in strands}
-    notices += _left_notice(root, deformed, rig.path)
+    unknown = [name for name in counts if name not in bound]
+    unknown += [name for name in curves if name not in attachments]
+    subject = "meshes or strands of the take are not in the rig layer"
+    notices = _notice("USD141", unknown, subject, "they are skipped", rig.path)
+    deformed_paths = {bound[mesh.name].GetPath() for mesh in meshes}
+    deformed_paths |= {attachments[entry.name][1].GetPath() for entry in strands}
+    notices += _static_mesh_notice(root, deformed_paths, rig.path)
     notices += _normals_notice([*meshes, *strands], rig.path)
     return CacheTarget(rig, tuple(meshes), tuple(strands), tuple(notices))
 
 
-def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
+def _mesh_mismatches(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
     points = PointReader(mesh.GetPrim()).count()
     if points == count:
         return []
@@ -155,44 +156,46 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
     return [PrimLocation.of(rig.path, mesh).fault("USD041", message, hint)]
 
 
-def _uneven(
+def _curve_mismatch(
     curves: Any, entry: Attachment, shape: tuple[int, ...], rig: RigTarget
 ) -> list[Fault]:
     assert entry.points is not None
-    here = entry.points.load().shape[:2]
-    if here == shape:
+    rig_shape = entry.points.load().shape[:2]
+    if rig_shape == shape:
         return []
-    message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, but "
+    message = (
+        f"{entry.name!r} has {rig_shape[0]} strands of {rig_shape[1]} points here, but "
+    )
     message += f"{shape[0]} of {shape[1]} in the take's rig"
     hint = "the cache would not match its curves"
     return [PrimLocation.of(rig.path, curves).fault("USD041", message, hint)]
 
 
-def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
+def _animated_ancestors(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
     at, faults = PrimLocation.of(rig.path, mesh), []
-    between = mesh.GetPrim()
-    while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
-        if skeleton.GetPath().HasPrefix(between.GetPath()):
+    ancestor = mesh.GetPrim()
+    while ancestor.GetPath().HasPrefix(Sdf.Path("/")) and ancestor:
+        if skeleton.GetPath().HasPrefix(ancestor.GetPath()):
             break
-        xform = UsdGeom.Xformable(between)
+        xform = UsdGeom.Xformable(ancestor)
         if xform and xform.TransformMightBeTimeVarying():
-            message = f"{between.GetPath()} is animated below the skeleton"
+            message = f"{ancestor.GetPath()} is animated below the skeleton"
             faults.append(at.fault("USD043", message))
-        between = between.GetParent()
+        ancestor = ancestor.GetParent()
     return faults
 
 
 def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
-    skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
+    is_skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
     normals = mesh.GetNormalsAttr().HasAuthoredValue()
-    followed = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+    normals_follow = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
     return TargetMesh(
         name,
         rig.on_layer(mesh.GetPath()),
-        PointSpace(_placement(mesh, skeleton) if skinned else None),
-        followed,
-        _blocked(mesh, followed=followed),
+        PointSpace(_placement(mesh, skeleton) if is_skinned else None),
+        normals_follow,
+        _blocked(mesh, normals_follow=normals_follow),
     )
 
 
@@ -203,7 +206,7 @@ def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMes
         rig.on_layer(curves.GetPath()),
         PointSpace(_placement(curves, skeleton), max(widths) / 2),
         False,
-        _blocked(curves, followed=False),
+        _blocked(curves, normals_follow=False),
     )
 
 
@@ -212,45 +215,49 @@ def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
     placement = np.array(world * mesh_world.GetInverse(), np.float64).T
-    return None if np.abs(placement - np.eye(4)).max() <= SAME else placement
+    return (
+        None if np.abs(placement - np.eye(4)).max() <= IDENTITY_TOLERANCE else placement
+    )
 
 
-def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
+def _blocked(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
     """Return authored normals that would not fit the animated points."""
-    blocked = []
-    if mesh.GetNormalsAttr().HasAuthoredValue() and not followed:
-        blocked.append("normals")
+    names = []
+    if mesh.GetNormalsAttr().HasAuthoredValue() and not normals_follow:
+        names.append("normals")
     primvar = mesh.GetPrim().GetAttribute("primvars:normals")
     if primvar and primvar.HasAuthoredValue():
-        blocked.append("primvars:normals")
-    return tuple(blocked)
+        names.append("primvars:normals")
+    return tuple(names)
 
 
 def _notice(
-    code: str, names: Sequence[str], what: str, hint: str, path: Path
+    code: str, names: Sequence[str], text: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning with counts and names; None if there are no names."""
+    """Return a warning with counts and names; empty without names."""
     if not names:
         return []
-    message = f"{len(names)} {what}: {listed(names, MAX_NAMED)}"
+    message = f"{len(names)} {text}: {listed(names, MAX_NAMED)}"
     return [Fault(code, message, str(path), (), hint, Severity.WARNING)]
 
 
-def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
+def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
     """Report meshes that UsdSkel animated and the cache leaves static."""
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
     bindings = cache.ComputeSkelBindings(
         UsdSkel.Root(root), Usd.TraverseInstanceProxies()
     )
-    left = [
+    static_meshes = [
         str(query.GetPrim().GetPath())
         for binding in bindings
         for query in binding.GetSkinningTargets()
         if query.GetPrim().GetPath() not in deformed
     ]
     hint = "the SkelRoot becomes an Xform, but the cache does not cover their points"
-    return _notice("USD142", left, "prims stop following their skeleton", hint, path)
+    return _notice(
+        "USD142", static_meshes, "prims stop following their skeleton", hint, path
+    )
 
 
 def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:

@@ -1,7 +1,7 @@
 """Writer of PointBased prims: attributes, and blocks of their frames.
 
-What joints deform and what is simulated both come as blocks of named values; prims of
-every kind state their types in one table.
+Both deformed and simulated points are blocks of named values; one table has the types
+of all attributes.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ ATTRIBUTES = {
 def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
     """Return how an attribute is written; primvars by the shape of their values.
 
-    name: as `split_attribute` reads it.
+    ``name`` is one that `split_attribute` parses.
     """
     if not name.startswith("primvars:"):
         return ATTRIBUTES[name.rpartition(".")[2]]
@@ -99,8 +99,8 @@ def author_values(spec: Any, values: Mapping[str, Any]) -> None:
         )
 
 
-# Of curves: polylines with two ends.
-LINEAR = {"type": "linear", "wrap": "nonperiodic"}
+# Curves are polylines with two ends.
+POLYLINE = {"type": "linear", "wrap": "nonperiodic"}
 
 
 def author_width(spec: Any, width: float) -> None:
@@ -115,20 +115,20 @@ def split_attribute(path: str, name: str) -> tuple[str, str]:
     >>> split_attribute("/it", "brick_3.xformOp:orient")
     ('/it/brick_3', 'xformOp:orient')
     """
-    part, _, leaf = name.rpartition(".")
-    return f"{path}/{part}" if part else path, leaf
+    child, _, leaf = name.rpartition(".")
+    return f"{path}/{child}" if child else path, leaf
 
 
 @dataclass(slots=True)
 class CharactersReport:
-    """Numbers of written characters, samples and errors."""
+    """Counts of written characters, samples and errors."""
 
-    own: int = 0  # characters with a separate animation
-    shared: int = 0  # with a part in one that others have, too
-    samples: int = 0  # poses of those with their own
-    frames: int = 0  # of these
-    error: float = 0.0  # most that a joint is off between samples [m]
-    slide: float = 0.0  # likewise of a planted foot [m]
+    own: int = 0  # characters with an animation that no other uses
+    shared: int = 0  # characters that share an animation
+    samples: int = 0  # samples of animations of single characters
+    frames: int = 0  # frames of animations of single characters
+    error: float = 0.0  # largest joint error between samples [m]
+    slide: float = 0.0  # largest error of a planted foot between samples [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +137,12 @@ class Block:
 
     prim: int  # index of the written prim
     codes: FloatArray  # time codes (F,)
-    # By attribute, as `split_attribute` reads its name, in order (F, …).
+    # Values ``(F, …)`` by attribute, in order; see `split_attribute`.
     values: Mapping[str, npt.NDArray[Any]]
-    vertices: int  # of its points, the most at any frame
+    vertices: int  # most points of any frame
     error: float = 0.0  # largest distance that rounding moved a point [m]
-    error_code: float = 0.0  # time code of that
-    error_vertex: int = 0  # the point that moved
+    error_code: float = 0.0  # time code of the largest error
+    error_vertex: int = 0  # point of the largest error
 
     @property
     def bytes(self) -> int:
@@ -150,7 +150,7 @@ class Block:
         return sum(rows.nbytes for rows in self.values.values())
 
     def some(self, frames: slice) -> Block:
-        """Return a subset of the frames; the error is that of all."""
+        """Return a subset of the frames; the error stays that of all frames."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
 
@@ -159,26 +159,26 @@ class Block:
 class PointSpace:
     """Space in which the points of a mesh are written."""
 
-    # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
+    # mesh_from_skeleton in the layer's unit ``(4, 4)``; None if the spaces are equal.
     placement: FloatArray | None = None
     margin: float = 0.0  # half the width of curves, in the layer's unit
 
 
 @dataclass(slots=True)
 class CachedMesh:
-    """What was written for one PointBased prim."""
+    """Report on one written PointBased prim."""
 
     path: str
-    vertices: int = 0  # of its points, the most at any frame
-    samples: int = 0  # time samples of its points; 0 where it never moves
+    vertices: int = 0  # most points of any frame
+    samples: int = 0  # time samples of its points; 0 if static
     bytes: int = 0  # size of its samples in memory
-    sampled: list[str] = field(default_factory=list)  # attributes that change
+    sampled: list[str] = field(default_factory=list)  # attributes with time samples
     error: float = 0.0  # largest distance that rounding moved a point [m]
-    error_code: float = 0.0  # time code of that
-    error_vertex: int = 0  # the point that moved
-    names: Sequence[str] = ()  # of points that are bodies
+    error_code: float = 0.0  # time code of the largest error
+    error_vertex: int = 0  # point of the largest error
+    names: Sequence[str] = ()  # names of points that are bodies
     notices: list[Fault] = field(default_factory=list)
-    characters: CharactersReport | None = None  # where it has these
+    characters: CharactersReport | None = None  # if it has characters
 
     def count(self, block: Block) -> None:
         """Add a block of frames; keeps the larger error."""
@@ -201,22 +201,23 @@ def labels_of(report: CachedMesh, name: str) -> Labels:
 class PointWriter:
     """Writes blocks of frames of one existing prim to a layer.
 
-    It has samples of what changes, and a default of what does not. With `every`, each
-    frame of attributes that are there is a sample, as in what is simulated, and with
-    `first` too the first is the default.
+    Animated attributes have samples, static ones a default. With `every`, each frame of
+    existing attributes is a sample, as for simulated prims; with `first`, the first
+    frame is
+    also the default.
     """
 
     def __init__(
         self,
         layer: Any,
-        report: CachedMesh,  # which prim it is
+        report: CachedMesh,  # report with the path of the prim
         *,
         every: bool = False,
         first: bool = True,
-        added: Callable[[int], object] | None = None,  # told the bytes of each block
+        on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
-        self._every, self._first, self._added = every, first, added
+        self._every, self._first, self._on_added = every, first, on_added
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
@@ -226,8 +227,8 @@ class PointWriter:
                 if name not in self._channels:
                     self._channels[name] = self._channel(name, rows)
                 self._channels[name].add(block.codes, rows)
-        if self._added is not None:
-            self._added(block.bytes)
+        if self._on_added is not None:
+            self._on_added(block.bytes)
 
     def _channel(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
         if not self._every:
@@ -240,7 +241,7 @@ class PointWriter:
             make,
             every=True,
             first=self._first,
-            of=labels.of,
+            noun=labels.noun,
             names=labels.names,
         )
 
@@ -251,7 +252,7 @@ class PointWriter:
     def release(self, *, rest: bool) -> None:
         """Sample every attribute, whether it changes or not.
 
-        With ``rest``, author defaults too, except velocities: the mesh without a time.
+        ``rest`` also authors defaults, except velocities: the mesh without a time.
         """
         for name, channel in self._channels.items():
             channel.release()
@@ -261,14 +262,15 @@ class PointWriter:
     def finish(self, *, rest: bool) -> None:
         """Author constant values as defaults, and report what is sampled.
 
-        With ``rest``, sampled attributes get a default too; a rig already has them.
+        ``rest`` also authors defaults of sampled attributes; a rig already has them.
         """
         channels, report = self._channels, self._report
         velocities = channels.pop("velocities", None)
-        moves = bool(channels) and channels["points"].sampled
+        is_animated = bool(channels) and channels["points"].sampled
         if velocities is not None:
-            if moves:
-                # UsdGeomPointBased uses them only with points at the same times.
+            if is_animated:
+                # UsdGeomPointBased uses velocities only if points have samples at the
+                # same times.
                 velocities.release()
                 channels["velocities"] = velocities
             else:
@@ -276,11 +278,13 @@ class PointWriter:
         for name, channel in channels.items():
             if rest and name != "velocities":
                 channel.rest()
-        nothing = np.zeros((0, 3), np.float32)
+        no_velocities = np.zeros((0, 3), np.float32)
         for channel in channels.values():
-            channel.finish(nothing)
-        report.sampled = [name for name, each in channels.items() if each.sampled]
-        if not moves:
+            channel.finish(no_velocities)
+        report.sampled = [
+            name for name, channel_ in channels.items() if channel_.sampled
+        ]
+        if not is_animated:
             report.samples = report.bytes = 0
 
 
@@ -301,7 +305,7 @@ def remove_attribute(spec: Any, name: str) -> None:
 class FramePrim(Protocol):
     """Interface of a prim that frame forms write to."""
 
-    unit: float  # of the layer [m]
+    unit: float  # unit of the layer [m]
     rotation: FloatArray  # orientation of the prim in the layer (4,)
 
     @property
@@ -309,7 +313,7 @@ class FramePrim(Protocol):
         """Faces of the first frame as triangles ``(T, 3)``."""
 
     @property
-    def parts(self) -> list[str]:
+    def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
 
     def narrowed(
@@ -328,8 +332,8 @@ class FrameForm(Generic[FrameT]):
     """How one type of frame is written: prim, attributes and values."""
 
     type_name: ClassVar[str]
-    sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
-    points: ClassVar[str] = "points"  # what the prim calls its points
+    sampled: ClassVar[tuple[str, ...]]  # attributes of every frame, in order
+    points: ClassVar[str] = "points"  # attribute name of the points
 
     def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
         """Return the integer topology attributes of a frame."""
@@ -342,9 +346,9 @@ class FrameForm(Generic[FrameT]):
     def kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
-        kinds = {name: ATTRIBUTES[name] for name in self.sampled}
-        kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}
-        return {**kinds, "extent": ATTRIBUTES["extent"]}
+        attribute_kinds = {name: ATTRIBUTES[name] for name in self.sampled}
+        attribute_kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}
+        return {**attribute_kinds, "extent": ATTRIBUTES["extent"]}
 
     def divide(self, spec: Any, frame: FrameT) -> None:
         """Create the child prims that have samples."""
@@ -366,7 +370,7 @@ def bounds(
     if not len(points):
         return np.zeros((2, 3), np.float32)
     if isinstance(margin, float):
-        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+        lowest, highest = points.min(axis=0) - margin, points.max(axis=0) + margin
     else:
-        low, high = (points - margin).min(axis=0), (points + margin).max(axis=0)
-    return np.stack([low, high]).astype(np.float32)
+        lowest, highest = (points - margin).min(axis=0), (points + margin).max(axis=0)
+    return np.stack([lowest, highest]).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Validation of USD layers: our checks, and the validators that ship with USD."""
+"""Validation of USD layers: our checks, and the validators that come with USD."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ from animtool.core.rules import finding
 from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
+    duplicate_names,
     missing_parts,
-    names_twice,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -45,12 +45,18 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
             if not relationship:
                 continue
             for target in relationship.GetTargets():
-                bound = subject.stage.GetPrimAtPath(target)
-                if not bound and subject.alone:
+                target_prim = subject.stage.GetPrimAtPath(target)
+                if not target_prim and subject.alone:
                     continue
-                if bound and not bound.GetTypeName() and not bound.IsDefined():
+                if (
+                    target_prim
+                    and not target_prim.GetTypeName()
+                    and not target_prim.IsDefined()
+                ):
                     continue
-                yield from _target(relationship, target, bound, schema, _NAMES[name])
+                yield from _target(
+                    relationship, target, target_prim, schema, _NAMES[name]
+                )
 
 
 def _target(
@@ -65,19 +71,19 @@ def _target(
         yield finding("USD208", relationship.GetPath(), message)
 
 
-# |cos| of half the angle: nearer than this, two quaternions are one rotation.
-SAME_SIDE = 0.7
+# |cos| of half the angle above which two quaternions count as the same rotation.
+SAME_ROTATION = 0.7
 
 
 def check_animations(subject: StageSubject) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
     for animation in subject.of_type(UsdSkel.Animation):
         joints = tokens(animation.GetJointsAttr())
-        yield from names_twice(animation.GetJointsAttr())
+        yield from duplicate_names(animation.GetJointsAttr())
         if joints:
             yield from _transforms(subject, animation, joints)
         shapes = tokens(animation.GetBlendShapesAttr())
-        yield from names_twice(animation.GetBlendShapesAttr())
+        yield from duplicate_names(animation.GetBlendShapesAttr())
         yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
 
 
@@ -92,79 +98,82 @@ def _transforms(
         if not attr.HasAuthoredValue():
             continue
         width = 4 if name == "rotations" else 3
-        sampled = subject.sampled(attr)
-        yield from _counts("USD200", attr, sampled, len(joints), "joints")
-        which, values = sampled.rows(len(joints), width)
-        bad = np.asarray(~np.isfinite(values).all(axis=-1))
-        if len(which) == len(sampled.counts) and not bad.any():
+        array = subject.sampled(attr)
+        yield from _counts("USD200", attr, array, len(joints), "joints")
+        rows_, values = array.rows(len(joints), width)
+        not_finite = np.asarray(~np.isfinite(values).all(axis=-1))
+        if len(rows_) == len(array.counts) and not not_finite.any():
             subject.finite.add(attr.GetPath())
-        if bad.any():
-            yield _not_finite(attr, sampled, which, bad, joints)
+        if not_finite.any():
+            yield _not_finite(attr, array, rows_, not_finite, joints)
         elif name == "rotations" and len(values):
-            yield from _rotations(attr, sampled, which, values, joints)
+            yield from _rotations(attr, array, rows_, values, joints)
 
 
 def _counts(
-    code: str, attr: Any, sampled: SampledArray, expected: int, noun: str
+    code: str, attr: Any, array: SampledArray, expected: int, noun: str
 ) -> Iterator[Fault]:
-    wrong = sampled.counts != expected
-    if wrong.any():
-        count = sampled.counts[np.flatnonzero(wrong)[0]]
+    mismatched = array.counts != expected
+    if mismatched.any():
+        count = array.counts[np.flatnonzero(mismatched)[0]]
         have = "no value" if count < 0 else counted(count, "value")
-        message = f"{have} for {expected} {noun} {at_samples(sampled, wrong)}"
+        message = f"{have} for {expected} {noun} {at_samples(array, mismatched)}"
         yield finding(code, attr.GetPath(), message)
 
 
 def _not_finite(
-    attr: Any, sampled: SampledArray, which: Any, bad: BoolArray, names: list[str]
+    attr: Any,
+    array: SampledArray,
+    sample_indices: Any,
+    not_finite: BoolArray,
+    names: list[str],
 ) -> Fault:
-    rows = bad.any(axis=1)
-    first = int(np.flatnonzero(bad[np.flatnonzero(rows)[0]])[0])
-    message = (
-        f"{excerpt(names[first])} is not finite {at_samples(sampled, which[rows])}"
-    )
+    rows = not_finite.any(axis=1)
+    first_row = int(np.flatnonzero(not_finite[np.flatnonzero(rows)[0]])[0])
+    samples = at_samples(array, sample_indices[rows])
+    message = f"{excerpt(names[first_row])} is not finite {samples}"
     return finding("USD202", attr.GetPath(), message)
 
 
 def _weights(subject: StageSubject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
-    sampled = subject.sampled(attr)
-    yield from _counts("USD206", attr, sampled, len(shapes), "blendShapes")
-    which, values = sampled.rows(len(shapes), 1)
-    bad = ~np.isfinite(values[..., 0])
-    if bad.any():
-        yield _not_finite(attr, sampled, which, bad, shapes)
+    array = subject.sampled(attr)
+    yield from _counts("USD206", attr, array, len(shapes), "blendShapes")
+    sample_indices, values = array.rows(len(shapes), 1)
+    not_finite = ~np.isfinite(values[..., 0])
+    if not_finite.any():
+        yield _not_finite(attr, array, sample_indices, not_finite, shapes)
 
 
 def _rotations(
     attr: Any,
-    sampled: SampledArray,
-    which: Any,
+    array: SampledArray,
+    sample_indices: Any,
     values: AnyArray,
     joints: list[str],
 ) -> Iterator[Fault]:
     squares = np.einsum("fjc,fjc->fj", values, values)
-    off = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
-    if off.any():
-        row, joint = (int(i[0]) for i in np.nonzero(off))
+    is_not_unit = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    if is_not_unit.any():
+        row, joint = (int(i[0]) for i in np.nonzero(is_not_unit))
         message = (
             f"{excerpt(joints[joint])} has length {squares[row, joint] ** 0.5:.6g} "
-            f"{at_samples(sampled, which[off.any(axis=1)])}"
+            f"{at_samples(array, sample_indices[is_not_unit.any(axis=1)])}"
         )
         yield finding("USD203", attr.GetPath(), message)
         return
     cosines = np.einsum("fjc,fjc->fj", values[1:], values[:-1])
-    flipped = cosines < -SAME_SIDE
-    if flipped.any():
-        names = [joints[j] for j in np.flatnonzero(flipped.any(axis=0))]
-        frames = which[1:][flipped.any(axis=1)]
-        message = f"signs of {listed(names)} change {at_samples(sampled, frames)}"
+    is_flipped = cosines < -SAME_ROTATION
+    if is_flipped.any():
+        names = [joints[j] for j in np.flatnonzero(is_flipped.any(axis=0))]
+        frames = sample_indices[1:][is_flipped.any(axis=1)]
+        message = f"signs of {listed(names)} change {at_samples(array, frames)}"
         yield finding("USD204", attr.GetPath(), message)
 
 
 def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
     """Check that a Skeleton has its animation's joints, and meshes its shapes."""
     shapes: dict[Any, set[str]] = {}
-    bound: dict[Any, Any] = {}
+    bindings: dict[Any, Any] = {}
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
         names = tokens(binding.GetBlendShapesAttr())
@@ -173,22 +182,22 @@ def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
             continue
         source = binding.GetInheritedAnimationSource()
         if not source and names:
-            inherited = binding.GetInheritedSkeleton()
+            inherited_skeleton = binding.GetInheritedSkeleton()
             source = (
-                inherited
+                inherited_skeleton
                 and UsdSkel.BindingAPI(
-                    inherited.GetPrim()
+                    inherited_skeleton.GetPrim()
                 ).GetInheritedAnimationSource()
             )
         if not source or not source.IsA(UsdSkel.Animation):
             continue
-        bound[source.GetPath()] = source
+        bindings[source.GetPath()] = source
         shapes.setdefault(source.GetPath(), set()).update(names)
         if skeleton:
             joints = tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
             attr = UsdSkel.Animation(source).GetJointsAttr()
             yield from unknown_joints(attr, joints, prim.GetPath())
-    for path, source in bound.items():
+    for path, source in bindings.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
         unknown = [name for name in tokens(attr) if name not in shapes[path]]
         if unknown and not subject.alone and any(map(is_shown_mesh, subject.prims)):

@@ -2,7 +2,7 @@
 
 The extent of a SkelRoot with one skeleton is the bounds of its joints plus a constant
 padding, so all samples are compared at once and USD computes only the outliers. For
-other prims USD computes `MAX_ASKED` samples.
+other prims USD computes up to `MAX_COMPUTED` samples.
 """
 
 from __future__ import annotations
@@ -30,13 +30,19 @@ from animtool.usd.layers.faults import (
 )
 from animtool.usd.rigs.prims import decompose
 
-# Of the diagonal: text files with four digits are within.
+# Tolerance relative to the diagonal; text files with four digits are within it.
 TOLERANCE = 1e-3
-# Where nothing but USD itself can tell.
-MAX_ASKED = 50
-BLOCK = 2048
-# What the extent of copies follows, and their prototypes.
-_PLACING = ("positions", "protoIndices", "orientations", "orientationsf", "scales")
+# Maximum samples whose extents USD computes.
+MAX_COMPUTED = 50
+BLOCK_FRAMES = 2048
+# Attributes that determine the extent of instances, with their prototypes.
+_INSTANCE_ATTRIBUTES = (
+    "positions",
+    "protoIndices",
+    "orientations",
+    "orientationsf",
+    "scales",
+)
 
 
 def check_extents(subject: StageSubject) -> Iterator[Fault]:
@@ -46,72 +52,80 @@ def check_extents(subject: StageSubject) -> Iterator[Fault]:
     for prim in subject.prims:
         if not prim.IsA(UsdGeom.Boundable) or not prim.IsDefined():
             continue
-        bounded = UsdGeom.Boundable(prim)
+        boundable = UsdGeom.Boundable(prim)
         source = extent_sources(subject, prim)
-        attr = bounded.GetExtentAttr()
-        # A rig that does not move may have its extent in the layer that moves it.
+        attr = boundable.GetExtentAttr()
+        # A static rig may have its extent in the layer that animates it.
         if source is None or not (source or attr.HasAuthoredValue()):
             continue
-        # That of an instance holds whatever its rig is ever seen to do.
-        inherited = prim.IsInstance() or prim.IsAbstract()
-        if inherited and attr.HasAuthoredValue():
+        # The extent of an instance covers all motions of its rig.
+        is_exempt = prim.IsInstance() or prim.IsAbstract()
+        if is_exempt and attr.HasAuthoredValue():
             continue
         if not attr.HasAuthoredValue():
             yield finding(
                 "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"
             )
         elif not prim.IsA(UsdSkel.Root) or _joints_below(prim):
-            # Without joints, USD computes a point at the origin, or all of space.
-            yield from _compare(subject, bounded, attr, source)
+            # Without joints, USD computes a point at the origin, or infinite bounds.
+            yield from _compare_extents(subject, boundable, attr, source)
 
 
 def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
     """Return the attributes that determine an extent; None if there are none.
 
-    Where points or joints are no numbers, there is nothing to compare with.
+    Also None if points or joints are not finite, since there is nothing to compare
+    with.
     """
     if prim.IsA(UsdSkel.Root):
-        below = list(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
-        skeletons = [each for each in below if each.IsA(UsdSkel.Skeleton)]
-        has_points = any(each.IsA(UsdGeom.PointBased) for each in below)
+        descendants = list(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
+        skeletons = [
+            descendant for descendant in descendants if descendant.IsA(UsdSkel.Skeleton)
+        ]
+        has_points = any(
+            descendant.IsA(UsdGeom.PointBased) for descendant in descendants
+        )
         if not skeletons or not (has_points or _joints_below(prim)):
             return None
         animations = [
-            UsdSkel.BindingAPI(each).GetInheritedAnimationSource() for each in skeletons
+            UsdSkel.BindingAPI(descendant).GetInheritedAnimationSource()
+            for descendant in skeletons
         ]
-        sources = [UsdSkel.Animation(each) for each in animations if each]
+        sources = [
+            UsdSkel.Animation(descendant) for descendant in animations if descendant
+        ]
         return [
             attr
-            for each in sources
-            if each
-            for attr in transform_attributes(each).values()
+            for descendant in sources
+            if descendant
+            for attr in transform_attributes(descendant).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).attr
-        # Points that move are checked as they are read, and a mesh's extent with them.
+        # Extents of meshes with animated points are checked together with the points.
         sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
         return [attr] if attr.HasAuthoredValue() and not sampled_points else None
     if prim.IsA(UsdGeom.PointInstancer):
-        return _copied_sources(subject, UsdGeom.PointInstancer(prim))
+        return _instance_sources(subject, UsdGeom.PointInstancer(prim))
     return None
 
 
-def _copied_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
+def _instance_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
     """Return the attributes that determine the extent of instances.
 
-    None of copies of copies: USD would go on for ever where these hold themselves.
+    None for nested instancers: USD does not terminate if these contain themselves.
     """
-    copied = [
+    prototypes = [
         subject.stage.GetPrimAtPath(path)
         for path in instancer.GetPrototypesRel().GetForwardedTargets()
     ]
-    if not all(copied) or any(
-        below.IsA(UsdGeom.PointInstancer)
-        for prim in copied
-        for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+    if not all(prototypes) or any(
+        descendant.IsA(UsdGeom.PointInstancer)
+        for prim in prototypes
+        for descendant in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
     ):
         return None
-    attrs = [instancer.GetPrim().GetAttribute(name) for name in _PLACING]
+    attrs = [instancer.GetPrim().GetAttribute(name) for name in _INSTANCE_ATTRIBUTES]
     sources = [attr for attr in attrs if attr and attr.HasAuthoredValue()]
     return sources if instancer.GetPositionsAttr() in sources else None
 
@@ -125,67 +139,71 @@ def _joints_below(root: Any) -> bool:
     )
 
 
-def _compare(
-    subject: StageSubject, bounded: Any, attr: Any, source: list[Any]
+def _compare_extents(
+    subject: StageSubject, boundable: Any, attr: Any, source: list[Any]
 ) -> Iterator[Fault]:
-    sampled = subject.sampled(attr)
-    wrong = sampled.counts != 2
-    if wrong.any():
-        count = sampled.counts[np.flatnonzero(wrong)[0]]
-        message = f"{count} corners instead of 2, {at_samples(sampled, wrong)}"
+    array = subject.sampled(attr)
+    mismatched = array.counts != 2
+    if mismatched.any():
+        count = array.counts[np.flatnonzero(mismatched)[0]]
+        message = f"{count} corners instead of 2, {at_samples(array, mismatched)}"
         yield finding("USD251", attr.GetPath(), message)
         return
-    extents = sampled.rows(2, 3)[1].astype(np.float64)
-    moving = sorted({time for one in source for time in subject.times(one)})
-    authored = extents if sampled.animated else None
-    times = sampled.times if authored is not None else np.array(moving or [np.nan])
-    expected = _joint_bounds(subject, bounded, source, times)
-    exact = authored is not None or not moving
-    suspects, flagged = _chosen(len(times)), None
+    extents = array.rows(2, 3)[1].astype(np.float64)
+    animated_times = sorted(
+        {time for attribute in source for time in subject.times(attribute)}
+    )
+    authored = extents if array.animated else None
+    times = (
+        array.times if authored is not None else np.array(animated_times or [np.nan])
+    )
+    expected = _joint_bounds(subject, boundable, source, times)
+    exact = authored is not None or not animated_times
+    candidates, outliers = _spaced_indices(len(times)), None
     if expected is not None:
-        beyond, _ = bounds_difference(extents, expected, exact=exact)
-        flagged = np.flatnonzero(~(beyond <= 0))
-        suspects = np.sort(flagged[np.argsort(-beyond[flagged])[:MAX_ASKED]])
-    skinned = _SkinnedRoot(bounded)
-    bad = []
-    for i in suspects.tolist():
+        excess, _ = bounds_difference(extents, expected, exact=exact)
+        outliers = np.flatnonzero(~(excess <= 0))
+        candidates = np.sort(outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED]])
+    skinned_root = _SkinnedRoot(boundable)
+    faulty = []
+    for i in candidates.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        computed = _computed(bounded, code)
+        computed = _computed(boundable, code)
         if computed is None:
             return
         bounds = np.array(computed, np.float64).reshape(1, 2, 3)
         if not np.isfinite(bounds).all():
             return
         if (bounds[0, 0] > bounds[0, 1]).all():
-            # Of no points: USD computes the bounds of nothing, and none is wrong.
+            # Without points USD computes empty bounds, and any extent is correct.
             continue
-        mine = extents[i : i + 1] if authored is not None else extents
-        beyond, off = bounds_difference(mine, bounds, exact=exact)
-        if beyond[0] > 0 and not skinned.holds(code, mine, bounds):
-            bad.append((i, off[0]))
-    if not bad:
+        extent = extents[i : i + 1] if authored is not None else extents
+        excess, distance = bounds_difference(extent, bounds, exact=exact)
+        if excess[0] > 0 and not skinned_root.holds(code, extent, bounds):
+            faulty.append((i, distance[0]))
+    if not faulty:
         return
-    frames = np.array([i for i, _ in bad])
-    if flagged is not None and len(bad) == len(suspects):
-        # Those that USD was asked about are the farthest off of all.
-        frames = flagged
-    worst, when = max((gap, -i) for i, gap in bad)
+    frames = np.array([i for i, _ in faulty])
+    if outliers is not None and len(faulty) == len(candidates):
+        # The samples that USD computed have the largest deviations.
+        frames = outliers
+    largest, position = max((gap, -i) for i, gap in faulty)
     sampled_at = SampledArray(times, [], np.zeros(len(times), np.int64))
-    more = " or more" if flagged is None and len(suspects) < len(times) else ""
-    lead = "off by" if exact else "what moves exceeds it by"
-    message = f"{lead} {worst:.3g}{more} {at_samples(sampled_at, frames)}"
+    more = " or more" if outliers is None and len(candidates) < len(times) else ""
+    prefix = "off by" if exact else "what moves exceeds it by"
+    message = f"{prefix} {largest:.3g}{more} {at_samples(sampled_at, frames)}"
     if len(frames) > 1:
-        message += f", most at {frame_label(times[-when])}"
-    if skinned.bounds is not None:
-        message += _overhang_text(bounded.GetPrim(), extents, times)
+        message += f", most at {frame_label(times[-position])}"
+    if skinned_root.bounds is not None:
+        message += _overhang_text(boundable.GetPrim(), extents, times)
     yield finding("USD251", attr.GetPath(), message)
 
 
 class _SkinnedRoot:
     """Skinned points of a SkelRoot, read only if its extent is unexpected."""
 
-    def __init__(self, bounded: Any) -> None:
-        self._prim = bounded.GetPrim()
+    def __init__(self, boundable: Any) -> None:
+        self._prim = boundable.GetPrim()
 
     @cached_property
     def bounds(self) -> SkinnedBounds | None:
@@ -194,11 +212,11 @@ class _SkinnedRoot:
 
     def holds(self, code: Any, extent: FloatArray, computed: FloatArray) -> bool:
         """Return whether an extent is USD's, widened by points outside it."""
-        posed = None if self.bounds is None else self.bounds.at(code)
-        if posed is None:
+        point_bounds = None if self.bounds is None else self.bounds.at(code)
+        if point_bounds is None:
             return False
-        widened = joined_bounds(computed[0], posed)[None]
-        return bool(bounds_difference(extent, widened, exact=True)[0][0] <= 0)
+        expected = joined_bounds(computed[0], point_bounds)[None]
+        return bool(bounds_difference(extent, expected, exact=True)[0][0] <= 0)
 
 
 def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -207,21 +225,21 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
     >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
     [[0.0], [3.0]]
     """
-    low, high = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
-    return np.stack([low, high])
+    lowest, highest = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
+    return np.stack([lowest, highest])
 
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Describe how far skinned points leave the extents of a SkelRoot, and when."""
-    over = overhang(root, extents, times.tolist())
-    # What rounding moves is no overhang, as of `bounds_difference`.
-    reach = float(np.abs(extents).max(initial=0.0))
-    if over is None or over[0] <= 1e-6 * (1 + reach):
+    result = overhang(root, extents, times.tolist())
+    # Overhangs within rounding do not count, as in `bounds_difference`.
+    magnitude = float(np.abs(extents).max(initial=0.0))
+    if result is None or result[0] <= 1e-6 * (1 + magnitude):
         return "; no skinned point exceeds it"
-    most, when, of_all = over
-    at = "" if np.isnan(when) else f" at time code {frame_label(when)}"
-    more = "" if of_all else " or more"
-    return f"; skinned points exceed it by {most:.4g}{more}{at}"
+    largest, code, is_complete = result
+    at = "" if np.isnan(code) else f" at time code {frame_label(code)}"
+    more = "" if is_complete else " or more"
+    return f"; skinned points exceed it by {largest:.4g}{more}{at}"
 
 
 def bounds_difference(
@@ -229,40 +247,42 @@ def bounds_difference(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far extents differ from bounds: beyond the tolerance, and in total.
 
-    The first is at most 0 where they are within it.
+    The first is at most 0 within the tolerance.
 
     ``extents`` ``(F, 2, 3)``, ``bounds`` ``(F, 2, 3)``.
     """
     gaps = np.stack([extents[:, 0] - bounds[:, 0], bounds[:, 1] - extents[:, 1]])
-    off = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
+    distances = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
     sizes = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
-    reach = np.abs(bounds).max(axis=(1, 2))
-    return off - TOLERANCE * sizes - 1e-6 * (1 + reach), off
+    magnitudes = np.abs(bounds).max(axis=(1, 2))
+    return distances - TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
 
 
-def _computed(bounded: Any, code: Any) -> Any:
+def _computed(boundable: Any, code: Any) -> Any:
     """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
-        return UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+        return UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
     except Tf.ErrorException:
         return None
 
 
-def _chosen(count: int) -> IntArray:
+def _spaced_indices(count: int) -> IntArray:
     """Return up to `MAX_ASKED` evenly spaced indices below a count."""
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_ASKED)).astype(np.int64))
+    return np.unique(
+        np.linspace(0, count - 1, min(count, MAX_COMPUTED)).astype(np.int64)
+    )
 
 
 def _joint_bounds(
-    subject: StageSubject, bounded: Any, source: list[Any], times: FloatArray
+    subject: StageSubject, boundable: Any, source: list[Any], times: FloatArray
 ) -> FloatArray | None:
     """Return the joint bounds of a one-skeleton SkelRoot per sample ``(F, 2, 3)``.
 
-    None where only USD can tell: more skeletons or one that is placed, attributes
-    sampled at other times, values that other checks refuse.
+    None if only USD can compute them: several skeletons, one with a transform, samples
+    at other times, or values that other checks refuse.
     """
-    root = bounded.GetPrim()
-    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MAX_ASKED:
+    root = boundable.GetPrim()
+    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MAX_COMPUTED:
         return None
     skeletons = [p for p in Usd.PrimRange(root) if p.IsA(UsdSkel.Skeleton)]
     if len(skeletons) != 1 or skeletons[0].GetParent() != root:
@@ -276,10 +296,10 @@ def _joint_bounds(
     joints = tokens(skeleton.GetJointsAttr())
     bounds = _bounds(joint_parents(joints), *locals_)
     code = Usd.TimeCode(times[0])
-    first = _computed(bounded, code)
-    if first is None:
+    first_extent = _computed(boundable, code)
+    if first_extent is None:
         return None
-    pad = np.array(first, np.float64).reshape(2, 3) - bounds[0]
+    pad = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]
     padded: FloatArray = bounds + pad
     return padded
 
@@ -291,56 +311,65 @@ def _locals(
     joints = tokens(skeleton.GetJointsAttr())
     parents = joint_parents(joints)
     rest = matrix_array(skeleton.GetRestTransformsAttr())
-    animated = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
+    animated_joints = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
     columns = np.array(
-        [joints.index(n) if n in joints else -1 for n in animated], np.int64
+        [joints.index(n) if n in joints else -1 for n in animated_joints], np.int64
     )
     complete = (
-        len(animated) == len(joints) and (columns == np.arange(len(joints))).all()
+        len(animated_joints) == len(joints)
+        and (columns == np.arange(len(joints))).all()
     )
     if (parents >= np.arange(len(joints))).any() or (columns < 0).any():
         return None
     if not complete and len(rest) != len(joints):
         return None
-    resting = () if complete else decompose(rest)
-    parts = []
-    for part, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
-        sampled = subject.sampled(attr)
-        if (sampled.counts != len(animated)).any() or not len(sampled.times):
+    rest_components = () if complete else decompose(rest)
+    components = []
+    for component, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
+        array = subject.sampled(attr)
+        if (array.counts != len(animated_joints)).any() or not len(array.times):
             return None
-        if sampled.animated and not np.array_equal(sampled.times, times):
+        if array.animated and not np.array_equal(array.times, times):
             return None
-        values = sampled.rows(len(animated), width)[1]
+        values = array.rows(len(animated_joints), width)[1]
         if not np.isfinite(values).all():
             return None
         if not complete:
-            filled = np.repeat(resting[part][None], len(values), axis=0)
-            filled[:, columns] = values
-            values = filled
-        parts.append(values)
-    return parts[0], parts[1], parts[2]
+            all_joints = np.repeat(
+                rest_components[component][None], len(values), axis=0
+            )
+            all_joints[:, columns] = values
+            values = all_joints
+        components.append(values)
+    return components[0], components[1], components[2]
 
 
 def _bounds(
-    parents: IntArray, moves: AnyArray, rotations: AnyArray, sizes: AnyArray
+    parents: IntArray,
+    translations: AnyArray,
+    rotations: AnyArray,
+    joint_scales: AnyArray,
 ) -> FloatArray:
     """Return the bounds of the joint origins ``(F, 2, 3)``."""
-    count = max(len(moves), len(rotations), len(sizes))
+    count = max(len(translations), len(rotations), len(joint_scales))
     bounds = np.zeros((count, 2, 3))
-    plain = bool((sizes == 1).all())
-    for begin in range(0, count, BLOCK):
-        part = slice(begin, min(begin + BLOCK, count))
-        frames = part.stop - begin
-        t, r, s = (_block(values, part, frames) for values in (moves, rotations, sizes))
+    is_unscaled = bool((joint_scales == 1).all())
+    for begin in range(0, count, BLOCK_FRAMES):
+        block = slice(begin, min(begin + BLOCK_FRAMES, count))
+        frames = block.stop - begin
+        t, r, s = (
+            _block(values, block, frames)
+            for values in (translations, rotations, joint_scales)
+        )
         positions = np.zeros((frames, len(parents), 3))
         linear = np.zeros((frames, len(parents), 3, 3))
-        scales = None if plain else s
+        scales = None if is_unscaled else s
         _kernels.forward_kinematics(parents, t, r, scales, positions, linear)
-        bounds[part, 0] = positions.min(axis=1)
-        bounds[part, 1] = positions.max(axis=1)
+        bounds[block, 0] = positions.min(axis=1)
+        bounds[block, 1] = positions.max(axis=1)
     return bounds
 
 
-def _block(values: AnyArray, part: slice, frames: int) -> FloatArray:
-    rows = values[part] if len(values) > 1 else np.repeat(values, frames, axis=0)
+def _block(values: AnyArray, block: slice, frames: int) -> FloatArray:
+    rows = values[block] if len(values) > 1 else np.repeat(values, frames, axis=0)
     return np.ascontiguousarray(rows, np.float64)

@@ -1,7 +1,7 @@
 """Checks on every attribute: type, finite values, splines.
 
-It reads layers, not the stage: what a stronger opinion hides, and the variants that are
-not selected, are in the file too.
+It reads layers, not the stage, to include values that a stronger opinion hides, and
+variants that are not selected.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pxr import Sdf, Tf, Usd
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.finite import floats_of, largest
+from animtool.usd.layers.finite import float_letter, floats_of
 
 
 def check_types(subject: StageSubject) -> Iterator[Fault]:
     """Check that the strongest opinion of an attribute has its schema's type.
 
-    Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
+    Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
     for attr in subject.attributes:
         type_name, expected = attr.GetPropertyStack()[0].typeName, _expected_type(attr)
@@ -54,7 +54,7 @@ def _expected_type(attr: Any) -> Any:
 def check_splines(subject: StageSubject) -> Iterator[Fault]:
     """Check that spline knots increase in time, and that no samples hide them.
 
-    A knot that is not finite is refused by USD as the layer is read.
+    USD itself refuses knots that are not finite when reading the layer.
     """
     for attr in subject.attributes:
         specs = [spec for spec in attr.GetPropertyStack() if spec.HasSpline()]
@@ -64,7 +64,7 @@ def check_splines(subject: StageSubject) -> Iterator[Fault]:
         if spline.HasRegressiveTangents():
             message = f"tangents of some of its {len(spline.GetKnots())} knots do"
             yield finding("USD274", attr.GetPath(), message)
-        # Of one layer, samples win; a stronger layer may replace a spline by samples.
+        # In one layer, samples win; a stronger layer may replace a spline by samples.
         layer, path = specs[0].layer, specs[0].path
         samples = layer.ListTimeSamplesForPath(path)
         if samples:
@@ -89,17 +89,17 @@ def check_uniform(subject: StageSubject) -> Iterator[Fault]:
             yield finding("USD211", attr.GetPath(), message)
 
 
-# Codes that say the same of one kind of attribute.
-ALREADY = frozenset(
+# Codes of checks that already cover one kind of attribute.
+COVERED_CODES = frozenset(
     {"USD202", "USD225", "USD233", "USD235", "USD243", "USD265", "USD271", "USD272"}
 )
-# Of one prim, or of the metadata of a layer.
+# Maximum findings per prim, and per layer metadata.
 MAX_FINDINGS = 5
-# What other rules look at in the root layer, and rates in all.
+# Metadata that other rules check in the root layer, and rates in all layers.
 RATES = frozenset({"framesPerSecond", "timeCodesPerSecond"})
-ROOT_ALREADY = frozenset({"startTimeCode", "endTimeCode", "metersPerUnit"})
-# Not metadata, or without numbers.
-NO_NUMBERS = frozenset(
+ROOT_FIELDS = frozenset({"startTimeCode", "endTimeCode", "metersPerUnit"})
+# Fields that are not metadata, or have no numbers.
+NON_NUMERIC = frozenset(
     {
         "custom",
         "default",
@@ -116,30 +116,32 @@ NO_NUMBERS = frozenset(
 def check_finite(subject: StageSubject) -> Iterator[Fault]:
     """Check that no number in any layer of a stage is NaN or infinite.
 
-    An infinity that a schema itself has as its fallback, such as the limits of a
-    physics joint, is one that is meant.
+    Infinities that are a schema's fallback, such as limits of physics joints, are
+    allowed.
     """
     root = subject.stage.GetRootLayer()
-    used = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
-    for layer in (root, *sorted(used, key=lambda layer: str(layer.identifier))):
-        specs = _of_layer(subject, layer, is_root=layer == root)
+    layers = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
+    for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
+        specs = _layer_problems(subject, layer, is_root=layer == root)
         for _, group in groupby(specs, key=lambda item: item[0].GetPrimPath()):
-            yield from _limited(list(group), "" if layer == root else _named(layer))
+            yield from _limited(
+                list(group), "" if layer == root else _layer_name(layer)
+            )
 
 
-def _named(layer: Any) -> str:
+def _layer_name(layer: Any) -> str:
     return f" (in {layer.GetDisplayName()})"
 
 
 def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
     """Yield the first findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
-        rest = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
-        more = f"; so are {rest} more values of this prim" if rest > 0 else ""
-        yield finding("USD171", path, f"{message}{where}{more}")
+        omitted = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+        suffix = f"; so are {omitted} more values of this prim" if omitted > 0 else ""
+        yield finding("USD171", path, f"{message}{where}{suffix}")
 
 
-def _of_layer(
+def _layer_problems(
     subject: StageSubject, layer: Any, *, is_root: bool
 ) -> Iterator[tuple[Any, str]]:
     """Yield spec paths with non-finite numbers, grouped by prim."""
@@ -149,25 +151,27 @@ def _of_layer(
         spec = layer.GetObjectAtPath(path)
         if spec is None:
             continue
-        skipped = NO_NUMBERS
+        skipped = NON_NUMERIC
         if path == Sdf.Path.absoluteRootPath:
-            skipped = skipped | RATES | (ROOT_ALREADY if is_root else set())
+            skipped = skipped | RATES | (ROOT_FIELDS if is_root else set())
             for i, offset in enumerate(layer.subLayerOffsets):
-                if problem := _of_data(offset, f"subLayerOffsets[{i}]"):
+                if problem := _data_problem(offset, f"subLayerOffsets[{i}]"):
                     yield path, problem
         for key in spec.ListInfoKeys():
-            if key not in skipped and (problem := _of_data(spec.GetInfo(key), key)):
+            if key not in skipped and (
+                problem := _data_problem(spec.GetInfo(key), key)
+            ):
                 yield path, problem
-        floats = isinstance(spec, Sdf.AttributeSpec) and largest(spec.typeName)
-        if floats and (problem := _of_attribute(subject, layer, spec)):
+        floats = isinstance(spec, Sdf.AttributeSpec) and float_letter(spec.typeName)
+        if floats and (problem := _attribute_problem(subject, layer, spec)):
             yield path, problem
 
 
-def _of_data(value: Any, name: str) -> str:
+def _data_problem(value: Any, name: str) -> str:
     """Return the fault of a metadata value; empty if valid."""
     if isinstance(value, Mapping):
-        parts = (_of_data(item, f"{name}:{key}") for key, item in value.items())
-        return next(filter(None, parts), "")
+        problems = (_data_problem(item, f"{name}:{key}") for key, item in value.items())
+        return next(filter(None, problems), "")
     if isinstance(value, Sdf.LayerOffset):
         value = [value.offset, value.scale]
     elif isinstance(value, (Sdf.ReferenceListOp, Sdf.PayloadListOp)):
@@ -184,31 +188,31 @@ def _of_data(value: Any, name: str) -> str:
     return f"its metadata {name} is {_worst(numbers)}"
 
 
-def _of_attribute(subject: StageSubject, layer: Any, spec: Any) -> str:
+def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     """Return the fault of an attribute's values; empty if valid."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
         problems.append(f"its default is {_worst(default)}{_element(default)}")
     path = spec.path
-    times = [] if _is_known(subject, path) else layer.ListTimeSamplesForPath(path)
+    times = [] if _is_covered(subject, path) else layer.ListTimeSamplesForPath(path)
     if not all(map(math.isfinite, times)):
         problems.append("the time of a sample is not finite")
-    query, bad, first = layer.QueryTimeSample, 0, ""
+    query, bad_count, first_problem = layer.QueryTimeSample, 0, ""
     for time in times:
         numbers = floats_of(query(path, time))
         if numbers is None or _is_allowed(subject, spec, numbers):
             continue
-        bad += 1
-        if not first:
+        bad_count += 1
+        if not first_problem:
             element = _element(numbers)
-            first = f"it is {_worst(numbers)} at time code {time:.10g}{element}"
-    if bad > 1:
-        first += f", and in {counted(bad - 1, 'more sample')}"
-    return "; ".join(filter(None, (*problems, first)))
+            first_problem = f"it is {_worst(numbers)} at time code {time:.10g}{element}"
+    if bad_count > 1:
+        first_problem += f", and in {counted(bad_count - 1, 'more sample')}"
+    return "; ".join(filter(None, (*problems, first_problem)))
 
 
-def _is_known(subject: StageSubject, path: Any) -> bool:
+def _is_covered(subject: StageSubject, path: Any) -> bool:
     """Return whether another check already covers the attribute's only samples."""
     if path not in subject.finite:
         return False
@@ -220,7 +224,7 @@ def _is_known(subject: StageSubject, path: Any) -> bool:
 def _is_finite(numbers: npt.NDArray[Any]) -> bool:
     if not numbers.size:
         return True
-    # NaN comes through min and max, and through no comparison.
+    # min and max propagate NaN, comparisons do not.
     return bool(numbers.min() > -math.inf and numbers.max() < math.inf)
 
 
@@ -236,7 +240,8 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
     fallback_values = None if fallback is None else floats_of(fallback)
     if fallback_values is None:
-        # An attribute of a schema that the prim does not name, as some exporters write.
+        # An attribute of a schema that the prim does not apply, as some exporters
+        # write.
         return any(name.fullmatch(path.name) for name in _infinite_names())
     return not _is_finite(fallback_values)
 
@@ -258,15 +263,15 @@ def _infinite_names() -> tuple[re.Pattern[str], ...]:
     return tuple(map(re.compile, sorted(names)))
 
 
-def _bad(numbers: npt.NDArray[Any]) -> Any:
+def _first_bad(numbers: npt.NDArray[Any]) -> Any:
     return np.argwhere(~np.isfinite(numbers))[0]
 
 
 def _worst(numbers: npt.NDArray[Any]) -> str:
-    return f"{float(numbers[tuple(_bad(numbers))]):g}"
+    return f"{float(numbers[tuple(_first_bad(numbers))]):g}"
 
 
 def _element(numbers: npt.NDArray[Any]) -> str:
     """Return the array index of the first non-finite number as text."""
-    index = _bad(numbers)
+    index = _first_bad(numbers)
     return f", element {index[0]}" if len(index) else ""

@@ -1,8 +1,8 @@
 """Registers our checks as a validator of `pxr.UsdValidation`.
 
-USD loads this module by itself where ``PXR_PLUGINPATH_NAME`` names the folder that it
-is in, which holds ``plugInfo.json``. In Python, `register` does without. Its errors are
-named by our codes.
+USD loads this module itself if ``PXR_PLUGINPATH_NAME`` contains its folder, which has
+``plugInfo.json``. In Python, `register` works without it. Errors have our codes as
+names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pxr import Sdf, UsdValidation
 from animtool.core.errors import Fault, Severity
 from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 
-# As in plugInfo.json; `register` uses them without it.
+# Same name as in plugInfo.json; `register` also works without that file.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
 NAME = "animtool:Checks"
 

@@ -1,6 +1,6 @@
 """Checks on animated points and instancers: counts, values and extents.
 
-A cache may be larger than memory: each sample is read, looked at and let go.
+A cache may be larger than memory, so samples are read and released one by one.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ def _survey(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]
 
 
 def _finite(
-    subject: StageSubject, attr: Any, sampled: SampledArray, bounds: FloatArray
+    subject: StageSubject, attr: Any, array: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
-    # NaN and infinity both come through min and max.
-    bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (sampled.counts > 0)
-    if bad.any():
-        message = f"points are not finite {at_samples(sampled, bad)}"
+    # min and max propagate both NaN and infinity.
+    is_bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (array.counts > 0)
+    if is_bad.any():
+        message = f"points are not finite {at_samples(array, is_bad)}"
         yield finding("USD265", attr.GetPath(), message)
-    elif (sampled.counts >= 0).all():
+    elif (array.counts >= 0).all():
         subject.finite.add(attr.GetPath())
 
 
@@ -72,13 +72,13 @@ def _topology(
         if subject.times(indices):
             return
         value = indices.Get()
-        needed = int(np.array(value).max(initial=-1)) + 1 if value else 0
-        short = (points.counts < needed) & (points.counts >= 0)
-        if short.any():
-            count = points.counts[np.flatnonzero(short)[0]]
+        min_points = int(np.array(value).max(initial=-1)) + 1 if value else 0
+        too_few = (points.counts < min_points) & (points.counts >= 0)
+        if too_few.any():
+            count = points.counts[np.flatnonzero(too_few)[0]]
             message = (
-                f"{count} points for faces that refer to {needed} "
-                f"{at_samples(points, short)}"
+                f"{count} points for faces that refer to {min_points} "
+                f"{at_samples(points, too_few)}"
             )
             yield finding("USD264", attr.GetPath(), message)
             return
@@ -86,12 +86,12 @@ def _topology(
         UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
     ):
         return
-    changed = points.counts != points.counts[0]
-    if changed.any():
-        count = points.counts[np.flatnonzero(changed)[0]]
+    is_changed = points.counts != points.counts[0]
+    if is_changed.any():
+        count = points.counts[np.flatnonzero(is_changed)[0]]
         message = (
             f"{count} points, but the first sample has {points.counts[0]} "
-            f"{at_samples(points, changed)}"
+            f"{at_samples(points, is_changed)}"
         )
         yield finding("USD264", attr.GetPath(), message)
 
@@ -127,27 +127,27 @@ def _extent(
         message = f"this {prim.GetTypeName()} has none, but its points move"
         yield finding("USD250", prim.GetPath(), message)
         return
-    sampled = subject.sampled(attr)
-    if (sampled.counts != 2).any():
-        message = f"not two corners {at_samples(sampled, sampled.counts != 2)}"
+    array = subject.sampled(attr)
+    if (array.counts != 2).any():
+        message = f"not two corners {at_samples(array, array.counts != 2)}"
         yield finding("USD251", attr.GetPath(), message)
         return
-    extents = sampled.rows(2, 3)[1].astype(np.float64)
-    if sampled.animated:
-        # Between samples an extent is that of the sample before.
-        previous = np.searchsorted(sampled.times, points.times, side="right") - 1
+    extents = array.rows(2, 3)[1].astype(np.float64)
+    if array.animated:
+        # Between samples, an extent keeps the value of the previous sample.
+        previous = np.searchsorted(array.times, points.times, side="right") - 1
         extents = extents[np.clip(previous, 0, None)]
-    beyond, off = bounds_difference(extents, bounds, exact=sampled.animated)
-    if (beyond > 0).any():
-        worst = int(np.nanargmax(np.where(beyond > 0, off, 0.0)))
-        message = f"off by {off[worst]:.3g} {at_samples(points, beyond > 0)}"
-        if np.count_nonzero(beyond > 0) > 1:
+    excess, distance = bounds_difference(extents, bounds, exact=array.animated)
+    if (excess > 0).any():
+        worst = int(np.nanargmax(np.where(excess > 0, distance, 0.0)))
+        message = f"off by {distance[worst]:.3g} {at_samples(points, excess > 0)}"
+        if np.count_nonzero(excess > 0) > 1:
             message += f", most at {frame_label(points.times[worst])}"
         yield finding("USD251", attr.GetPath(), message)
 
 
-# Arrays with an entry a copy.
-_EACH = (
+# Arrays with an entry per instance.
+_INSTANCE_ARRAYS = (
     *("positions", "orientations", "orientationsf", "scales"),
     *("velocities", "angularVelocities", "ids"),
 )
@@ -159,14 +159,14 @@ def check_copies(subject: StageSubject) -> Iterator[Fault]:
         prim = instancer.GetPrim()
         indices = subject.sampled(instancer.GetProtoIndicesAttr())
         yield from _prototypes(subject, instancer, indices)
-        for name in _EACH:
+        for name in _INSTANCE_ARRAYS:
             attr = prim.GetAttribute(name)
             if not attr or not attr.HasAuthoredValue():
                 continue
-            sampled = subject.sampled(attr)
-            yield from _lengths(attr, sampled, indices)
+            array = subject.sampled(attr)
+            yield from _lengths(attr, array, indices)
             if name != "ids":
-                yield from _numbers(attr, sampled, unit=name.startswith("orientations"))
+                yield from _numbers(attr, array, unit=name.startswith("orientations"))
 
 
 def _prototypes(
@@ -180,58 +180,55 @@ def _prototypes(
             "USD287", relationship.GetPath(), f"prim {gone[0]} does not exist"
         )
     path = instancer.GetPath()
-    around = [target for target in targets if path.HasPrefix(target)]
-    if around:
-        message = f"{around[0]} contains the instances themselves"
+    ancestors = [target for target in targets if path.HasPrefix(target)]
+    if ancestors:
+        message = f"{ancestors[0]} contains the instances themselves"
         yield finding("USD287", relationship.GetPath(), message)
-    ends = [
+    index_ranges = [
         (int(np.min(array)), int(np.max(array))) if count > 0 else (0, -1)
         for array, count in zip(indices.arrays, indices.counts, strict=True)
     ]
-    low, high = np.array(ends, np.int64).reshape(-1, 2).T
-    bad = (low < 0) | (high >= len(targets))
-    if bad.any() and not (subject.alone and not targets):
-        worst = ends[int(np.argmax(bad))]
+    lowest, highest = np.array(index_ranges, np.int64).reshape(-1, 2).T
+    is_bad = (lowest < 0) | (highest >= len(targets))
+    if is_bad.any() and not (subject.alone and not targets):
+        worst = index_ranges[int(np.argmax(is_bad))]
         index = worst[0] if worst[0] < 0 else worst[1]
         message = (
             f"{index} is outside the {len(targets)} prototypes "
-            f"{at_samples(indices, bad)}"
+            f"{at_samples(indices, is_bad)}"
         )
         yield finding("USD287", instancer.GetProtoIndicesAttr().GetPath(), message)
 
 
-def _lengths(
-    attr: Any, sampled: SampledArray, indices: SampledArray
-) -> Iterator[Fault]:
+def _lengths(attr: Any, array: SampledArray, indices: SampledArray) -> Iterator[Fault]:
     """Compare array lengths with those of protoIndices at each sample."""
     if not len(indices.counts):
         return
-    previous = np.zeros(len(sampled.counts), np.int64)
-    if indices.animated and sampled.animated:
-        previous = np.searchsorted(indices.times, sampled.times, side="right") - 1
+    previous = np.zeros(len(array.counts), np.int64)
+    if indices.animated and array.animated:
+        previous = np.searchsorted(indices.times, array.times, side="right") - 1
     expected = indices.counts[np.clip(previous, 0, None)]
     optional = not attr.GetName().startswith("positions")
-    bad = (sampled.counts != expected) & ~(optional & (sampled.counts <= 0))
-    if bad.any():
-        i = int(np.argmax(bad))
+    is_bad = (array.counts != expected) & ~(optional & (array.counts <= 0))
+    if is_bad.any():
+        i = int(np.argmax(is_bad))
         message = (
-            f"{sampled.counts[i]} for {expected[i]} instances "
-            f"{at_samples(sampled, bad)}"
+            f"{array.counts[i]} for {expected[i]} instances {at_samples(array, is_bad)}"
         )
         yield finding("USD269", attr.GetPath(), message)
 
 
-def _numbers(attr: Any, sampled: SampledArray, *, unit: bool) -> Iterator[Fault]:
-    not_finite, off = np.zeros((2, len(sampled.counts)), bool)
-    for i, array in enumerate(sampled.arrays):
-        values = np.array(array, np.float64) if sampled.counts[i] > 0 else np.zeros(0)
+def _numbers(attr: Any, samples: SampledArray, *, unit: bool) -> Iterator[Fault]:
+    not_finite, is_not_unit = np.zeros((2, len(samples.counts)), bool)
+    for i, array in enumerate(samples.arrays):
+        values = np.array(array, np.float64) if samples.counts[i] > 0 else np.zeros(0)
         not_finite[i] = not np.isfinite(values).all()
         if unit and not not_finite[i] and len(values):
             sizes = np.linalg.norm(values.reshape(-1, 4), axis=1)
-            off[i] = bool((np.abs(sizes - 1) > UNIT_TOLERANCE).any())
+            is_not_unit[i] = bool((np.abs(sizes - 1) > UNIT_TOLERANCE).any())
     if not_finite.any():
-        message = f"{attr.GetName()} are not finite {at_samples(sampled, not_finite)}"
+        message = f"{attr.GetName()} are not finite {at_samples(samples, not_finite)}"
         yield finding("USD265", attr.GetPath(), message)
-    if off.any():
-        message = f"a quaternion is not of length 1 {at_samples(sampled, off)}"
+    if is_not_unit.any():
+        message = f"a quaternion is not of length 1 {at_samples(samples, is_not_unit)}"
         yield finding("USD288", attr.GetPath(), message)

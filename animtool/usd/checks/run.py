@@ -19,7 +19,7 @@ from animtool.usd.checks.animation import (
 )
 from animtool.usd.checks.extents import check_extents
 from animtool.usd.checks.finite import (
-    ALREADY,
+    COVERED_CODES,
     check_finite,
     check_splines,
     check_types,
@@ -43,9 +43,9 @@ from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.sdf import find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
-# Of ours inside of UsdValidation, which need not run twice.
+# Keyword of our validator in UsdValidation, which need not run twice.
 ANIMTOOL_KEYWORD = "animtool"
-# What ours find too, with the prim: no need to ask.
+# USD validators that our checks cover, and with more detail.
 _COVERED = {
     "usdValidation:CompositionErrorTest",
     "usdUtilsValidators:MissingReferenceValidator",
@@ -68,7 +68,7 @@ _FAMILIES = {
 
 
 def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
-    """Run every validator that UsdValidation has, but for those that ours cover."""
+    """Run every validator of UsdValidation, except those that our checks cover."""
     registry = UsdValidation.ValidationRegistry()
     names = [
         metadata.name
@@ -80,7 +80,7 @@ def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
     validators = registry.GetOrLoadValidatorsByName(names)
     errors = UsdValidation.ValidationContext(validators).Validate(subject.stage)
     faults = [_fault(error) for error in errors]
-    # They run in parallel and come in any order.
+    # They run in parallel and return findings in any order.
     yield from sorted(faults, key=lambda f: (f.code, f.where or "", f.message))
 
 
@@ -109,7 +109,7 @@ def _where(error: Any) -> str:
 
 Check: TypeAlias = Callable[[StageSubject], Iterator[Fault]]
 
-# These read no samples; the others need valid rates.
+# Checks that read no samples; the others need valid rates.
 UNTIMED: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
 TIMED: tuple[Check, ...] = (
     check_assets,
@@ -134,28 +134,31 @@ TIMED: tuple[Check, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What was found in a USD layer."""
+    """Findings in a USD layer."""
 
-    faults: list[Fault]  # all that is wrong with it and what it brings in
+    faults: list[Fault]  # findings in the layer and the layers it composes
     # Its animations, for rules on motion.
     takes: list[AnimationTake] = field(default_factory=list)
-    alone: bool = False  # whether the rig is elsewhere: it is a layer for a stage
+    alone: bool = False  # whether the layer has no rig: it is part of a stage
 
 
 def inspect_layer(path: Path | str) -> Inspection:
-    """Return all that is wrong with a USD layer and what it brings in, and its takes.
+    """Return all findings in a USD layer and what it composes, and its takes.
 
-    What cannot be opened has that as its one finding. USD's own warnings about the
-    layer are not printed meanwhile: the findings say the same.
+    If it cannot be opened, that is the only finding. USD's own warnings about the layer
+    are
+    not printed, since the findings cover them.
     """
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
             subject = StageSubject(open_composed(find_layer(path), path))
             findings = [*_faults(subject), *_run(check_with_usd, subject)]
-            # Without a rate, a unit or an up axis, no motion has a size.
-            sized = not any(fault.code in {"USD253", "USD260"} for fault in findings)
-            takes = _takes(subject, path) if sized else []
+            # Without a rate, a unit or an up axis, motion has no speed or size.
+            has_units = not any(
+                fault.code in {"USD253", "USD260"} for fault in findings
+            )
+            takes = _takes(subject, path) if has_units else []
     except FormatError as error:
         return Inspection(list(error.faults))
     faults = [replace(fault, path=str(path)) for fault in _distinct(findings)]
@@ -163,12 +166,12 @@ def inspect_layer(path: Path | str) -> Inspection:
 
 
 def check_layer(path: Path | str) -> list[Fault]:
-    """Return all that is wrong with a USD layer; see `inspect_layer`."""
+    """Return all findings in a USD layer; see `inspect_layer`."""
     return inspect_layer(path).faults
 
 
 def check_stage(stage: Any) -> list[Fault]:
-    """Return what our own checks find on a stage."""
+    """Return the findings of our own checks on a stage."""
     return _distinct(_faults(StageSubject(stage)))
 
 
@@ -177,13 +180,13 @@ def _faults(subject: StageSubject) -> list[Fault]:
     # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [fault for check in TIMED for fault in _run(check, subject)]
-    known = {fault.where for fault in faults if fault.code in ALREADY}
+    covered = {fault.where for fault in faults if fault.code in COVERED_CODES}
     everywhere = _run(check_finite, subject)
-    return faults + [fault for fault in everywhere if fault.where not in known]
+    return faults + [fault for fault in everywhere if fault.where not in covered]
 
 
 def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
-    """Return the animations; none where an attribute is of another type than USD's."""
+    """Return the animations; empty if an attribute has a wrong type."""
     try:
         return animation_takes(subject, path)
     except (FormatError, AttributeError, IndexError, TypeError, ValueError):
@@ -193,9 +196,9 @@ def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 
 
 def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
-    """Yield the findings of a check; errors that USD raises meanwhile are findings too.
+    """Yield the findings of a check, including errors that USD raises.
 
-    Where a value is of another type than its schema wants, a check ends there.
+    If a value has a wrong type, a check ends there.
     """
     try:
         with usd_errors(Path(subject.stage.GetRootLayer().identifier)):
@@ -203,25 +206,26 @@ def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
     except FormatError as error:
         yield from (replace(fault, where="/") for fault in error.faults)
     except (AttributeError, IndexError, TypeError, ValueError):
-        mistyped = list(check_types(subject))
-        if not mistyped:
+        type_faults = list(check_types(subject))
+        if not type_faults:
             raise
-        yield from mistyped
+        yield from type_faults
 
 
 def _distinct(faults: list[Fault]) -> list[Fault]:
     """Return faults without repeats of an earlier fault at the same location.
 
-    Of a code and a place, the first message counts: a validator of USD may find
-    what ours did.
+    Per code and location the first message is kept: a validator of USD may repeat a
+    finding
+    of ours.
     """
     reported_foreign: dict[tuple[str, str | None], bool] = {}
-    kept = []
+    distinct_faults = []
     for fault in faults:
         foreign = fault.message.partition(":")[0].lower().startswith("usd")
         key = (fault.code, fault.where)
         if foreign and key in reported_foreign and not reported_foreign[key]:
             continue
         reported_foreign.setdefault(key, foreign)
-        kept.append(fault)
-    return kept
+        distinct_faults.append(fault)
+    return distinct_faults

@@ -74,13 +74,15 @@ def _limits(prim: Any) -> Iterator[Fault]:
     """Check limit pairs; in the limit API, low above high locks the axis."""
     yield from _pair(prim, "physics:lowerLimit", "physics:upperLimit")
     for schema in prim.GetAppliedSchemas():
-        head, _, name = str(schema).partition(":")
-        if head == "PhysicsLimitAPI":
-            low, high = (f"limit:{name}:physics:{end}" for end in ("low", "high"))
-            yield from _pair(prim, low, high, reversible=True)
+        schema_name, _, name = str(schema).partition(":")
+        if schema_name == "PhysicsLimitAPI":
+            low_name, high_name = (
+                f"limit:{name}:physics:{end}" for end in ("low", "high")
+            )
+            yield from _pair(prim, low_name, high_name, reversible=True)
     yield from _pair(prim, "physics:minDistance", "physics:maxDistance", free=-1.0)
-    for side in "01":
-        yield from _numbers(prim, f"physics:coneAngle{side}Limit")
+    for body in "01":
+        yield from _numbers(prim, f"physics:coneAngle{body}Limit")
 
 
 def _numbers(prim: Any, name: str) -> Iterator[Fault]:
@@ -101,33 +103,40 @@ def _pair(
     yield from _numbers(prim, lower)
     yield from _numbers(prim, upper)
     attributes = [prim.GetAttribute(name) for name in (lower, upper)]
-    low, high = (attr.Get() if attr else None for attr in attributes)
-    if low is None or high is None or reversible or free in {low, high}:
+    lower_value, upper_value = (attr.Get() if attr else None for attr in attributes)
+    if (
+        lower_value is None
+        or upper_value is None
+        or reversible
+        or free in {lower_value, upper_value}
+    ):
         return
-    if low > high:
-        message = f"{lower.rpartition(':')[2]} {low:g} is above {high:g}"
+    if lower_value > upper_value:
+        message = f"{lower.rpartition(':')[2]} {lower_value:g} is above {upper_value:g}"
         yield finding("USD271", attributes[0].GetPath(), message)
 
 
-# Of the largest number in a transform.
-SAME = 1e-4
+# Tolerance of transforms, relative to their largest number.
+TRANSFORM_TOLERANCE = 1e-4
 
 
 def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
     """Check topology, rest and bind transforms of every Skeleton."""
-    bound = set()
+    bound_skeletons = set()
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
         if binding.GetJointIndicesAttr().HasAuthoredValue():
-            inherited = binding.GetInheritedSkeleton()
-            bound.add(inherited.GetPrim().GetPath() if inherited else None)
+            inherited_skeleton = binding.GetInheritedSkeleton()
+            bound_skeletons.add(
+                inherited_skeleton.GetPrim().GetPath() if inherited_skeleton else None
+            )
     for skeleton in subject.of_type(UsdSkel.Skeleton):
         joints = tokens(skeleton.GetJointsAttr())
         if not joints:
             continue
         yield from _order(skeleton, joints)
         yield from rest_transforms(skeleton, joints)
-        yield from _bind(skeleton, joints, skins=skeleton.GetPath() in bound)
+        yield from _bind(skeleton, joints, skins=skeleton.GetPath() in bound_skeletons)
         yield from _root(skeleton)
 
 
@@ -137,13 +146,12 @@ def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
     yield from faults
     if any(fault.code == "USD220" for fault in faults):
         return
-    known = set(joints)
-    parted = ((name, name.rpartition("/")[0]) for name in joints)
-    lost = [name for name, parent in parted if parent and parent not in known]
-    if lost:
-        message = (
-            f"{len(lost)} joints have a parent that does not exist: {listed(lost)}"
-        )
+    paths = set(joints)
+    with_parents = ((name, name.rpartition("/")[0]) for name in joints)
+    orphans = [name for name, parent in with_parents if parent and parent not in paths]
+    if orphans:
+        message = f"{len(orphans)} joints have a parent that does not exist: "
+        message += listed(orphans)
         yield finding("USD222", path, message)
 
 
@@ -188,7 +196,7 @@ def _swapped(
 
 
 def _same(a: FloatArray, b: FloatArray) -> bool:
-    return bool(np.abs(a - b).max() <= SAME * max(np.abs(a).max(), 1.0))
+    return bool(np.abs(a - b).max() <= TRANSFORM_TOLERANCE * max(np.abs(a).max(), 1.0))
 
 
 def _root(skeleton: Any) -> Iterator[Fault]:

@@ -16,15 +16,16 @@ from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import duplicates, singular, tokens
 from animtool.usd.rigs.prims import upwards
 
-# Text files with three digits and eight influences are within.
+# Tolerance of weight sums; text files with three digits and eight influences are within
+# it.
 SUM_TOLERANCE = 4e-3
 
 
 def check_skins(subject: StageSubject) -> Iterator[Fault]:
     """Check indices, weights and bind transform of every skinned prim.
 
-    What prims above geometry hold for it to inherit is not looked at, nor are prims
-    without points.
+    Inherited bindings on prims above geometry are not checked, nor are prims without
+    points.
     """
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
@@ -37,53 +38,58 @@ def check_skins(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _influences(
-    prim: Any, binding: Any, indices: Any, weights: Any, have: list[bool]
+    prim: Any, binding: Any, indices: Any, weights: Any, has_values: list[bool]
 ) -> Iterator[Fault]:
-    indexed, heavy = (
-        np.array(primvar.ComputeFlattened() or () if there else (), np.float64)
-        for primvar, there in zip((indices, weights), have, strict=True)
+    index_values, weight_values = (
+        np.array(primvar.ComputeFlattened() or () if is_present else (), np.float64)
+        for primvar, is_present in zip((indices, weights), has_values, strict=True)
     )
-    if not len(indexed) or not len(heavy):
-        message = f"{len(indexed)} jointIndices and {len(heavy)} jointWeights"
+    if not len(index_values) or not len(weight_values):
+        message = (
+            f"{len(index_values)} jointIndices and {len(weight_values)} jointWeights"
+        )
         yield finding("USD234", prim.GetPath(), message)
         return
-    yield from _joints(prim, binding, indexed)
-    unfit = _layout(prim, indices, weights, len(indexed), len(heavy))
-    if unfit:
+    yield from _joints(prim, binding, index_values)
+    mismatch = _layout(prim, indices, weights, len(index_values), len(weight_values))
+    if mismatch:
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
-        yield finding("USD231", path, unfit)
-    yield from _values(prim, heavy, 0 if unfit else weights.GetElementSize())
+        yield finding("USD231", path, mismatch)
+    yield from _values(prim, weight_values, 0 if mismatch else weights.GetElementSize())
 
 
 def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
     skeleton_query = binding.GetInheritedSkeleton()
     skeleton = tokens(skeleton_query.GetJointsAttr()) if skeleton_query else []
-    bound = _bound_joints(prim)
-    unknown = [name for name in bound if name not in set(skeleton)]
+    joint_names = _bound_joints(prim)
+    unknown = [name for name in joint_names if name not in set(skeleton)]
     if skeleton and unknown:
         message = (
             f"{len(unknown)} joints that {skeleton_query.GetPath()} does not have: "
         )
         message += listed(unknown)
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
-    count = len(bound or skeleton)
-    wrong = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
-    if len(wrong):
+    count = len(joint_names or skeleton)
+    out_of_range = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
+    if len(out_of_range):
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
         message = (
-            f"{len(wrong)} of {len(indices)} indices are not in 0 to {count - 1}, "
-            f"the first is {wrong[0]:.0f}"
+            f"{len(out_of_range)} of {len(indices)} indices are not in 0 to "
+            f"{count - 1}, "
+            f"the first is {out_of_range[0]:.0f}"
         )
         yield finding("USD230", path, message)
 
 
 def _bound_joints(prim: Any) -> list[str]:
     """Return skel:joints of a prim or its nearest ancestor that authors them."""
-    attrs = (UsdSkel.BindingAPI(above).GetJointsAttr() for above in upwards(prim))
+    attrs = (UsdSkel.BindingAPI(ancestor).GetJointsAttr() for ancestor in upwards(prim))
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
-def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> str:
+def _layout(
+    prim: Any, indices: Any, weights: Any, count: int, weight_count: int
+) -> str:
     """Return the mismatch of counts as text; empty if they agree."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
     kinds = indices.GetInterpolation(), weights.GetInterpolation()
@@ -96,9 +102,9 @@ def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> st
         return f"interpolation {kinds[0]}; allowed: constant, vertex"
     rows = 1 if kinds[0] == "constant" else point_count(prim)
     expected = count if rows is None else rows * sizes[0]
-    if count != expected or heavy != expected or count % max(sizes[0], 1):
+    if count != expected or weight_count != expected or count % max(sizes[0], 1):
         amount = "" if rows is None else f" for {rows} x {sizes[0]}"
-        return f"{count} jointIndices and {heavy} jointWeights{amount}"
+        return f"{count} jointIndices and {weight_count} jointWeights{amount}"
     return ""
 
 
@@ -116,22 +122,24 @@ def point_count(prim: Any) -> int | None:
 
 def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
     path = f"{prim.GetPath()}.primvars:skel:jointWeights"
-    bad = ~np.isfinite(weights) | (weights < 0)
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
+    is_bad = ~np.isfinite(weights) | (weights < 0)
+    if is_bad.any():
+        first_bad = int(np.flatnonzero(is_bad)[0])
         message = (
-            f"{bad.sum()} of {len(weights)} weights are negative or not finite, the "
-            f"first is {weights[first]:g}, that of point {first // max(size, 1)}"
+            f"{is_bad.sum()} of {len(weights)} weights are negative or not finite, the "
+            f"first is {weights[first_bad]:g}, that of point "
+            f"{first_bad // max(size, 1)}"
         )
         yield finding("USD233", path, message)
     elif size:
-        sums = weights.reshape(-1, size).sum(axis=1)
-        off = np.abs(sums - 1.0) > SUM_TOLERANCE
-        if off.any():
-            worst = int(np.abs(sums - 1.0).argmax())
+        weight_sums = weights.reshape(-1, size).sum(axis=1)
+        is_off_one = np.abs(weight_sums - 1.0) > SUM_TOLERANCE
+        if is_off_one.any():
+            worst = int(np.abs(weight_sums - 1.0).argmax())
             message = (
-                f"the weights of {off.sum()} of {len(sums)} points have another sum, "
-                f"of point {worst} {sums[worst]:.6g}"
+                f"the weights of {is_off_one.sum()} of {len(weight_sums)} points have "
+                "another sum, "
+                f"of point {worst} {weight_sums[worst]:.6g}"
             )
             yield finding("USD232", path, message)
 
@@ -158,12 +166,12 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
         attr, targets = binding.GetBlendShapesAttr(), binding.GetBlendShapeTargetsRel()
         names = tokens(attr)
         paths = targets.GetTargets() if targets else []
-        twice = duplicates(names)
+        repeated = duplicates(names)
         if len(names) != len(paths) and (names or paths):
             message = f"{len(names)} blendShapes for {len(paths)} targets"
             yield finding("USD245", f"{prim.GetPath()}.skel:blendShapes", message)
-        elif twice:
-            message = f"{len(twice)} duplicate shapes: {listed(twice)}"
+        elif repeated:
+            message = f"{len(repeated)} duplicate shapes: {listed(repeated)}"
             yield finding("USD245", attr.GetPath(), message)
 
 
@@ -196,12 +204,12 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     expected = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
     inbetweens = list(shape.GetInbetweens())
-    turned = [_rows(shape.GetNormalOffsetsAttr())]
-    turned += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
-    turning = max(map(len, turned))
-    if not len(offsets) and turning:
+    normal_offsets = [_rows(shape.GetNormalOffsetsAttr())]
+    normal_offsets += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
+    normal_count = max(map(len, normal_offsets))
+    if not len(offsets) and normal_count:
         # A shape may change normals only.
-        offsets = np.zeros((turning if expected is None else expected, 3))
+        offsets = np.zeros((normal_count if expected is None else expected, 3))
     if expected is not None and len(offsets) != expected:
         counted_as = "pointIndices" if len(indices) else "points"
         yield finding(
@@ -209,8 +217,12 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
         )
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
-    moves = [offsets, *turned, *(_rows(step.GetAttr()) for step in inbetweens)]
-    if len(offsets) and not any(rows.any() for rows in moves):
+    all_offsets = [
+        offsets,
+        *normal_offsets,
+        *(_rows(step.GetAttr()) for step in inbetweens),
+    ]
+    if len(offsets) and not any(rows.any() for rows in all_offsets):
         yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
     count = expected if expected is not None else len(offsets)
     yield from _normals(shape.GetNormalOffsetsAttr(), count)
@@ -219,27 +231,27 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
 
 def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Fault]:
     path = shape.GetPointIndicesAttr().GetPath()
-    last = np.iinfo(np.int64).max if points is None else points - 1
-    wrong = indices[(indices < 0) | (indices > last)]
-    if len(wrong):
-        end = "" if points is None else f" to {last}"
-        message = (
-            f"{len(wrong)} of {len(indices)} are not in 0{end}, the first is {wrong[0]}"
-        )
+    last_index = np.iinfo(np.int64).max if points is None else points - 1
+    out_of_range = indices[(indices < 0) | (indices > last_index)]
+    if len(out_of_range):
+        range_end = "" if points is None else f" to {last_index}"
+        message = f"{len(out_of_range)} of {len(indices)} are not in 0{range_end}, "
+        message += f"the first is {out_of_range[0]}"
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
         rows, counts = np.unique(indices, return_counts=True)
-        twice = rows[counts > 1]
-        message = (
-            f"{len(twice)} of {len(indices)} are duplicates, the first is {twice[0]}"
-        )
+        repeated = rows[counts > 1]
+        message = f"{len(repeated)} of {len(indices)} are duplicates, "
+        message += f"the first is {repeated[0]}"
         yield finding("USD241", path, message)
 
 
 def _finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad):
-        message = f"{len(bad)} of {len(rows)} are not finite, the first is {bad[0]}"
+    bad_rows = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad_rows):
+        message = (
+            f"{len(bad_rows)} of {len(rows)} are not finite, the first is {bad_rows[0]}"
+        )
         yield finding("USD243", attr.GetPath(), message)
 
 
@@ -252,12 +264,12 @@ def _normals(attr: Any, expected: int) -> Iterator[Fault]:
 
 
 def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
-    taken: dict[float, str] = {}
+    names_by_weight: dict[float, str] = {}
     for step in steps:
         attr, weight = step.GetAttr(), step.GetWeight()
         rows = _rows(attr)
-        alone = not len(rows) and len(_rows(step.GetNormalOffsetsAttr()))
-        if len(rows) != expected and not alone:
+        normals_only = not len(rows) and len(_rows(step.GetNormalOffsetsAttr()))
+        if len(rows) != expected and not normals_only:
             message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _finite(attr, rows)
@@ -265,8 +277,8 @@ def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
             have = "no weight" if weight is None else f"weight {weight:g}"
             yield finding("USD244", attr.GetPath(), have)
-        elif weight in taken:
-            message = f"weight {weight:g}, as {excerpt(taken[weight])}"
+        elif weight in names_by_weight:
+            message = f"weight {weight:g}, as {excerpt(names_by_weight[weight])}"
             yield finding("USD244", attr.GetPath(), message)
         else:
-            taken[weight] = attr.GetName()
+            names_by_weight[weight] = attr.GetName()

@@ -1,7 +1,7 @@
 """Exact bounds of the points that a SkelRoot skins, as UsdSkel poses them.
 
-`ComputeExtentFromPlugins` has the joints and a padding of the rest pose, which skinned
-points may leave.
+`ComputeExtentFromPlugins` uses the joints and a padding from the rest pose, which
+skinned points may exceed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.usd.caches.reader import PointReader, transformed
 
-# Points posed where the largest of many samples is looked for.
+# Maximum number of points posed to find the largest of many samples.
 MAX_POINTS = 20_000_000
 
 
@@ -24,10 +24,10 @@ MAX_POINTS = 20_000_000
 class _SkinnedPrim:
     """A prim that a Skeleton deforms."""
 
-    query: Any  # its `UsdSkel.SkinningQuery`
-    points: Any  # at rest
-    shapes: Any  # a `UsdSkel.BlendShapeQuery`, None without shapes
-    reach: list[Any]  # points that the shapes move, and by how much
+    query: Any  # `UsdSkel.SkinningQuery`
+    points: Any  # rest points
+    shapes: Any  # `UsdSkel.BlendShapeQuery`; None without shapes
+    offsets: list[Any]  # points that each shape moves, and their offsets
 
 
 class SkinnedBounds:
@@ -36,19 +36,23 @@ class SkinnedBounds:
     def __init__(self, root: Any) -> None:
         self._root = root
         try:
-            self._bound = _bindings(root)
+            self._bindings_ = _bindings(root)
         except Tf.ErrorException:
-            self._bound = []
+            self._bindings_ = []
 
     @property
     def points(self) -> int:
         """Number of points."""
-        return sum(len(one.points) for _, prims in self._bound for one in prims)
+        return sum(
+            len(skinned_prim.points)
+            for _, prims in self._bindings_
+            for skinned_prim in prims
+        )
 
     def at(self, code: Any) -> FloatArray | None:
         """Return the bounds ``(2, 3)`` at a time code; None without skinned points.
 
-        None too where UsdSkel cannot: other checks report broken influences.
+        Also None if UsdSkel cannot skin: other checks report invalid influences.
         """
         try:
             return self._at(code)
@@ -57,19 +61,19 @@ class SkinnedBounds:
 
     def _at(self, code: Any) -> FloatArray | None:
         xforms = UsdGeom.XformCache(code)
-        ends = []
-        for skeleton, prims in self._bound:
+        prim_bounds = []
+        for skeleton, prims in self._bindings_:
             transforms = skeleton.ComputeSkinningTransforms(code) if prims else None
-            for one in prims:
-                posed, holder = _posed(one, skeleton, transforms, code)
-                if posed is None:
+            for skinned_prim in prims:
+                posed_points, holder = _posed(skinned_prim, skeleton, transforms, code)
+                if posed_points is None:
                     continue
                 matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
-                inside = transformed(posed, np.array(matrix, np.float64))
-                ends.append((inside.min(axis=0), inside.max(axis=0)))
-        if not ends:
+                root_points = transformed(posed_points, np.array(matrix, np.float64))
+                prim_bounds.append((root_points.min(axis=0), root_points.max(axis=0)))
+        if not prim_bounds:
             return None
-        lows, highs = np.array(ends).swapaxes(0, 1)
+        lows, highs = np.array(prim_bounds).swapaxes(0, 1)
         bounds = np.stack([lows.min(axis=0), highs.max(axis=0)])
         return bounds if np.isfinite(bounds).all() else None
 
@@ -79,39 +83,45 @@ def overhang(
 ) -> tuple[float, float, bool] | None:
     """Return the largest distance of skinned points outside extents, and where.
 
-    Where these are many, the last is False, and it is the largest of some.
+    For many points only some samples are posed, and the last value is False.
 
     Args:
         root: The SkelRoot.
-        extents: One a time, or one for all ``(F or 1, 2, 3)``.
+        extents: One per time, or one for all ``(F or 1, 2, 3)``.
         times: Their time codes; NaN alone is the default.
     """
     bounds = SkinnedBounds(root)
-    most = max(1, MAX_POINTS // max(bounds.points, 1))
+    max_samples = max(1, MAX_POINTS // max(bounds.points, 1))
     count = len(times)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    worst, when = 0.0, times[0]
-    for i in chosen.tolist():
+    sample_indices = np.unique(
+        np.linspace(0, count - 1, min(count, max_samples)).astype(int)
+    )
+    largest, largest_code = 0.0, times[0]
+    for i in sample_indices.tolist():
         time = times[i]
         code = Usd.TimeCode.Default() if np.isnan(time) else Usd.TimeCode(time)
-        posed = bounds.at(code)
-        if posed is None:
+        point_bounds = bounds.at(code)
+        if point_bounds is None:
             continue
-        low, high = extents[i if len(extents) > 1 else 0]
-        over = float(np.maximum(low - posed[0], posed[1] - high).max())
-        if over > worst:
-            worst, when = over, time
-    return (worst, when, len(chosen) == count) if worst > 0.0 else None
+        lowest, highest = extents[i if len(extents) > 1 else 0]
+        distance = float(
+            np.maximum(lowest - point_bounds[0], point_bounds[1] - highest).max()
+        )
+        if distance > largest:
+            largest, largest_code = distance, time
+    return (
+        (largest, largest_code, len(sample_indices) == count) if largest > 0.0 else None
+    )
 
 
 def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
     """Return the skeletons below a SkelRoot as queries, with their skinned prims."""
-    cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
+    cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
     schema = UsdSkel.Root(root)
-    cache.Populate(schema, everything)
+    cache.Populate(schema, predicate)
     return [
         (cache.GetSkelQuery(binding.GetSkeleton()), _skinned(binding))
-        for binding in cache.ComputeSkelBindings(schema, everything)
+        for binding in cache.ComputeSkelBindings(schema, predicate)
     ]
 
 
@@ -125,30 +135,32 @@ def _skinned(binding: Any) -> list[_SkinnedPrim]:
         points = PointReader(prim).attr.Get(Usd.TimeCode.EarliestTime())
         if not points:
             continue
-        shapes = reach = None
+        shapes = offsets = None
         if query.HasBlendShapes():
             shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
-            reach = [
+            offsets = [
                 shapes.ComputeBlendShapePointIndices(),
                 shapes.ComputeSubShapePointOffsets(),
             ]
-        prims.append(_SkinnedPrim(query, points, shapes, reach or []))
+        prims.append(_SkinnedPrim(query, points, shapes, offsets or []))
     return prims
 
 
 def _posed(
-    one: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
+    skinned_prim: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
     """Return the posed points of a prim ``(N, 3)``, and the prim of their space."""
-    query, points = one.query, type(one.points)(one.points)
+    query, points = skinned_prim.query, type(skinned_prim.points)(skinned_prim.points)
     animation = skeleton.GetAnimQuery()
-    if one.shapes is not None and animation:
+    if skinned_prim.shapes is not None and animation:
         weights = animation.ComputeBlendShapeWeights(code)
         mapper = query.GetBlendShapeMapper()
         weights = mapper.Remap(weights) if weights and mapper else weights
         if weights:
-            subshapes = one.shapes.ComputeSubShapeWeights(weights)
-            one.shapes.ComputeDeformedPoints(*subshapes, *one.reach, points)
+            subshapes = skinned_prim.shapes.ComputeSubShapeWeights(weights)
+            skinned_prim.shapes.ComputeDeformedPoints(
+                *subshapes, *skinned_prim.offsets, points
+            )
     if not query.HasJointInfluences():
         return np.array(points, np.float64), query.GetPrim()
     if not transforms:

@@ -34,8 +34,10 @@ def check_composition(subject: StageSubject) -> Iterator[Fault]:
 def check_assets(subject: StageSubject) -> Iterator[Fault]:
     """Check that asset paths are relative and resolve."""
     for layer in subject.stage.GetUsedLayers():
-        wrong = [p for p in layer.GetCompositionAssetDependencies() if _absolute(p)]
-        for path in wrong:
+        absolute_paths = [
+            p for p in layer.GetCompositionAssetDependencies() if _absolute(p)
+        ]
+        for path in absolute_paths:
             owner = _owner(layer, path)
             message = f"{layer.GetDisplayName()} refers to {excerpt(path, 80)}"
             yield finding("USD262", owner, message)
@@ -50,18 +52,18 @@ def _values(attr: Any, value: Any) -> Iterator[Fault]:
         if _absolute(asset.path):
             message = f"it refers to {excerpt(asset.path, 80)}"
             yield finding("USD262", attr.GetPath(), message)
-        # Pattern paths such as texture.<UDIM>.png are resolved by their reader.
+        # Pattern paths such as texture.<UDIM>.png are resolved by their readers.
         elif asset.path and not asset.resolvedPath and "<" not in asset.path:
             message = f"{excerpt(asset.path, 80)} does not exist"
             yield finding("USD263", attr.GetPath(), message)
 
 
 def _absolute(path: str) -> bool:
-    bare = path.removeprefix("file://")
+    path_ = path.removeprefix("file://")
     return (
-        bare != path
-        or PurePosixPath(bare).is_absolute()
-        or PureWindowsPath(bare).is_absolute()
+        path_ != path
+        or PurePosixPath(path_).is_absolute()
+        or PureWindowsPath(path_).is_absolute()
     )
 
 
@@ -69,7 +71,7 @@ def _owner(layer: Any, asset: str) -> str:
     """Return the prim that references an asset; / for a sublayer."""
     paths = ["/"]
 
-    def look(path: Any) -> None:
+    def visit(path: Any) -> None:
         spec = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
         if spec is None:
             return
@@ -80,26 +82,26 @@ def _owner(layer: Any, asset: str) -> str:
                 paths.append(str(path))
 
     if asset not in layer.subLayerPaths:
-        layer.Traverse(Sdf.Path.absoluteRootPath, look)
+        layer.Traverse(Sdf.Path.absoluteRootPath, visit)
     return paths[-1]
 
 
 ROOT = "/"
 RATES = ("framesPerSecond", "timeCodesPerSecond")
-# [m], of those that UsdGeom names.
+# Length units with a name in UsdGeom [m].
 COMMON_UNITS = tuple(
     getattr(UsdGeom.LinearUnits, name)
     for name in dir(UsdGeom.LinearUnits)
     if not name.startswith("_")
 )
-# Of a time code: less is rounding.
+# Tolerance of time codes: smaller differences are rounding.
 SAME_TIME = 1e-6
 
 
 def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
     """Check that frame rates of layers are positive.
 
-    Where one is not, USD may never return from a question about samples.
+    If one is not, USD may hang on questions about samples.
     """
     for layer in _layers(subject):
         for name in RATES:
@@ -119,12 +121,12 @@ def _layers(subject: StageSubject) -> Iterator[Any]:
 def check_rates(subject: StageSubject) -> Iterator[Fault]:
     """Check that frame rates are authored and equal in all layers."""
     root = subject.stage.GetRootLayer().pseudoRoot
-    missing = [name for name in RATES if not root.HasInfo(name)]
-    if missing and any(
+    unauthored = [name for name in RATES if not root.HasInfo(name)]
+    if unauthored and any(
         subject.times(attr) or attr.ValueMightBeTimeVarying()
         for attr in subject.attributes
     ):
-        message = f"no {' and no '.join(missing)}, but there is motion"
+        message = f"no {' and no '.join(unauthored)}, but there is motion"
         yield finding("USD252", ROOT, message)
     yield from _retimed(subject)
 
@@ -138,15 +140,16 @@ def _retimed(subject: StageSubject) -> Iterator[Fault]:
             continue
         times = layer.ListAllTimeSamples()
         if times:
-            stated = layer.HasTimeCodesPerSecond() or layer.HasFramesPerSecond()
-            says = (
+            has_rate = layer.HasTimeCodesPerSecond() or layer.HasFramesPerSecond()
+            rate_text = (
                 f"has {layer_rate:g}"
-                if stated
+                if has_rate
                 else f"states none, so {layer_rate:g} is assumed"
             )
             message = (
                 f"the stage has {rate:g} time codes per second, "
-                f"{layer.GetDisplayName()} {says}: its {len(times)} sample times are "
+                f"{layer.GetDisplayName()} {rate_text}: its {len(times)} sample times "
+                "are "
                 f"scaled by {rate / layer_rate:.6g}"
             )
             yield finding("USD257", ROOT, message)
@@ -160,8 +163,8 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         yield finding("USD254", ROOT, f"the range is {span_label(start, end)}")
         return
     names = ("startTimeCode", "endTimeCode")
-    missing = [name for name in names if not stage.HasAuthoredMetadata(name)]
-    if start > end and not missing:
+    unauthored = [name for name in names if not stage.HasAuthoredMetadata(name)]
+    if start > end and not unauthored:
         yield finding(
             "USD254", ROOT, f"start {frame_label(start)}, end {frame_label(end)}"
         )
@@ -173,50 +176,54 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     }
     if not spans:
         return
-    first = min(span[0] for span in spans.values())
-    last = max(span[1] for span in spans.values())
-    if missing:
-        message = (
-            f"no {' and no '.join(missing)}; samples are at {span_label(first, last)}"
-        )
+    first_sample = min(span[0] for span in spans.values())
+    last_sample = max(span[1] for span in spans.values())
+    if unauthored:
+        message = f"no {' and no '.join(unauthored)}; samples are at "
+        message += span_label(first_sample, last_sample)
         yield finding("USD255", ROOT, message)
         return
-    # Samples of motion blur lie within a frame of either end.
-    out = [
+    # Motion blur samples lie within a frame of either end.
+    outside = [
         path
         for path, span in spans.items()
         if span[0] <= start - 1 + SAME_TIME or span[1] >= end + 1 - SAME_TIME
     ]
-    if not out:
-        yield from _between_frames(subject, start, end, (first, last))
+    if not outside:
+        yield from _between_frames(subject, start, end, (first_sample, last_sample))
     else:
-        begin, finish = spans[out[0]]
-        more = "" if len(out) == 1 else f", as are those of {len(out) - 1} more"
-        message = (
-            f"samples are at {span_label(begin, finish)}, but the stage's range is "
+        first_code, last_code = spans[outside[0]]
+        suffix = (
+            "" if len(outside) == 1 else f", as are those of {len(outside) - 1} more"
         )
-        message += f"{span_label(start, end)}{more}"
-        yield finding("USD256", out[0], message)
+        message = (
+            f"samples are at {span_label(first_code, last_code)}, but the stage's "
+        )
+        message += "range is "
+        message += f"{span_label(start, end)}{suffix}"
+        yield finding("USD256", outside[0], message)
 
 
 def _between_frames(
     subject: StageSubject, start: float, end: float, samples: tuple[float, float]
 ) -> Iterator[Fault]:
-    """Yield a fault if the range starts or ends where no sample is."""
+    """Yield a fault if the range starts or ends between frames without a sample."""
     ends = {"starts": start, "ends": end}
-    off = {
+    off_frame = {
         verb: code for verb, code in ends.items() if abs(code - round(code)) > SAME_TIME
     }
-    if not off:
+    if not off_frame:
         return
-    sampled = {round(t, 6) for attr in subject.attributes for t in subject.times(attr)}
-    unsampled = [
+    sample_times = {
+        round(t, 6) for attr in subject.attributes for t in subject.times(attr)
+    }
+    unsampled_ends = [
         f"{verb} at {frame_label(code)}"
-        for verb, code in off.items()
-        if round(code, 6) not in sampled
+        for verb, code in off_frame.items()
+        if round(code, 6) not in sample_times
     ]
-    if unsampled:
-        message = f"the range {' and '.join(unsampled)}, but samples are at "
+    if unsampled_ends:
+        message = f"the range {' and '.join(unsampled_ends)}, but samples are at "
         yield finding("USD289", ROOT, message + span_label(*samples))
 
 
@@ -228,14 +235,16 @@ def _is_shared(prim: Any) -> bool:
 def check_units(subject: StageSubject) -> Iterator[Fault]:
     """Check that unit and up axis are valid and equal in all sublayers.
 
-    That they are stated, USD checks.
+    USD itself checks that they are authored.
     """
     stage: Any = subject.stage
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     faults = list(units_and_axis(stage))
     yield from faults
-    common = any(UsdGeom.LinearUnitsAre(unit, one) for one in COMMON_UNITS)
-    if not (common or any("metersPerUnit" in fault.message for fault in faults)):
+    is_common = any(
+        UsdGeom.LinearUnitsAre(unit, common_unit) for common_unit in COMMON_UNITS
+    )
+    if not (is_common or any("metersPerUnit" in fault.message for fault in faults)):
         yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
     yield from _other_units(stage)
 
@@ -246,10 +255,12 @@ def _other_units(stage: Any) -> Iterator[Fault]:
         for name in ("metersPerUnit", "upAxis"):
             if not (layer.pseudoRoot.HasInfo(name) and root.pseudoRoot.HasInfo(name)):
                 continue
-            mine, theirs = (x.pseudoRoot.GetInfo(name) for x in (root, layer))
-            if mine != theirs:
+            root_value, layer_value = (
+                x.pseudoRoot.GetInfo(name) for x in (root, layer)
+            )
+            if root_value != layer_value:
                 message = (
-                    f"{name} of the stage is {mine}, but that of the sublayer "
-                    f"{layer.GetDisplayName()} is {theirs}"
+                    f"{name} of the stage is {root_value}, but that of the sublayer "
+                    f"{layer.GetDisplayName()} is {layer_value}"
                 )
                 yield finding("USD268", ROOT, message)

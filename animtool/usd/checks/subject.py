@@ -22,64 +22,64 @@ AnyArray = npt.NDArray[Any]
 class SampledArray:
     """All values of an array attribute."""
 
-    times: FloatArray  # time codes ``(F,)``; NaN alone for a default
-    arrays: list[Any]  # one a time; None where it is blocked
-    counts: IntArray  # their lengths ``(F,)``, -1 without a value
+    times: FloatArray  # time codes ``(F,)``; NaN alone for the default
+    arrays: list[Any]  # one per time; None if blocked
+    counts: IntArray  # array lengths ``(F,)``; -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
-        """Return the samples of one length: which, and values ``(N, count, width)``."""
-        which = np.flatnonzero(self.counts == count)
-        if not len(which) or not count:
-            return which[:0], np.zeros((0, count, width), np.float32)
-        first = np.array(self.arrays[which[0]])
-        values = np.zeros((len(which), *first.shape), first.dtype)
-        # Each Vt array is a separate buffer: one copy each.
-        for row, i in enumerate(which.tolist()):
+        """Return the samples of one length.
+
+        Returns their indices ``(N,)`` and values ``(N, count, width)``.
+        """
+        indices = np.flatnonzero(self.counts == count)
+        if not len(indices) or not count:
+            return indices[:0], np.zeros((0, count, width), np.float32)
+        first_array = np.array(self.arrays[indices[0]])
+        values = np.zeros((len(indices), *first_array.shape), first_array.dtype)
+        # Each Vt array is a separate buffer and is copied once.
+        for row, i in enumerate(indices.tolist()):
             values[row] = self.arrays[i]
-        return which, values.reshape(len(which), count, width)
+        return indices, values.reshape(len(indices), count, width)
 
     @property
     def animated(self) -> bool:
-        """Whether there are samples."""
+        """Whether it has time samples."""
         return not np.isnan(self.times).any()
 
 
-def at_samples(sampled: SampledArray, bad: BoolArray | IntArray) -> str:
-    """Return text that lists samples, by a mask or by their numbers.
-
-    ``bad`` ``(F,)``.
-    """
-    which = np.flatnonzero(bad) if bad.dtype == np.bool_ else bad
-    if not sampled.animated:
+def at_samples(array: SampledArray, selected: BoolArray | IntArray) -> str:
+    """Return text that lists samples, given a mask or indices ``(F,)``."""
+    indices = np.flatnonzero(selected) if selected.dtype == np.bool_ else selected
+    if not array.animated:
         return "in the default"
-    first = f"at time code {sampled.times[which[0]]:g}"
-    if len(which) == 1:
-        return first
-    return f"in {len(which)} of {counted(len(sampled.times), 'sample')}, first {first}"
+    text = f"at time code {array.times[indices[0]]:g}"
+    if len(indices) == 1:
+        return text
+    return f"in {len(indices)} of {counted(len(array.times), 'sample')}, first {text}"
 
 
 @dataclass
 class StageSubject:
     """A stage under inspection."""
 
-    stage: Any  # the stage
-    # Paths of attributes whose samples were all found to be finite.
+    stage: Any  # a `Usd.Stage`
+    # Paths of attributes whose samples are all known to be finite.
     finite: set[Any] = field(default_factory=set)
-    _sampled: dict[Any, SampledArray] = field(default_factory=dict)
+    _sampled_arrays: dict[Any, SampledArray] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)
 
     @cached_property
     def prims(self) -> list[Any]:
         """Active prims including overs; one of each set of equal instances."""
         predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
-        start = self.stage.GetPseudoRoot()
+        pseudo_root = self.stage.GetPseudoRoot()
         prims, visited = [], set()
-        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(predicate)):
+        for prim in Usd.PrimRange(pseudo_root, Usd.TraverseInstanceProxies(predicate)):
             if prim.IsInstanceProxy():
-                shared = prim.GetPrimInPrototype().GetPath()
-                if shared in visited:
+                prototype_path = prim.GetPrimInPrototype().GetPath()
+                if prototype_path in visited:
                     continue
-                visited.add(shared)
+                visited.add(prototype_path)
             prims.append(prim)
         return prims[1:]
 
@@ -95,7 +95,7 @@ class StageSubject:
         return bool(roots) and not any(root.IsDefined() for root in roots)
 
     def of_type(self, schema: Any) -> Iterator[Any]:
-        """Yield the prims of a schema, as that schema."""
+        """Yield the prims of a schema, wrapped in that schema."""
         return (schema(prim) for prim in self.prims if prim.IsA(schema))
 
     def times(self, attr: Any) -> list[float]:
@@ -111,9 +111,9 @@ class StageSubject:
         An attribute without a value has no times.
         """
         key = attr.GetPath()
-        if key not in self._sampled:
-            self._sampled[key] = self.read(attr)
-        return self._sampled[key]
+        if key not in self._sampled_arrays:
+            self._sampled_arrays[key] = self.read(attr)
+        return self._sampled_arrays[key]
 
     def read(self, attr: Any) -> SampledArray:
         """Return the same as `sampled`, without caching."""
@@ -129,10 +129,10 @@ class StageSubject:
 
 
 def _arrays(attr: Any, times: list[float]) -> list[Any]:
-    """Return the value at each sample, from the layer itself: three times faster."""
-    first = Usd.TimeCode(times[0])
-    if attr.GetResolveInfo(first).GetSource() == Usd.ResolveInfoSourceTimeSamples:
-        for spec, offset in attr.GetPropertyStackWithLayerOffsets(first):
+    """Return the value at each sample, read from the layer: three times faster."""
+    first_code = Usd.TimeCode(times[0])
+    if attr.GetResolveInfo(first_code).GetSource() == Usd.ResolveInfoSourceTimeSamples:
+        for spec, offset in attr.GetPropertyStackWithLayerOffsets(first_code):
             layer_times = spec.layer.ListTimeSamplesForPath(spec.path)
             if layer_times:
                 if len(layer_times) == len(times) and offset.scale > 0:

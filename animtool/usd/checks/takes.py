@@ -30,9 +30,9 @@ from animtool.usd.layers.faults import (
     transform_attributes,
 )
 from animtool.usd.rigs.placement import (
-    NOWHERE,
+    NO_PLACEMENT,
     SkeletonPlacement,
-    movers,
+    animated_ancestors,
     rest_rig,
     skeleton_placement,
 )
@@ -45,8 +45,8 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 from animtool.usd.takes.animation_values import (
-    among_rest,
     scale_channel,
+    with_rest,
 )
 from animtool.usd.takes.library import take_range
 
@@ -55,28 +55,29 @@ from animtool.usd.takes.library import take_range
 class AnimationTake:
     """A SkelAnimation with its Skeleton."""
 
-    path: str  # the SkelAnimation
-    take: Take  # F frames, one a sample
-    # Their time codes as the file has them ``(F,)``; None for no samples.
+    path: str  # path of the SkelAnimation
+    take: Take  # F frames, one per sample
+    # Time codes of the samples in the file ``(F,)``; None without samples.
     codes: FloatArray | None
-    # The range that the take or its stage states, where it is about this take.
+    # The range stated by the take, or by its stage if that is about this take.
     frame_range: tuple[float, float] | None
     has_rest: bool  # whether the Skeleton is on the stage
-    # Names of joints that move points; None without a skinned mesh.
+    # Names of joints that influence points; None without a skinned mesh.
     influencing: frozenset[str] | None
     bind: FloatArray | None  # joint positions of the bind pose, world ``(J, 3)`` [m]
-    shown_rate: float | None  # framesPerSecond, where it is stated
-    reduced: bool  # whether samples were left out on purpose
+    shown_rate: float | None  # framesPerSecond, if authored
+    reduced: bool  # whether redundant samples were removed
 
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """Stage data that all animations are compared with, read once."""
+    """Stage data that all animations need, read once."""
 
-    # First and last time code of the samples of each prim, by its path.
+    # First and last sample of each prim, by path.
     spans: dict[Any, tuple[float, float]]
-    stage_range: tuple[float, float] | None  # those of the stage; None without samples
-    # Bindings with joint indices, and these, by the path of their Skeleton.
+    # First and last sample of the stage; None without samples.
+    stage_range: tuple[float, float] | None
+    # Bindings and their joint indices, by the path of their Skeleton.
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
@@ -86,9 +87,9 @@ class _Shared:
         for attr in subject.attributes:
             if times := subject.times(attr):
                 path = attr.GetPrimPath()
-                first, last = spans.get(path, (times[0], times[-1]))
-                spans[path] = min(first, times[0]), max(last, times[-1])
-        ends = list(zip(*spans.values(), strict=True))
+                first_code, last_code = spans.get(path, (times[0], times[-1]))
+                spans[path] = min(first_code, times[0]), max(last_code, times[-1])
+        spans_by_end = list(zip(*spans.values(), strict=True))
         skins: dict[Any, list[tuple[Any, Any]]] = {}
         for prim in subject.prims:
             binding = UsdSkel.BindingAPI(prim)
@@ -97,30 +98,32 @@ class _Shared:
                 continue
             if skeleton := binding.GetInheritedSkeleton():
                 skins.setdefault(skeleton.GetPath(), []).append((binding, indices))
-        stage_range = (min(ends[0]), max(ends[1])) if ends else None
+        stage_range = (
+            (min(spans_by_end[0]), max(spans_by_end[1])) if spans_by_end else None
+        )
         return _Shared(spans, stage_range, skins)
 
 
 def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     """Return the valid animations of a stage as takes.
 
-    Those with arrays of a wrong length, or values that are not finite, are left out:
-    the checks report them.
+    Animations with wrong array lengths or non-finite values are omitted, since the
+    checks report them.
     """
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
-    # The checks look at one of equal instances; each of them moves.
-    bound = _bound(find_skeletons(subject.stage))
-    shared = _Shared.of(subject)
+    # Other checks look at one of several equal instances; here each one counts.
+    skeleton_of = _bound(find_skeletons(subject.stage))
+    stage_data = _Shared.of(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
-        skeleton = bound.get(animation.GetPath())
+        skeleton = skeleton_of.get(animation.GetPath())
         if skeleton is None:
-            # A shared animation is not the motion of any one character.
+            # A shared animation is not the motion of a single character.
             if stored_data(animation.GetPrim()).get("shared"):
                 continue
             skeleton = _nearest(animation, skeletons)
         try:
-            take = _take(subject, path, animation, skeleton, shared)
+            take = _take(subject, path, animation, skeleton, stage_data)
         except AnimtoolError:
             continue
         if take is not None:
@@ -130,75 +133,79 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 
 def _bound(skeletons: list[Any]) -> dict[Any, Any]:
     """Return the Skeleton that each animation is bound to."""
-    bound: dict[Any, Any] = {}
+    skeleton_of: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
         source = binding.GetInheritedAnimationSource()
         if source:
-            bound.setdefault(source.GetPath(), skeleton)
-    return bound
+            skeleton_of.setdefault(source.GetPath(), skeleton)
+    return skeleton_of
 
 
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
     """Return the Skeleton that shares most joints with an animation."""
     joints = set(tokens(animation.GetJointsAttr()))
     best = None
-    most = len(joints) // 2
+    most_joints = len(joints) // 2
     for skeleton in skeletons:
-        shared = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
-        if shared > most:
-            best, most = skeleton, shared
+        common_joints = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
+        if common_joints > most_joints:
+            best, most_joints = skeleton, common_joints
     return best
 
 
 def _take(
-    subject: StageSubject, path: Path, animation: Any, skeleton: Any, shared: _Shared
+    subject: StageSubject,
+    path: Path,
+    animation: Any,
+    skeleton: Any,
+    stage_data: _Shared,
 ) -> AnimationTake | None:
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
     of_rig = _rig(subject, animation, skeleton, joints, path)
-    above = movers(skeleton.GetPrim()) if skeleton else []
-    parts = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
-    attributes = [(attr, len(joints), width) for attr, width in parts]
+    placing_prims = animated_ancestors(skeleton.GetPrim()) if skeleton else []
+    components = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
+    attributes = [(attr, len(joints), width) for attr, width in components]
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
-    times.update(t for mover in above for t in mover.GetTimeSamples())
-    stored, stage = stored_data(animation.GetPrim()), subject.stage
+    times.update(t for mover in placing_prims for t in mover.GetTimeSamples())
+    stored_values, stage = stored_data(animation.GetPrim()), subject.stage
     codes = np.array(sorted(times), np.float64)
-    if stored.get("shared"):
-        # Each of its characters is somewhere else in it, off the frames or on them.
-        first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-        codes = np.arange(first, last + 1)
+    if stored_values.get("shared"):
+        # Its characters may be at other places, and outside the frames.
+        first_code, last_code = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+        codes = np.arange(first_code, last_code + 1)
     rows = [_values(subject, *entry, codes) for entry in attributes]
     motion = _motion(of_rig, joints, shapes, rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
-    posed = Motion(
+    motion_ = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
         scale_channel(scales),
         None if weights is None else Channel.from_dense(weights),
     )
-    placement = NOWHERE
+    placement = NO_PLACEMENT
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
     if not placement.full.is_none:
         roots = np.array(of_rig.rig.roots, np.int64)
-        posed = placed_motion(posed, roots, placement.full).map(Channel.compact)
+        motion_ = placed_motion(motion_, roots, placement.full).map(Channel.compact)
     rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
-    take = Take(rig, _clock(subject, codes), posed)
+    take = Take(rig, _clock(subject, codes), motion_)
     return AnimationTake(
         str(animation.GetPath()),
         take,
         codes if len(codes) else None,
-        _range(subject, animation, shared),
+        _range(subject, animation, stage_data),
         skeleton is not None,
-        _influencing(skeleton, of_rig, shared) if skeleton else None,
+        _influencing(skeleton, of_rig, stage_data) if skeleton else None,
         _bind(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
-        bool(stored.get("reduced") or stored.get("thinned")),
+        bool(stored_values.get("reduced") or stored_values.get("thinned")),
     )
 
 
@@ -220,13 +227,13 @@ def _rig(
     up = up_axis(subject.stage)
     name = str(animation.GetPrim().GetName())
     if not joints:
-        # A face with shapes only: no joint rotates.
+        # A face with shapes only has no joint to rotate.
         rig = Rig(name, (Joint(name, -1),), meters, up)
         return SkeletonRig(rig, [], np.ones((1, 3)))
     rest = np.tile(np.eye(4), (len(joints), 1, 1))
-    sampled = subject.sampled(animation.GetTranslationsAttr())
-    which, values = sampled.rows(len(joints), 3)
-    if len(which):
+    array = subject.sampled(animation.GetTranslationsAttr())
+    sample_indices, values = array.rows(len(joints), 3)
+    if len(sample_indices):
         rest[:, 3, :3] = values[0]
     where = PrimLocation.of(path, animation)
     return rig_from_tokens(joints, rest, name, where, meters, up, {})
@@ -238,24 +245,28 @@ def _values(
     """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
-    sampled = subject.sampled(attr)
-    which, rows = sampled.rows(count, width)
-    if not len(which) or len(which) != len(sampled.times):
+    array = subject.sampled(attr)
+    sample_indices, rows = array.rows(count, width)
+    if not len(sample_indices) or len(sample_indices) != len(array.times):
         return None
     values = np.asarray(rows, np.float64)
     if not np.isfinite(values).all():
         return None
     frames = max(len(codes), 1)
-    if not sampled.animated or len(values) == 1:
+    if not array.animated or len(values) == 1:
         return np.repeat(values[:1], frames, axis=0)
-    if np.array_equal(sampled.times, codes):
+    if np.array_equal(array.times, codes):
         return values
-    after = np.searchsorted(sampled.times, codes).clip(1, len(values) - 1)
-    early, late = sampled.times[after - 1], sampled.times[after]
-    fraction = ((codes - early) / (late - early)).clip(0.0, 1.0)[:, None, None]
+    next_index = np.searchsorted(array.times, codes).clip(1, len(values) - 1)
+    time_before, time_after = array.times[next_index - 1], array.times[next_index]
+    fraction = ((codes - time_before) / (time_after - time_before)).clip(0.0, 1.0)[
+        :, None, None
+    ]
     if width == 4:
         values = so3.align_signs(values)
-    return np.asarray(values[after - 1] * (1.0 - fraction) + values[after] * fraction)
+    return np.asarray(
+        values[next_index - 1] * (1.0 - fraction) + values[next_index] * fraction
+    )
 
 
 def _motion(
@@ -282,7 +293,7 @@ def _motion(
     index = {token: i for i, token in enumerate(of_rig.tokens)}
     columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        among_rest(rest, row, columns, frames)
+        with_rest(rest, row, columns, frames)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
@@ -299,11 +310,12 @@ def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
 
 
 def _range(
-    subject: StageSubject, animation: Any, shared: _Shared
+    subject: StageSubject, animation: Any, stage_data: _Shared
 ) -> tuple[float, float] | None:
     """Return the range of an animation, else the stage's if it covers all of them.
 
-    Where something else on the stage moves longer, the range is not about this one.
+    If another prim of the stage has samples over a longer time, the stage's range is
+    not about this animation.
     """
     authored = take_range(animation)
     if authored is not None:
@@ -314,43 +326,45 @@ def _range(
         and stage.HasAuthoredMetadata("endTimeCode")
     ):
         return None
-    span = shared.spans.get(animation.GetPath())
-    if span is None or span != shared.stage_range:
+    span = stage_data.spans.get(animation.GetPath())
+    if span is None or span != stage_data.stage_range:
         return None
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
 
 def _influencing(
-    skeleton: Any, rig: SkeletonRig, shared: _Shared
+    skeleton: Any, rig: SkeletonRig, stage_data: _Shared
 ) -> frozenset[str] | None:
     """Return the joints that influence points, and their ancestors."""
-    used: set[int] = set()
-    skins = shared.skins.get(skeleton.GetPath())
+    used_joints: set[int] = set()
+    skins = stage_data.skins.get(skeleton.GetPath())
     if not skins:
         return None
     index = {token: i for i, token in enumerate(rig.tokens)}
     for binding, indices in skins:
-        bound = tokens(binding.GetJointsAttr()) or rig.tokens
-        used |= {
-            index[bound[i]]
-            for i in _used(binding, indices, len(bound))
-            if bound[i] in index
+        binding_joints = tokens(binding.GetJointsAttr()) or rig.tokens
+        used_joints |= {
+            index[binding_joints[i]]
+            for i in _used(binding, indices, len(binding_joints))
+            if binding_joints[i] in index
         }
-    for joint in sorted(used):
+    for joint in sorted(used_joints):
         parent = rig.rig.joints[joint].parent
-        while parent >= 0 and parent not in used:
-            used.add(parent)
+        while parent >= 0 and parent not in used_joints:
+            used_joints.add(parent)
             parent = rig.rig.joints[parent].parent
-    return frozenset(rig.rig.joints[i].name for i in used)
+    return frozenset(rig.rig.joints[i].name for i in used_joints)
 
 
 def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
     """Yield the indices of joints with nonzero weight."""
-    which = np.array(indices.Get() or (), np.int64)
+    joint_indices = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
-    if len(weights) == len(which):
-        which = which[weights > 0.0]
-    yield from np.unique(which[(which >= 0) & (which < count)]).tolist()
+    if len(weights) == len(joint_indices):
+        joint_indices = joint_indices[weights > 0.0]
+    yield from np.unique(
+        joint_indices[(joint_indices >= 0) & (joint_indices < count)]
+    ).tolist()
 
 
 def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
@@ -358,7 +372,7 @@ def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray |
     matrices = matrix_array(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
         return None
-    # Identities are another fault.
+    # Identity matrices are reported by another check.
     if (matrices == np.eye(4)).all():
         return None
     return placement.rest.points(matrices[:, 3, :3] * rig.meters_per_unit)

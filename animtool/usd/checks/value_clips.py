@@ -44,15 +44,15 @@ def _clip_set(
         yield from _active(clip_set, len(layers), where)
     yield from _times(clip_set, where)
     target = str(clip_set.get("primPath", ""))
-    opened = [layer for layer in layers if layer is not None]
+    readable = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
         message = f"primPath is {excerpt(target)}, not the path of a prim"
         yield finding("USD277", where, message)
         return
-    if opened and not any(layer.GetPrimAtPath(target) for layer in opened):
+    if readable and not any(layer.GetPrimAtPath(target) for layer in readable):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, clip_set, target, opened, where)
+    yield from _manifest(prim, clip_set, target, readable, where)
     yield from _spans(clip_set, target, layers, where)
 
 
@@ -127,11 +127,11 @@ def _sampled(layer: Any, target: str) -> set[str]:
     """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
-    def look(path: Any) -> None:
+    def visit(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
             names.add(str(path)[len(target) :])
 
-    layer.Traverse(Sdf.Path(target), look)
+    layer.Traverse(Sdf.Path(target), visit)
     return names
 
 
@@ -149,12 +149,13 @@ def _manifest(
         message = f"the manifest {excerpt(asset.path, 80)} does not exist"
         yield finding("USD276", where, message)
         return
-    used = set().union(*(_sampled(layer, target) for layer in layers))
-    lost = sorted(p for p in used if not manifest.GetPropertyAtPath(target + p))
-    if lost:
-        message = (
-            f"the manifest does not list {len(lost)} that clips have: {listed(lost)}"
-        )
+    sampled_properties = set().union(*(_sampled(layer, target) for layer in layers))
+    undeclared = sorted(
+        p for p in sampled_properties if not manifest.GetPropertyAtPath(target + p)
+    )
+    if undeclared:
+        message = f"the manifest does not list {len(undeclared)} that clips have: "
+        message += listed(undeclared)
         yield finding("USD279", where, message)
 
 
@@ -163,12 +164,12 @@ def _spans(
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""
     properties = [None if x is None else _sampled(x, target) for x in layers]
-    everything = set().union(*(p for p in properties if p is not None))
+    all_properties = set().union(*(p for p in properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):
         return
     for number, names in enumerate(properties):
-        lost = sorted(everything - names) if names is not None else []
-        if lost:
-            message = f"clip {number} has no samples of {listed(lost)}"
+        missing = sorted(all_properties - names) if names is not None else []
+        if missing:
+            message = f"clip {number} has no samples of {listed(missing)}"
             yield finding("USD278", where, message)
             return

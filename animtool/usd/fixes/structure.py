@@ -23,7 +23,7 @@ from animtool.usd.layers.faults import tokens
 from animtool.usd.rigs.prims import upwards
 from animtool.usd.rigs.rest_pose import relative_bind
 
-# Of a sum: float32 weights cannot do better.
+# Tolerance of weight sums in float32.
 ROUNDING = 1e-6
 
 
@@ -37,24 +37,24 @@ def normalised(target: FixTarget, fault: Fault) -> Edit:
         raise NotFixableError("the weights are indexed")
 
     def edit() -> Change:
-        points = total = 0
+        changed = total = 0
 
         def divided(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal points, total
+            nonlocal changed, total
             new = []
             for array in arrays:
                 rows = array.astype(np.float64).reshape(-1, size)
-                sums = rows.sum(axis=1, keepdims=True)
-                if not (sums > 0).all() or not np.isfinite(sums).all():
+                weight_sums = rows.sum(axis=1, keepdims=True)
+                if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                     raise NotFixableError("a point has no weights")
-                wrong = np.abs(sums - 1) > ROUNDING
-                points, total = points + int(wrong.sum()), total + len(rows)
-                rows = rows / np.where(wrong, sums, 1.0)
+                is_off = np.abs(weight_sums - 1) > ROUNDING
+                changed, total = changed + int(is_off.sum()), total + len(rows)
+                rows = rows / np.where(is_off, weight_sums, 1.0)
                 new.append(rows.reshape(array.shape).astype(array.dtype))
             return new
 
         _, _, largest = rewrite(spec, divided)
-        text = f"divides the weights of {points} of {counted(total, 'point')} "
+        text = f"divides the weights of {changed} of {counted(total, 'point')} "
         return Change(f"{text}by their sums", largest)
 
     return edit
@@ -93,8 +93,8 @@ def unit_scales(target: FixTarget, fault: Fault) -> Edit:
     """Author unit scales for an animation that lacks only scales."""
     prim = target.prim(fault)
     animation = UsdSkel.Animation(prim)
-    others = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
-    if not all(attr.HasAuthoredValue() for attr in others):
+    other_attributes = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
+    if not all(attr.HasAuthoredValue() for attr in other_attributes):
         raise NotFixableError("translations or rotations are missing, not scales alone")
     spec, count = target.prim_spec(prim), len(tokens(animation.GetJointsAttr()))
 
@@ -160,15 +160,15 @@ NAME = "extent"
 def computed(target: FixTarget, fault: Fault) -> Edit:
     """Author `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
-    That of a SkelRoot is widened where skinned points leave it.
+    The extent of a SkelRoot is widened to contain its skinned points.
 
-    A value of another file is overridden here: that file may be right without the
-    motion that this one adds.
+    An extent in another file is overridden here: that file may be right without the
+    motion of this one.
     """
     prim = target.prim(fault)
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
-    varies = any(above.HasVariantSets() for above in upwards(prim))
+    varies = any(ancestor.HasVariantSets() for ancestor in upwards(prim))
     if varies and _layer_spec(target, prim) is None:
         raise NotFixableError("a variant sets the motion; author it in each variant")
 
@@ -176,7 +176,7 @@ def computed(target: FixTarget, fault: Fault) -> Edit:
         change = _author(target, prim)
         roots = (p for p in upwards(prim.GetParent()) if p.IsA(UsdSkel.Root))
         for root in roots:
-            # What UsdSkel adds to the joints comes of the extents below.
+            # UsdSkel pads joint bounds by the extents of the meshes below.
             if root.GetAttribute(NAME).HasAuthoredValue():
                 _author(target, root)
         return change
@@ -186,24 +186,24 @@ def computed(target: FixTarget, fault: Fault) -> Edit:
 
 def _author(target: FixTarget, prim: Any) -> Change:
     """Author the extent of a prim at every sample of its sources."""
-    bounded, layer = UsdGeom.Boundable(prim), target.layer
-    attr, subject = bounded.GetExtentAttr(), StageSubject(target.stage)
+    boundable, layer = UsdGeom.Boundable(prim), target.layer
+    attr, subject = boundable.GetExtentAttr(), StageSubject(target.stage)
     sources = extent_sources(subject, prim) or []
-    times = sorted({time for one in sources for time in subject.times(one)})
+    times = sorted({time for source in sources for time in subject.times(source)})
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
-    before = [attr.Get(code) for code in codes]
-    skinned = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
-    after = [_bounds(bounded, code, skinned) for code in codes]
-    if before == after and attr.HasAuthoredValue():
-        return _change(before, after)
+    old_extents = [attr.Get(code) for code in codes]
+    skinned_bounds = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
+    new_extents = [_bounds(boundable, code, skinned_bounds) for code in codes]
+    if old_extents == new_extents and attr.HasAuthoredValue():
+        return _change(old_extents, new_extents)
     spec = _layer_spec(target, prim) or _over(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
-        for time, value in zip(times, after, strict=False):
+        for time, value in zip(times, new_extents, strict=False):
             layer.SetTimeSample(spec.path, time, value)
         if not times:
-            spec.default = after[0]
-    return _change(before, after)
+            spec.default = new_extents[0]
+    return _change(old_extents, new_extents)
 
 
 def _layer_spec(target: FixTarget, prim: Any) -> Any:
@@ -219,29 +219,31 @@ def _over(target: FixTarget, prim: Any) -> Any:
     return attribute or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
 
 
-def _bounds(bounded: Any, code: Any, skinned: SkinnedBounds | None) -> Any:
+def _bounds(boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None) -> Any:
     """Return the extent USD computes, widened by skinned points outside it."""
     try:
-        extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+        extent = UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
     except Tf.ErrorException:
         extent = None
     if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
-    posed = None if skinned is None else skinned.at(code)
-    if posed is None:
+    point_bounds = None if skinned_bounds is None else skinned_bounds.at(code)
+    if point_bounds is None:
         return Vt.Vec3fArray(extent)
-    # Outwards, so that rounding leaves no point outside.
-    ends = np.array([[-np.inf], [np.inf]], np.float32)
-    outside = np.nextafter(posed.astype(np.float32), ends, dtype=np.float32)
-    wide = joined_bounds(np.array(extent, np.float32), outside)
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(wide, np.float32))
+    # Rounded outwards, so that no point is outside.
+    infinities = np.array([[-np.inf], [np.inf]], np.float32)
+    widened = np.nextafter(
+        point_bounds.astype(np.float32), infinities, dtype=np.float32
+    )
+    union = joined_bounds(np.array(extent, np.float32), widened)
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 
-def _change(before: list[Any], after: list[Any]) -> Change:
+def _change(old_values: list[Any], new_values: list[Any]) -> Change:
     pairs = [
         np.abs(np.array(old, np.float64) - np.array(new, np.float64)).max()
-        for old, new in zip(before, after, strict=True)
+        for old, new in zip(old_values, new_values, strict=True)
         if old is not None and len(old) == 2
     ]
-    text = f"computes the extent at {counted(len(after), 'sample')}"
+    text = f"computes the extent at {counted(len(new_values), 'sample')}"
     return Change(text, float(max(pairs)) if pairs else None)

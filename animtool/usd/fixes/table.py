@@ -1,6 +1,6 @@
 """Table of USD codes with a safe fix, and the edit of each.
 
-No pxr is needed.
+Does not need pxr.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The layer that fixes edit, and copies of it in other files.
 
-The layer takes the edits under its own name, so that everything that it brings in is
-found as ever; its file stays as it is, and the layer is read from it again at the end.
+The layer is edited under its own name, so that its dependencies resolve as before; its
+file stays unchanged, and the layer is reloaded from it at the end.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_er
 from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
-# From the arrays of an attribute, in time order, to those that replace them.
+# Maps the arrays of an attribute, in time order, to their replacements.
 Rewrite: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]
 
 
 class NotFixableError(Exception):
-    """A finding that cannot be fixed safely in this layer; the text says why."""
+    """A finding that cannot be fixed safely in this layer; the message explains why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Change:
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.
     largest: float | None = None
-    unit: str = ""  # of that number
+    unit: str = ""  # unit of the largest change
 
     def __str__(self) -> str:
         if self.largest is None:
@@ -74,7 +74,7 @@ class FixTarget:
         return prim
 
     def attribute(self, fault: Fault) -> Any:
-        """Return the root layer spec that holds an attribute's values."""
+        """Return the root layer spec with an attribute's values."""
         self.prim(fault)
         attr = self.stage.GetAttributeAtPath(fault.where)
         if not attr:
@@ -102,10 +102,11 @@ class FixTarget:
             raise NotFixableError(f"the value is in {name}; fix that file")
 
 
-def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
+def rewrite(spec: Any, rewrite_arrays_: Rewrite) -> tuple[int, int, float]:
     """Replace the changed arrays of an attribute spec, shape by shape.
 
-    Returns how many arrays differ, of how many, and the largest change of a number.
+    Returns the number of changed arrays, the number of all arrays, and the largest
+    change of a number.
     """
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
@@ -113,25 +114,25 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
     if any(isinstance(value, Sdf.ValueBlock) for value in values):
         raise NotFixableError("samples are blocked")
     old = [np.array(value) for value in values]
-    new = change(old)
-    changed, largest = 0, 0.0
+    new = rewrite_arrays_(old)
+    changed_count, largest = 0, 0.0
     with Sdf.ChangeBlock():
-        for i, (before, after) in enumerate(zip(old, new, strict=True)):
-            if np.array_equal(before, after):
+        for i, (old_array, new_array) in enumerate(zip(old, new, strict=True)):
+            if np.array_equal(old_array, new_array):
                 continue
-            changed += 1
-            difference = np.abs(after.astype(np.float64) - before)
+            changed_count += 1
+            difference = np.abs(new_array.astype(np.float64) - old_array)
             largest = max(largest, float(difference.max()))
-            rows = np.ascontiguousarray(after.astype(before.dtype))
+            rows = np.ascontiguousarray(new_array.astype(old_array.dtype))
             array = type(values[i]).FromNumpy(rows)
             if times:
                 layer.SetTimeSample(path, times[i], array)
             else:
                 spec.default = array
-    return changed, len(old), largest
+    return changed_count, len(old), largest
 
 
-# Raises NotFixableError where it would not be safe.
+# Raises NotFixableError if the fix would not be safe.
 Fix: TypeAlias = Callable[[FixTarget, Fault], Edit]
 SUFFIXES = (".usd", ".usda", ".usdc")
 
@@ -188,8 +189,10 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
     if not output.exists():
         return
     with edited_layer(source) as edited:
-        used = [Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()]
-    if output.resolve() in {path.resolve() for path in used}:
+        composed = [
+            Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()
+        ]
+    if output.resolve() in {path.resolve() for path in composed}:
         message = f"is a layer of {source}"
         hint = f"choose another {argument('output')}, or fix that layer separately"
         raise OptionError(Fault("OUT003", message, str(output), (), hint))
@@ -198,17 +201,17 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
 def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """Write a layer's content to another file, in that file's format.
 
-    Relative asset paths are rewritten where the folder is another one. The bytes are
-    the file's own where nothing changes.
-    No content keeps that of the source. Returns what else the copy changes, in words.
+    Relative asset paths are rewritten for another folder. Without changes the bytes
+    equal the source file's. None keeps the content of the source. Returns other changes
+    in the copy, as text.
     """
     with edited_layer(source, content) as edited:
         layer = edited.content()
-    moved = _anchored(layer, source, output)
-    same = source.suffix.lower() == output.suffix.lower()
+    rewritten = _anchored(layer, source, output)
+    has_same_format = source.suffix.lower() == output.suffix.lower()
     arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
     with replacing(output) as temporary:
-        if content is None and same and not moved:
+        if content is None and has_same_format and not rewritten:
             try:
                 shutil.copyfile(source, temporary)
             except OSError as error:
@@ -216,8 +219,8 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
         else:
             export_layer(layer, temporary, output, arguments)
     after_commit(lambda: _reload(output))
-    paths = counted(moved, "relative asset path")
-    return [f"rewrites {paths} for the new folder"] * bool(moved)
+    paths = counted(rewritten, "relative asset path")
+    return [f"rewrites {paths} for the new folder"] * bool(rewritten)
 
 
 def _reload(path: Path) -> None:
@@ -243,14 +246,14 @@ def _anchored(layer: Any, source: Path, output: Path) -> int:
 
     def moved(text: str) -> str:
         nonlocal count
-        bare, package, rest = text.partition("[")
-        if not bare or Path(bare).is_absolute() or "://" in bare:
+        file_path, package, inner_path = text.partition("[")
+        if not file_path or Path(file_path).is_absolute() or "://" in file_path:
             return text
-        relative = bare.startswith(("./", "../"))
-        if not relative and not (old / bare).exists():
+        relative = file_path.startswith(("./", "../"))
+        if not relative and not (old / file_path).exists():
             return text
         count += 1
-        return f"{asset_path(old / bare, new)}{package}{rest}"
+        return f"{asset_path(old / file_path, new)}{package}{inner_path}"
 
     UsdUtils.ModifyAssetPaths(layer, moved)
     return count

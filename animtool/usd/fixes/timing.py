@@ -14,9 +14,9 @@ from animtool.maths import so3
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import AnyArray, Change, Edit, FixTarget, NotFixableError
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
-from animtool.usd.takes.animation_values import OFF_FRAME
+from animtool.usd.takes.animation_values import MAX_OFF_FRAME
 
-# Shorter quaternions have no direction that can be trusted.
+# Shorter quaternions have no reliable direction.
 MIN_LENGTH = 1e-3
 
 
@@ -25,18 +25,18 @@ def continuous(target: FixTarget, fault: Fault) -> Edit:
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        flipped = 0
+        flip_count = 0
 
         def aligned(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal flipped
+            nonlocal flip_count
             q = _stacked(arrays)
             new = so3.align_signs(q, q[0])
-            flipped = int((new != q).any(axis=-1).sum())
+            flip_count = int((new != q).any(axis=-1).sum())
             return [row.astype(q.dtype) for row in new]
 
         changed, count, _ = rewrite_arrays(spec, aligned)
         samples = f"{changed} of {counted(count, 'sample')}"
-        return Change(f"negates {counted(flipped, 'quaternion')} in {samples}")
+        return Change(f"negates {counted(flip_count, 'quaternion')} in {samples}")
 
     return edit
 
@@ -46,26 +46,26 @@ def unit(target: FixTarget, fault: Fault) -> Edit:
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        off = 0
+        changed_count = 0
 
         def normalised(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal off
+            nonlocal changed_count
             new = []
             for array in arrays:
                 lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
                 if not (lengths > MIN_LENGTH).all() or not np.isfinite(lengths).all():
                     raise NotFixableError("a quaternion has no direction")
-                # A unit quaternion's length may be so far from one by rounding.
+                # Rounding error of a unit quaternion's length.
                 rounding = 4 * float(np.finfo(array.dtype).eps)
                 wrong = np.abs(lengths - 1) > rounding
-                off += int(wrong.sum())
+                changed_count += int(wrong.sum())
                 rows = array / np.where(wrong, lengths, 1.0)[..., None]
                 new.append(rows.astype(array.dtype))
             return new
 
         changed, count, largest = rewrite_arrays(spec, normalised)
         samples = f"{changed} of {counted(count, 'sample')}"
-        text = f"normalises {counted(off, 'quaternion')} in {samples}"
+        text = f"normalises {counted(changed_count, 'quaternion')} in {samples}"
         return Change(text, largest)
 
     return edit
@@ -77,7 +77,7 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
     return np.stack(arrays)
 
 
-# [1/s] What USD assumes of a layer that states no rate.
+# Rate that USD assumes for a layer without one [1/s].
 ASSUMED_RATE = 24.0
 
 
@@ -112,15 +112,17 @@ def wider_range(target: FixTarget, _: Fault) -> Edit:
 def full_range(target: FixTarget, _: Fault) -> Edit:
     """Round the ends of the layer's range outwards to frames.
 
-    Where that is less than a frame before or after all samples, to the samples.
+    If a rounded end is less than a frame outside all samples, it is set to the samples.
     """
     stage = target.stage
 
     def edit() -> Change:
-        first, last = _span(stage)
+        first_sample, last_sample = _span(stage)
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-        start = first if 0 < first - start < 1 else float(math.floor(start))
-        end = last if 0 < end - last < 1 else float(math.ceil(end))
+        start = (
+            first_sample if 0 < first_sample - start < 1 else float(math.floor(start))
+        )
+        end = last_sample if 0 < end - last_sample < 1 else float(math.ceil(end))
         return _set_range(target.layer, start, end)
 
     return edit
@@ -128,25 +130,25 @@ def full_range(target: FixTarget, _: Fault) -> Edit:
 
 def _ranged(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
-    first, last = _span(stage)
+    first_sample, last_sample = _span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    if widen and start <= last and end >= first:
-        first, last = min(first, start), max(last, end)
-    return _set_range(target.layer, first, last)
+    if widen and start <= last_sample and end >= first_sample:
+        first_sample, last_sample = min(first_sample, start), max(last_sample, end)
+    return _set_range(target.layer, first_sample, last_sample)
 
 
 def _set_range(layer: Any, first: float, last: float) -> Change:
-    before = _stated(layer)
+    old_range = _range_text(layer)
     layer.startTimeCode, layer.endTimeCode = first, last
-    return Change(f"sets the range to {span_label(first, last)}{before}")
+    return Change(f"sets the range to {span_label(first, last)}{old_range}")
 
 
-def _stated(layer: Any) -> str:
+def _range_text(layer: Any) -> str:
     if not (layer.HasStartTimeCode() or layer.HasEndTimeCode()):
         return ""
     start, end = (
-        frame_label(code) if stated else "none"
-        for code, stated in (
+        frame_label(code) if is_authored else "none"
+        for code, is_authored in (
             (layer.startTimeCode, layer.HasStartTimeCode()),
             (layer.endTimeCode, layer.HasEndTimeCode()),
         )
@@ -160,77 +162,77 @@ def _span(stage: Any) -> tuple[float, float]:
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
         raise NotFixableError("there are no samples to compute the range from")
-    sampled = set(times)
-    first, last = float(math.ceil(times[0])), float(math.floor(times[-1]))
+    sample_times = set(times)
+    first_frame, last_frame = float(math.ceil(times[0])), float(math.floor(times[-1]))
     return (
-        first if first in sampled else times[0],
-        last if last in sampled else times[-1],
+        first_frame if first_frame in sample_times else times[0],
+        last_frame if last_frame in sample_times else times[-1],
     )
 
 
 def integer_frames(target: FixTarget, fault: Fault) -> Edit:
     """Snap samples slightly off a frame to it, and the range with them.
 
-    Samples between frames, as those of motion blur, stay.
+    Samples between frames, such as those of motion blur, stay.
     """
     layer = target.layer
-    moved = {
+    new_codes = {
         time: float(round(time))
         for time in layer.ListAllTimeSamples()
-        if 0 < abs(time - round(time)) <= OFF_FRAME
+        if 0 < abs(time - round(time)) <= MAX_OFF_FRAME
     }
-    if not moved:
+    if not new_codes:
         for attr in target.prim(fault).GetAttributes():
             for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
                     target.require_local(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
-            off = f"samples more than {OFF_FRAME} off a whole frame"
-            raise NotFixableError(f"{off} may be intentional")
+            reason = f"samples more than {MAX_OFF_FRAME} off a whole frame"
+            raise NotFixableError(f"{reason} may be intentional")
         raise NotFixableError("the samples of this layer are on whole frames")
-    paths = _moving(layer)
+    paths = _paths_with_samples(layer)
     for path in paths:
         times = layer.ListTimeSamplesForPath(path)
-        if len({moved.get(time, time) for time in times}) < len(times):
+        if len({new_codes.get(time, time) for time in times}) < len(times):
             raise NotFixableError(f"two samples of {path} would be on one frame")
 
     def edit() -> Change:
         count = 0
         with Sdf.ChangeBlock():
             for path in paths:
-                count += _move(layer, path, moved)
+                count += _move_samples(layer, path, new_codes)
         text = f"moves {counted(count, 'sample')} to whole frames"
         ends = [layer.startTimeCode, layer.endTimeCode]
-        near = [
-            float(round(end)) if abs(end - round(end)) <= OFF_FRAME else end
+        rounded_ends = [
+            float(round(end)) if abs(end - round(end)) <= MAX_OFF_FRAME else end
             for end in ends
         ]
-        stated = layer.HasStartTimeCode() and layer.HasEndTimeCode()
-        if stated and near != ends:
-            text += f", and {_set_range(layer, *near).text}"
-        largest = max(abs(new - old) for old, new in moved.items())
+        has_range = layer.HasStartTimeCode() and layer.HasEndTimeCode()
+        if has_range and rounded_ends != ends:
+            text += f", and {_set_range(layer, *rounded_ends).text}"
+        largest = max(abs(new - old) for old, new in new_codes.items())
         return Change(text, largest, "frame")
 
     return edit
 
 
-def _moving(layer: Any) -> list[Any]:
+def _paths_with_samples(layer: Any) -> list[Any]:
     """Return the paths of a layer that have time samples, in order."""
-    moving: list[Any] = []
+    paths: list[Any] = []
 
-    def look(path: Any) -> None:
+    def visit(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
-            moving.append(path)
+            paths.append(path)
 
-    layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return sorted(moving)
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return sorted(paths)
 
 
-def _move(layer: Any, path: Any, moved: dict[float, float]) -> int:
-    times = [t for t in layer.ListTimeSamplesForPath(path) if t in moved]
+def _move_samples(layer: Any, path: Any, new_codes: dict[float, float]) -> int:
+    times = [t for t in layer.ListTimeSamplesForPath(path) if t in new_codes]
     values = [layer.QueryTimeSample(path, time) for time in times]
     for time in times:
         layer.EraseTimeSample(path, time)
     for time, value in zip(times, values, strict=True):
-        layer.SetTimeSample(path, moved[time], value)
+        layer.SetTimeSample(path, new_codes[time], value)
     return len(times)

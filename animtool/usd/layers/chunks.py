@@ -1,7 +1,7 @@
 """The one loop over time codes that writes frames, into one layer or into chunks.
 
-Layers may be saved while they grow, so that memory stays the same however long they
-get: a crate that is saved now and then has its samples on disk.
+Layers are saved while they grow, so that memory stays constant however long they get:
+the samples of a saved crate are on disk.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from animtool.core.clock import FrameSpan
 from animtool.core.files.output import STDOUT, after_commit, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
-from animtool.usd.layers.package import unpacked
+from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -35,7 +35,7 @@ from animtool.usd.layers.sdf import (
 if TYPE_CHECKING:
     from animtool.usd.caches.writer import Block
 
-# Samples in memory before they go to the disk [byte].
+# Buffered samples that are flushed to disk [byte].
 BUFFERED_BYTES = 32_000_000
 
 
@@ -43,16 +43,18 @@ class GrowingLayer:
     """A layer that receives samples."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
-        """Begin.
+        """Begin a layer.
 
-        path: what the file will be called; None keeps all in memory.
+        Args:
+            layer: The layer.
+            path: Future path of the file; None keeps all in memory.
         """
         self.layer = layer
         self._path = path
         self._buffered = 0
-        self.size = 0  # of the file, when it is written [byte]
+        self.size = 0  # size of the written file [byte]
 
-    def added(self, size: int) -> None:
+    def count_bytes(self, size: int) -> None:
         """Count buffered bytes; flush to disk above the limit."""
         self._buffered += size
         if self._path is not None and self._buffered > BUFFERED_BYTES:
@@ -78,9 +80,9 @@ def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
 
 @contextmanager
 def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
-    """Context of a layer that receives samples; it is saved at the end if asked.
+    """Context of a layer that receives samples; saved at the end.
 
-    path: the file, or `STDOUT` for usda.
+    ``path`` is the file, or `STDOUT` for usda.
     """
     if path == STDOUT or path.suffix.lower() == ".usda":
         growing = GrowingLayer(layer)
@@ -89,7 +91,7 @@ def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
         return
     with replacing(path) as temporary:
         with (
-            unpacked(path, temporary) as file,
+            layer_to_package(path, temporary) as file,
             growing_crate(file, path) as growing,
         ):
             growing.layer.TransferContent(layer)
@@ -110,9 +112,9 @@ def _written(path: Path) -> Iterator[None]:
 class ClipFiles:
     """The chunks and the manifest of one set of value clips."""
 
-    output: Path  # the layer that joins them
-    name: str  # of the set
-    manifest: Path  # what states which attributes the chunks have
+    output: Path  # layer that combines the chunks
+    name: str  # name of the clip set
+    manifest: Path  # layer that declares the attributes of the chunks
 
     def chunk(self, number: int) -> Path:
         """Return the path of a chunk, counted from 0.
@@ -127,7 +129,7 @@ class ClipFiles:
     def defaults(self) -> str:
         """Asset path of the chunk with default values, a sublayer of the layer.
 
-        Defaults in the layer itself would win over the clips.
+        Defaults in the layer itself would be stronger than the clips.
         """
         return f"./{self.chunk(0).name}"
 
@@ -138,10 +140,10 @@ class ClipFiles:
         paths = folder.iterdir() if folder.is_dir() else ()
         return sorted(path for path in paths if name.fullmatch(path.name))
 
-    def remove_others(self, kept: Collection[Path]) -> None:
+    def remove_others(self, current: Collection[Path]) -> None:
         """Delete chunks left by an earlier, longer bake."""
-        for path in set(self.existing_chunks()) - set(kept):
-            # Files that cannot be removed do no harm.
+        for path in set(self.existing_chunks()) - set(current):
+            # Leftover files that cannot be removed do no harm.
             with suppress(OSError):
                 path.unlink()
 
@@ -203,7 +205,10 @@ def write_frames(
 ) -> None:
     """Write all frames of all prims; every time code of a bake passes through here.
 
-    writer: `OneLayer` or `Chunks`; reports: of each prim.
+    Args:
+        blocks: Blocks of frames.
+        writer: `OneLayer` or `Chunks`.
+        reports: One report per prim.
     """
     for block in blocks:
         reports[block.prim].count(block)
@@ -214,9 +219,9 @@ class OneLayer(Generic[FramesT]):
     """Writes all samples to one layer."""
 
     def __init__(self, writers: Sequence[FrameWriter[FramesT]]) -> None:
-        """Begin: with what writes each prim."""
+        """Begin with the writer of each prim."""
         self._writers = writers
-        self.first, self.last = np.inf, -np.inf  # time codes
+        self.first, self.last = np.inf, -np.inf  # first and last time code
 
     def add(self, block: FramesT) -> None:
         """Write frames."""
@@ -228,7 +233,7 @@ class OneLayer(Generic[FramesT]):
 class Chunks:
     """Writes samples to files of fixed size, closed once all prims have the next one.
 
-    Every file also has the first sample of the next, for what lies between them.
+    Every file also has the first sample of the next, for interpolation between them.
     """
 
     def __init__(
@@ -240,17 +245,22 @@ class Chunks:
             [Path, int], AbstractContextManager[Sequence[FrameWriter[Block]]]
         ],
     ) -> None:
-        """Begin.
+        """Begin without files.
 
-        size: samples per file; prims: number of prims; build: context with the writers
-        of a file, counted from 0, that is complete at the end of the block.
+        Args:
+            files: Paths of the files.
+            size: Samples per file.
+            prims: Number of prims.
+            build: Context with the writers of a file, counted from 0; the file is
+                complete
+                at the end of the context.
         """
         self.files, self._size, self._build = files, size, build
-        self._done = [0] * prims
+        self._next_samples = [0] * prims
         self._open: dict[int, tuple[ExitStack, Sequence[FrameWriter[Block]]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
-        self._manifest: Any = None  # before they are joined
+        self._manifest: Any = None  # set by `join`
 
     def __enter__(self) -> Self:
         return self
@@ -272,7 +282,7 @@ class Chunks:
         """Write frames to the files they belong to."""
         codes, begin = block.codes, 0
         while begin < len(codes):
-            number, at = divmod(self._done[block.prim], self._size)
+            number, at = divmod(self._next_samples[block.prim], self._size)
             count = min(self._size - at, len(codes) - begin)
             if at == 0 and number:
                 self._put(number - 1, block.some(slice(begin, begin + 1)))
@@ -282,11 +292,11 @@ class Chunks:
                 self._open[number] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
             self._put(number, block.some(slice(begin, begin + count)))
-            self._done[block.prim] += count
+            self._next_samples[block.prim] += count
             begin += count
         self.last = max(self.last, float(codes[-1]))
         for number in sorted(self._open):
-            if min(self._done) > (number + 1) * self._size:
+            if min(self._next_samples) > (number + 1) * self._size:
                 self._close(number)
 
     def _put(self, number: int, block: Block) -> None:
@@ -306,8 +316,8 @@ class Chunks:
     ) -> None:
         """Use the files as value clips of a prim and its descendants.
 
-        declare: states in a manifest which attributes the files have; defaults: whether
-        those of the first file are the layer's.
+        ``declare`` declares the attributes of the files in a manifest; ``defaults``
+        says whether the defaults of the first file apply to the layer.
         """
         author_clips(layer, path, self.files, self.starts, self.last)
         if defaults:
@@ -319,8 +329,9 @@ class Chunks:
     def finish(self) -> list[Path]:
         """Write the manifest; return all files.
 
-        Others, that an earlier, longer bake left, go once these have their names: a
-        layer always has its own.
+        Leftover files of an earlier, longer bake are removed only after these have
+        their names:
+        a layer always has its own chunks.
         """
         with replacing(self.files.manifest) as temporary:
             export_layer(self._manifest, temporary, self.files.manifest)

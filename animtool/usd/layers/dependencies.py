@@ -1,6 +1,6 @@
 """Checks the files that a USD layer composes, before USD opens them.
 
-USD waits for a pipe that nobody writes to, and reads a device without end.
+USD would wait for a pipe without a writer, and read a device without end.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from animtool.usd.layers.stderr import without_usd_warnings
 
 
 @dataclass(slots=True)
-class _Walk:
+class _LayerWalk:
     """Traversal of composed layers, each checked and opened once."""
 
-    path: Path  # of the layer that brings them in, as the user named it
-    # What their files were before USD opened them.
+    path: Path  # path of the composing layer, as given by the user
+    # State of each file before USD opened it.
     states: dict[Path, FileState] = field(default_factory=dict)
-    # Held, so that the stage finds them open.
+    # Kept alive, so that the stage uses them.
     layers: list[Any] = field(default_factory=list)
     _visited: set[str] = field(default_factory=set)
 
@@ -34,28 +34,30 @@ class _Walk:
         """Check all dependencies of a layer.
 
         Raises:
-            FormatError: One is no file, or too large (USD155).
+            FormatError: A dependency is not a regular file, or too large (USD155).
         """
         todo = [(top, dict(top.expressionVariables))]
         while todo:
             layer, variables = todo.pop()
             for name in _names(layer, variables):
-                target = self._opened(layer, name)
+                target = self._open_layer(layer, name)
                 if target is not None:
                     self.layers.append(target)
-                    # Those of the layer that brings it in count for more.
+                    # The variables of the composing layer are stronger.
                     todo.append((target, {**target.expressionVariables, **variables}))
 
-    def _opened(self, layer: Any, name: str) -> Any:
-        """Return a layer by asset path; None if USD does not open it or it is known."""
+    def _open_layer(self, layer: Any, name: str) -> Any:
+        """Return a layer by asset path; None if it cannot be opened or was visited."""
         asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
-        bare, _ = Sdf.Layer.SplitIdentifier(asset)
-        if asset in self._visited or not Sdf.FileFormat.FindByExtension(bare):
+        identifier_path, _ = Sdf.Layer.SplitIdentifier(asset)
+        if asset in self._visited or not Sdf.FileFormat.FindByExtension(
+            identifier_path
+        ):
             return None
         self._visited.add(asset)
-        # Of a package, the resolver would open it.
-        outer = bare.partition("[")[0]
-        file = Ar.GetResolver().Resolve(outer).GetPathString()
+        # For a file in a package, the resolver opens the package.
+        package_path = identifier_path.partition("[")[0]
+        file = Ar.GetResolver().Resolve(package_path).GetPathString()
         if not file or "://" in file:
             return None
         path = Path(file)
@@ -67,11 +69,11 @@ class _Walk:
         try:
             return Sdf.Layer.FindOrOpen(asset)
         except Tf.ErrorException:
-            # The stage names what it cannot open.
+            # The stage itself reports layers that it cannot open.
             return None
 
     def _state(self, layer: Any, name: str, path: Path) -> FileState | None:
-        """Return the identity of a file; None if USD would open nothing there."""
+        """Return the identity of a file; None if USD would not find a file there."""
         try:
             return layer_state(path)
         except FormatError as error:
@@ -102,9 +104,9 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
 def open_composed(layer: Any, path: Path) -> Any:
     """Open the stage of a layer after checking all its dependencies.
 
-    What USD prints about it is not printed: `composition_notices` says the same.
+    USD's warnings about it are not printed, since `composition_notices` reports them.
     """
-    walk = _Walk(path)
+    walk = _LayerWalk(path)
     with usd_errors(path), without_usd_warnings():
         walk.follow(layer)
         stage = Usd.Stage.Open(layer)
@@ -120,7 +122,7 @@ def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
         if layer.realPath:
             path = Path(layer.realPath)
             note_input(path, states.get(path), composed=True)
-        # Without a name it is the layer itself.
+        # An empty name refers to the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if resolved and "[" not in resolved and "://" not in resolved:

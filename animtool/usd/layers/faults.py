@@ -17,14 +17,15 @@ from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.core.units import UpAxis
 
-# Transforms are float32 in most files that hold them.
-LARGEST = float(np.finfo(np.float32).max)
-# Of a quaternion's length. Text files with four digits are within.
+# Largest number of a transform, which is float32 in most files.
+MAX_TRANSFORM = float(np.finfo(np.float32).max)
+# Tolerance of a quaternion's length; text files with four digits are within it.
 UNIT_TOLERANCE = 1e-3
-# Of what a transform with axes of its lengths could enclose.
-SMALLEST_VOLUME = 1e-12
-# Rates and units outside are no rates and units, and would overflow what they scale.
-SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
+# Smallest volume of a regular transform, relative to that of orthogonal axes of the
+# same lengths.
+MIN_VOLUME = 1e-12
+# Valid range of rates and units; others would overflow what they scale.
+MIN_METADATA, MAX_METADATA = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +60,13 @@ class PrimLocation:
 
     def refuse(self, faults: Iterable[Fault]) -> None:
         """Raise the first fault that readers cannot accept, warnings included."""
-        wrong = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
-        if wrong:
-            raise FormatError(wrong)
+        errors = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
+        if errors:
+            raise FormatError(errors)
 
 
 def tokens(attr: Any) -> list[str]:
-    """Return the tokens of an attribute; none without a value."""
+    """Return the tokens of an attribute; empty without a value."""
     return [str(token) for token in (attr.Get() if attr else None) or ()]
 
 
@@ -86,19 +87,19 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
     """
     index = {name: i for i, name in enumerate(joints)}
 
-    def above(name: str) -> int:
+    def parent_name(name: str) -> int:
         while name := name.rpartition("/")[0]:
             if name in index:
                 return index[name]
         return -1
 
-    return np.array([above(name) for name in joints], np.int64)
+    return np.array([parent_name(name) for name in joints], np.int64)
 
 
 def units_and_axis(stage: Any) -> Iterator[Fault]:
     """Yield faults of an invalid stage unit or up axis."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    if not SMALLEST_METADATA <= unit <= LARGEST_METADATA:
+    if not MIN_METADATA <= unit <= MAX_METADATA:
         yield finding("USD260", "/", f"metersPerUnit is {unit:g}")
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in list(UpAxis):
@@ -108,23 +109,22 @@ def units_and_axis(stage: Any) -> Iterator[Fault]:
 def matrix_array(attr: Any) -> FloatArray:
     """Return the matrices of an attribute ``(N, 4, 4)``, row vectors as in USD."""
     value = np.array(attr.Get() or ())
-    sound = value.dtype.kind == "f" and value.size % 16 == 0
-    return np.asarray(value if sound else (), np.float64).reshape(-1, 4, 4)
+    is_valid = value.dtype.kind == "f" and value.size % 16 == 0
+    return np.asarray(value if is_valid else (), np.float64).reshape(-1, 4, 4)
 
 
 def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of joint paths: duplicates, or a child before its parent."""
-    twice = duplicates(joints)
-    if twice:
-        message = (
-            f"{len(twice)} of {len(joints)} joints are duplicates: {listed(twice)}"
-        )
+    repeated = duplicates(joints)
+    if repeated:
+        message = f"{len(repeated)} of {len(joints)} joints are duplicates: "
+        message += listed(repeated)
         yield finding("USD220", where, message)
         return
     parents = joint_parents(joints)
-    early = np.flatnonzero(parents > np.arange(len(joints)))
-    if len(early):
-        child = int(early[0])
+    before_parent = np.flatnonzero(parents > np.arange(len(joints)))
+    if len(before_parent):
+        child = int(before_parent[0])
         message = (
             f"joint {child}, {excerpt(joints[child])}, comes before its parent, "
             f"joint {parents[child]}"
@@ -148,10 +148,12 @@ def bind_transforms(
     yield from faults
     if faults:
         return
-    flat = np.flatnonzero(singular(bind))
-    if len(flat):
-        names = [joints[i] for i in flat.tolist()]
-        message = f"{len(flat)} bindTransforms have no inverse: {listed(names)}"
+    singular_joints = np.flatnonzero(singular(bind))
+    if len(singular_joints):
+        names = [joints[i] for i in singular_joints.tolist()]
+        message = (
+            f"{len(singular_joints)} bindTransforms have no inverse: {listed(names)}"
+        )
         yield finding("USD226", attr.GetPath(), message)
 
 
@@ -160,8 +162,8 @@ def singular(matrices: FloatArray) -> BoolArray:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
-    flat: BoolArray = (volumes <= SMALLEST_VOLUME * lengths) | (lengths == 0)
-    return flat
+    is_singular: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
+    return is_singular
 
 
 def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[Fault]:
@@ -175,12 +177,14 @@ def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[
         yield finding("USD209", attr.GetPath(), message)
 
 
-def names_twice(attr: Any) -> Iterator[Fault]:
+def duplicate_names(attr: Any) -> Iterator[Fault]:
     """Yield a fault for duplicate joints or shapes of an animation."""
     names = tokens(attr)
-    twice = duplicates(names)
-    if twice:
-        message = f"{len(twice)} of {len(names)} names are duplicates: {listed(twice)}"
+    repeated = duplicates(names)
+    if repeated:
+        message = (
+            f"{len(repeated)} of {len(names)} names are duplicates: {listed(repeated)}"
+        )
         yield finding("USD207", attr.GetPath(), message)
 
 
@@ -196,14 +200,16 @@ def transform_attributes(animation: Any) -> dict[str, Any]:
 def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield a fault if an animation lacks translations, rotations or scales."""
     attributes = transform_attributes(animation)
-    missing = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
-    if len(missing) == len(attributes):
+    unauthored = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
+    if len(unauthored) == len(attributes):
         message = f"lists {counted(len(joints), 'joint')} but has no transforms"
         hint = "author all three, or remove joints"
         where = str(animation.GetPath())
         yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
-    elif missing:
-        message = f"no value for {listed(missing)}, but {counted(len(joints), 'joint')}"
+    elif unauthored:
+        message = (
+            f"no value for {listed(unauthored)}, but {counted(len(joints), 'joint')}"
+        )
         yield finding("USD201", animation.GetPath(), message)
 
 
@@ -211,8 +217,8 @@ def finite_transforms(
     attr: Any, matrices: FloatArray, joints: Sequence[str]
 ) -> Iterator[Fault]:
     """Yield a fault if joint transforms are not finite."""
-    bad = np.flatnonzero(~(np.abs(matrices) <= LARGEST).all(axis=(1, 2)))
-    if len(bad):
-        names = [joints[i] for i in bad.tolist()]
-        message = f"{len(bad)} transforms are not finite: {listed(names)}"
+    not_finite = np.flatnonzero(~(np.abs(matrices) <= MAX_TRANSFORM).all(axis=(1, 2)))
+    if len(not_finite):
+        names = [joints[i] for i in not_finite.tolist()]
+        message = f"{len(not_finite)} transforms are not finite: {listed(names)}"
         yield finding("USD225", attr.GetPath(), message)

@@ -1,7 +1,7 @@
-"""Guards USD output: values that USD cannot hold as finite numbers are refused.
+"""Guards USD output: values that USD cannot store as finite numbers are refused.
 
-Attributes are float16, float32 or float64. A number beyond the range of its type
-becomes infinite in the file without a word, so each is checked before it is written.
+Attributes are float16, float32 or float64. A number beyond the range of its type would
+silently become infinite in the file, so each is checked before it is written.
 """
 
 from __future__ import annotations
@@ -18,40 +18,42 @@ from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.errors import Fault, OutputError
 from animtool.core.record import dataclass
 
-# Largest finite number of each type, by the letter that ends names of USD's types.
+# Largest finite number by type letter, the last letter of USD's type names.
 _LIMITS = {
     letter: float(np.finfo(dtype).max)
     for letter, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
 }
 _NAMES = {"h": "float16", "f": "float32", "d": "float64"}
 _SCALARS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
-# As integers, float16 without its sign, and the largest finite one.
-_HALF_SIZE, _HALF_LIMIT = np.uint16(0x7FFF), 0x7BFF
-# Half of the distance of the largest float32 from the one below: what is within the
-# range is rounded by no more than this along an axis.
-_MAX_ROUNDED = 2.0**103
+# Bit masks of float16: all but the sign, and the largest finite number.
+_HALF_MAGNITUDE, _HALF_LIMIT = np.uint16(0x7FFF), 0x7BFF
+# Half the distance between the largest float32 and the next smaller one: rounding
+# within the range changes a coordinate by no more than this.
+_MAX_ROUNDING = 2.0**103
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
     """Names of an attribute's values, for messages."""
 
-    attribute: str  # its name or path
-    of: str = ""  # what has the value, such as ``joint``
-    names: Sequence[str] = ()  # of those, where they have names
+    attribute: str  # name or path of the attribute
+    noun: str = ""  # owner of each value, such as ``joint``
+    names: Sequence[str] = ()  # names of the owners, if they have any
 
     def at(self, index: Sequence[int]) -> str:
         """Return the name of one value."""
-        if not index or not self.of:
-            return self.of or "a value"
-        first = index[0]
-        name = repr(self.names[first]) if first < len(self.names) else str(first)
-        return f"{self.of} {name}"
+        if not index or not self.noun:
+            return self.noun or "a value"
+        position = index[0]
+        name = (
+            repr(self.names[position]) if position < len(self.names) else str(position)
+        )
+        return f"{self.noun} {name}"
 
 
 @cache
-def largest(type_name: Any) -> str:
-    """Return the float kind of one of ``Sdf.ValueTypeNames``: h, f, d; else empty."""
+def float_letter(type_name: Any) -> str:
+    """Return the type letter (h, f or d) of a value type; empty if not a float."""
     name = str(type_name.scalarType.cppTypeName)
     if name in _SCALARS:
         return _SCALARS[name]
@@ -66,39 +68,41 @@ def narrowed(
 ) -> npt.NDArray[Any]:
     """Return values as float16 (``h``) or float32 (``f``).
 
-    values: ``(F, N, …)``, or ``(N, …)`` without codes; codes: time codes ``(F,)``.
+    ``values`` are ``(F, N, …)``, or ``(N, …)`` without ``codes``, the time codes
+    ``(F,)``.
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
-        narrow = values.astype(dtype)
-    if narrow.size and not _within(narrow, _LIMITS[letter]):
-        _refuse(values, narrow, letter, labels, codes)
-    return narrow
+        converted = values.astype(dtype)
+    if converted.size and not _within(converted, _LIMITS[letter]):
+        _refuse(values, converted, letter, labels, codes)
+    return converted
 
 
 def rounded(
     points: FloatArray, unit: float, labels: Labels, codes: FloatArray
 ) -> tuple[Float32Array, float, int, int]:
-    """Return points as `_kernels.round_points` does.
+    """Return points rounded like `_kernels.round_points`.
 
-    points: ``(F, V, 3)``; codes: time codes ``(F,)``.
+    ``points`` are ``(F, V, 3)``, ``codes`` the time codes ``(F,)``.
     """
     rounded_points, error, frame, vertex = _kernels.round_points(points, unit)
-    # Beyond the range the error is larger than any rounding, so nothing more is read.
-    if not error < _MAX_ROUNDED * unit:
+    # Out of the range the error exceeds any rounding, so further values need not be
+    # read.
+    if not error < _MAX_ROUNDING * unit:
         with np.errstate(all="ignore"):
-            scaled = points / unit
-            narrow = scaled.astype(np.float32)
-        _refuse(scaled, narrow, "f", labels, codes)
+            in_unit = points / unit
+            in_float32 = in_unit.astype(np.float32)
+        _refuse(in_unit, in_float32, "f", labels, codes)
     return rounded_points, error, frame, vertex
 
 
 def check_rows(
     rows: npt.NDArray[Any], letter: str, labels: Labels, codes: FloatArray
 ) -> None:
-    """Raise `OutputError` where an attribute's type does not hold a value (USD170).
+    """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
-    rows: ``(F, …)``; codes: time codes ``(F,)``.
+    ``rows`` are ``(F, …)``, ``codes`` the time codes ``(F,)``.
     """
     if not np.isfinite(codes).all():
         raise _error(labels, "a time code is not finite")
@@ -109,9 +113,9 @@ def check_rows(
 def check_value(
     value: Any, letter: str, labels: Labels, code: float | None = None
 ) -> None:
-    """Raise `OutputError` where an attribute's type does not hold a value (USD170).
+    """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
-    code: time code; None is the default.
+    ``code`` is the time code; None is the default.
     """
     numbers = floats_of(value)
     if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
@@ -122,7 +126,7 @@ def check_value(
 
 
 def check_data(value: object, name: str) -> None:
-    """Raise `OutputError` where metadata hold a number that is not finite (USD170)."""
+    """Raise `OutputError` if metadata contain a non-finite number (USD170)."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             check_data(item, f"{name}:{key}")
@@ -142,7 +146,7 @@ def floats_of(value: Any) -> npt.NDArray[Any] | None:
 
 def all_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
     """Return whether finite rows ``(F, …)`` all equal a row ``(…)``."""
-    # Integers are compared eight times as fast as float16; zeros have two signs.
+    # Comparing integers is eight times as fast as float16; but zeros have two signs.
     if rows.dtype == np.float16:
         bits, bits_of_row = rows.view(np.uint16), row.view(np.uint16)
         if (bits == bits_of_row).all():
@@ -152,29 +156,31 @@ def all_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
 
 def _within(values: npt.NDArray[Any], limit: float) -> bool:
     if values.dtype == np.float16:
-        return bool((values.view(np.uint16) & _HALF_SIZE).max() <= _HALF_LIMIT)
-    # NaN comes through both, and through neither comparison.
+        return bool((values.view(np.uint16) & _HALF_MAGNITUDE).max() <= _HALF_LIMIT)
+    # min and max propagate NaN, which fails both comparisons.
     return bool(-limit <= values.min() and values.max() <= limit)
 
 
 def _refuse(
     values: npt.NDArray[Any],
-    narrow: npt.NDArray[Any],
+    converted: npt.NDArray[Any],
     letter: str,
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
     """Raise an error that names the first value not finite in the file, if any."""
     limit = _LIMITS[letter]
-    bad = np.argwhere(~(np.abs(narrow) <= limit))
-    if not len(bad):
+    not_finite = np.argwhere(~(np.abs(converted) <= limit))
+    if not len(not_finite):
         return
-    index = tuple(bad[0].tolist())
+    index = tuple(not_finite[0].tolist())
     value = float(values[index])
-    rest = index if codes is None else index[1:]
-    when = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
+    element_index = index if codes is None else index[1:]
+    at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
     allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
-    raise _error(labels, f"{labels.at(rest)}{when} is {value:.6g}; {allowed}")
+    raise _error(
+        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {allowed}"
+    )
 
 
 def _error(labels: Labels, message: str) -> OutputError:

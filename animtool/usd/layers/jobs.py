@@ -79,7 +79,7 @@ def check_suffix(path: Path) -> None:
 class RootPath:
     """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
 
-    Written in float64, so it adds nothing to the error of the joints.
+    Stored in float64, so that it adds no error to the joints.
     """
 
     translations: FloatArray
@@ -93,27 +93,27 @@ class WrittenBlock:
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
     rotations: Float32Array  # ``(F, J, 4)`` float32
-    # ``(F, J, 3)`` float16; None where nothing is scaled.
+    # ``(F, J, 3)`` float16; None without scales.
     scales: npt.NDArray[np.float16] | None
     extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
-    # Motion of the SkelRoot, where it carries that of the root joint.
+    # Motion of the SkelRoot, if it has that of the root joint.
     root: RootPath | None
     error: float  # largest distance that rounding moved a joint [m]
-    error_code: float  # time code of that
-    error_joint_index: int  # of the joint that moved
-    # Of the rig's shapes ``(F, S)`` float32; None where there are none.
+    error_code: float  # time code of the largest error
+    error_joint_index: int  # joint with the largest error
+    # Weights of the rig's shapes ``(F, S)`` float32; None without shapes.
     weights: Float32Array | None = None
-    scales_rounded: bool = False  # whether a scale is another number as float16
-    prim: int = 0  # a SkelAnimation is written alone
+    scales_rounded: bool = False  # whether float16 changes a scale
+    prim: int = 0  # always 0: a SkelAnimation is a single prim
 
 
 @dataclass(slots=True)
 class Rounding:
     """Rounding errors over all blocks."""
 
-    error: float = 0.0  # largest distance that it moved a joint [m]
-    code: float = 0.0  # time code of that
-    joint_index: int = 0  # of the joint that moved
+    error: float = 0.0  # largest distance that rounding moved a joint [m]
+    code: float = 0.0  # time code of the largest error
+    joint_index: int = 0  # joint with the largest error
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def count(self, block: WrittenBlock) -> None:
@@ -128,17 +128,17 @@ class Rounding:
 class UsdJob:
     """Settings of `write_usd`."""
 
-    form: LayerForm  # stage, split or layer
-    output: Path  # the file, or `STDOUT` for usda
-    rig: Rig  # the joints, as the blocks have them
-    names: UsdNames  # their USD names
-    joints: list[str]  # their paths as the Skeleton has them
-    paths: RigPaths  # the character's prims
-    fps: Fraction  # time codes a second
+    form: LayerForm
+    output: Path  # path of the file, or `STDOUT` for usda
+    rig: Rig  # the rig, with joints in the order of the blocks
+    names: UsdNames  # USD names of the joints
+    joints: list[str]  # joint paths in the Skeleton
+    paths: RigPaths  # prim paths of the character
+    fps: Fraction  # time codes per second
     meters_per_unit: float  # unit of the layer [m]
-    target: RigTarget | None = None  # the rig of a layer
-    bones: bool = False  # add geometry that shows the joints
-    shot: Shot | None = None  # the shot that is written; None is no shot
+    target: RigTarget | None = None  # rig below a layer
+    bones: bool = False  # whether to add geometry that shows the joints
+    shot: Shot | None = None  # shot to record
 
     @property
     def where(self) -> str | None:
@@ -150,46 +150,46 @@ class UsdJob:
 class UsdTake:
     """One animation of a job."""
 
-    blocks: Iterable[WrittenBlock]  # its frames, as the layer will hold them
+    blocks: Iterable[WrittenBlock]  # frames, as stored in the layer
     start: Fraction  # time code of the first sample
     step: Fraction  # time codes from one sample to the next
-    # First and last time code; None takes those of the samples.
+    # First and last time code; None is the range of the samples.
     frames: tuple[Fraction, Fraction] | None = None
-    chosen: BoolArray | None = None  # joints to write ``(J,)``; None is all
-    # Names of the rig's shapes, as the blocks have their weights.
+    written_joints: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    # Names of the rig's shapes, in the order of the blocks' weights.
     shapes: tuple[str, ...] = ()
-    # Curves of controls, by their names, over time codes of the layer.
+    # Curves of controls by name, over time codes of the layer.
     curves: Mapping[str, Curves] = field(default_factory=dict)
-    # Of a library's take, legal and distinct; empty where it is the only animation,
-    # which needs no variant.
+    # Legal, distinct name in a library; empty for a single animation, which needs no
+    # variant.
     name: str = ""
-    source_name: str = ""  # what the source of a library's take is called
+    source_name: str = ""  # name of a library take's source
     # Props next to the rig, collected while the blocks are read; None without.
     props: PropSamples | None = None
     # From take space to the space of a rig layer; see `PropPlacements`.
     to_rig: Callable[[FloatArray], Placement] | None = None
-    reduced: bool = False  # whether samples are left out that others give back
+    reduced: bool = False  # whether redundant samples are removed
     # Recorded rest placement; empty without one, or if a rig layer has it.
     rest_record: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class WrittenTake:
-    """What was written of one take."""
+    """Report on one written take."""
 
     animation: str  # path of its SkelAnimation
-    span: FrameSpan  # first and last frame, and time codes a second
-    name: str = ""  # of a library's take; empty where it is the only one
+    span: FrameSpan  # first and last frame, and time codes per second
+    name: str = ""  # name in a library; empty for a single animation
     samples: int = 0  # number of time samples
-    # Attributes of the SkelAnimation that change.
+    # Attributes of the SkelAnimation with time samples.
     sampled: list[str] = field(default_factory=list)
     joints: int = 0  # joints in the SkelAnimation
-    # What rounding to float32, and of scales to float16, moved.
+    # Errors of rounding to float32, and of scales to float16.
     rounding: Rounding = field(default_factory=Rounding)
     # Reports on the control curves.
     curves: list[CurveReport] = field(default_factory=list)
     props: list[str] = field(default_factory=list)  # paths of the props
-    # What there is to say of its frames.
+    # Warnings and notes about its frames.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -197,10 +197,10 @@ class WrittenTake:
 class UsdResult:
     """Result of `write_usd`."""
 
-    span: FrameSpan  # first frame, last frame and rate that the written layer states
+    span: FrameSpan  # range and rate of the written layer
     outputs: list[Path] = field(default_factory=list)
     bytes: int = 0
-    # Each animation, at least one.
+    # Written animations, at least one.
     takes: list[WrittenTake] = field(default_factory=list)
     # Warnings and notes of `animtool.usd.write`.
     notices: list[Fault] = field(default_factory=list)

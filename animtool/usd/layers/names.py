@@ -11,7 +11,7 @@ from animtool.core.names import distinct
 from animtool.core.record import dataclass
 from animtool.rig.skeleton import Joint
 
-# The variant set of a library whose variants are its takes.
+# The variant set of a library with a variant per take.
 TAKE_SET = "take"
 
 
@@ -19,16 +19,16 @@ TAKE_SET = "take"
 class UsdNames:
     """Names for the joints of a rig."""
 
-    names: list[str]  # A legal name each, no two the same
-    # The name in the source, by legal name, where it is another.
+    names: list[str]  # legal, distinct names
+    # Source names by legal name, if they differ.
     originals: dict[str, str]
-    notices: list[Fault]  # A warning for every two names that became one
+    notices: list[Fault]  # a warning for each pair of names that became equal
 
 
 def plain_text(name: str) -> str:
     r"""Return a text that USD accepts: invalid bytes are replaced.
 
-    Names of files may have such bytes.
+    File names may contain such bytes.
 
     >>> plain_text("walk\udcff")
     'walk?'
@@ -51,39 +51,41 @@ def legal_name(name: str) -> str:
 
 def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
     """Return names for joints, optionally without namespaces (``ns:``)."""
-    stripped = []
+    short_names = []
     for joint in joints:
-        parts = joint.name.split(":")
-        stripped.append(":".join(parts[min(strip_namespaces, len(parts) - 1) :]))
+        namespaces = joint.name.split(":")
+        short_names.append(
+            ":".join(namespaces[min(strip_namespaces, len(namespaces) - 1) :])
+        )
     return distinct_names(
         [joint.name for joint in joints],
-        stripped,
-        # A name that was made unique keeps its number, which is no collision.
+        short_names,
+        # A name that was already numbered is not a collision.
         [joint.source_name or joint.name for joint in joints],
     )
 
 
 def distinct_names(
-    named: Sequence[str], proposed: Sequence[str], sources: Sequence[str]
+    original_names: Sequence[str], proposed: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
     """Return legal, distinct names."""
     names: list[str] = []
     originals: dict[str, str] = {}
-    first: dict[str, str] = {}
+    first_source: dict[str, str] = {}
     notices: list[Fault] = []
     legals = list(map(legal_name, proposed))
-    rows = zip(named, legals, distinct(legals), sources, strict=True)
+    rows = zip(original_names, legals, distinct(legals), sources, strict=True)
     for name, legal, unique, source in rows:
         if unique != legal:
             notices.append(
                 Fault(
                     "USD101",
-                    f"{excerpt(first[legal])} and {excerpt(name)} both become "
+                    f"{excerpt(first_source[legal])} and {excerpt(name)} both become "
                     f"{excerpt(legal)} in USD; the second is written as {unique!r}",
                     severity=Severity.WARNING,
                 )
             )
-        first[unique] = name
+        first_source[unique] = name
         names.append(unique)
         if unique != source:
             originals[unique] = source

@@ -14,38 +14,38 @@ from pxr import Sdf, Tf
 from animtool.core.files.placing import output_error
 from animtool.core.readers import PACKAGE
 
-UNPACKED = "USD could not pack it"
-# The first day that a zip file can state.
+PACK_FAILED = "USD could not pack it"
+# The earliest date of a zip file.
 _FIRST_DAY = struct.pack("<HH", 0, (1 << 5) | 1)
 # Offsets of the timestamp in file and directory headers.
-_OF_FILE, _OF_DIRECTORY = 10, 12
+_FILE_TIME_OFFSET, _DIRECTORY_TIME_OFFSET = 10, 12
 _DIRECTORY_HEADER = b"PK\x01\x02"
 
 
 @contextmanager
-def unpacked(path: Path, temporary: Path) -> Iterator[Path]:
+def layer_to_package(path: Path, temporary: Path) -> Iterator[Path]:
     """Context with the file to write a layer to; packaged at the end for .usdz.
 
-    path: what ``temporary`` becomes when all is well.
+    ``temporary`` is renamed to ``path`` if all succeeds.
     """
     if path.suffix.lower() != PACKAGE:
         yield temporary
         return
-    # Beside it, so that what it refers to is found.
+    # In the same folder, so that its dependencies are found.
     crate = temporary.with_suffix(".usdc")
     try:
         yield crate
         from pxr import UsdUtils
 
-        done = UsdUtils.CreateNewUsdzPackage(
+        is_packed = UsdUtils.CreateNewUsdzPackage(
             Sdf.AssetPath(str(crate)), str(temporary), f"{plain_stem(path)}.usdc"
         )
     except Tf.ErrorException as error:
-        raise output_error(path, UNPACKED) from error
+        raise output_error(path, PACK_FAILED) from error
     finally:
         crate.unlink(missing_ok=True)
-    if not done:
-        raise output_error(path, UNPACKED)
+    if not is_packed:
+        raise output_error(path, PACK_FAILED)
     clear_times(temporary)
 
 
@@ -64,7 +64,7 @@ def clear_times(package: Path) -> None:
         files, directory = archive.infolist(), archive.start_dir
     with package.open("r+b") as file:
         for entry in files:
-            file.seek(entry.header_offset + _OF_FILE)
+            file.seek(entry.header_offset + _FILE_TIME_OFFSET)
             file.write(_FIRST_DAY)
         for _ in files:
             file.seek(directory)
@@ -72,6 +72,6 @@ def clear_times(package: Path) -> None:
             if header[:4] != _DIRECTORY_HEADER:
                 raise output_error(package, "USD packed it in an unknown way")
             sizes = struct.unpack("<HHH", header[28:34])
-            file.seek(directory + _OF_DIRECTORY)
+            file.seek(directory + _DIRECTORY_TIME_OFFSET)
             file.write(_FIRST_DAY)
             directory += len(header) + sum(sizes)

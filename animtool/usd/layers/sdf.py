@@ -44,15 +44,15 @@ from animtool.usd.layers.finite import (
     check_data,
     check_rows,
     check_value,
-    largest,
+    float_letter,
 )
 from animtool.usd.layers.names import legal_name
-from animtool.usd.layers.package import unpacked
+from animtool.usd.layers.package import layer_to_package
 from animtool.usd.layers.text_faults import layer_fault
 
-# Of files whose name is right, which are therefore not the one that is meant.
+# Hint for files with a valid name that are not USD.
 AS_USD = "name a USD file; animtool convert writes one of a rig, a clip or a capture"
-# USD maps binary layers into memory, and reads text layers completely.
+# USD maps binary layers into memory, but reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
 CRATE = b"PXR-USDC"
@@ -62,14 +62,14 @@ CRATE = b"PXR-USDC"
 class StageMetadata:
     """Metadata that every layer authors."""
 
-    default_prim: str  # name of the root prim; empty states none
+    default_prim: str  # name of the root prim; empty for none
     span: FrameSpan  # first and last frame, and the rate of frames and time codes
     meters_per_unit: float  # length unit [m]
     up: UpAxis
-    shot: Shot | None = None  # the shot that the layer is of; None is no shot
+    shot: Shot | None = None  # shot of the layer
 
 
-# Why USD opens no file whose path has other bytes.
+# Why USD cannot open a file with such a path.
 NO_TEXT = "its path contains bytes that are not UTF-8"
 
 
@@ -92,8 +92,8 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     if metadata.shot is not None:
         data = dict(layer.customLayerData)
         shot = plain_value(metadata.shot).items()
-        stated = {_SHOT_KEYS.get(key, key): value for key, value in shot}
-        data["animtool"] = {**data.get("animtool", {}), "shot": stated}
+        shot_data = {_SHOT_KEYS.get(key, key): value for key, value in shot}
+        data["animtool"] = {**data.get("animtool", {}), "shot": shot_data}
         layer.customLayerData = data
 
 
@@ -106,7 +106,7 @@ def layer_span(layer: Any) -> FrameSpan:
     )
 
 
-# Keys of reports, and as USD spells them.
+# Keys of reports and their spelling in USD.
 _SHOT_KEYS = {
     "cut_in": "cutIn",
     "cut_out": "cutOut",
@@ -133,7 +133,7 @@ def model_path(prim_path: str | None, name: str) -> str:
     """Return the path of a model: as configured, else below the root by name.
 
     Raises:
-        OptionError: It is no absolute prim path (CLI003).
+        OptionError: It is not an absolute prim path (CLI003).
     """
     if prim_path is None:
         return f"/{legal_name(name)}"
@@ -161,7 +161,7 @@ def asset_path(file: Path, folder: Path) -> str:
     name = path_from_folder(file, folder)
     if name.startswith("../") or Path(name).is_absolute():
         return name
-    # Without a dot, USD would search for it.
+    # Without a leading dot, USD would search for the file.
     return f"./{name}"
 
 
@@ -171,7 +171,7 @@ def find_layer(path: Path) -> Any:
     state = layer_state(path, recorded=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
-        # One that is open already may be older than its file.
+        # An open layer may be older than its file.
         if layer is not None and not layer.dirty:
             layer.Reload()
     if FileState.of(path) != state:
@@ -184,7 +184,7 @@ def find_layer(path: Path) -> Any:
 def layer_state(path: Path, *, recorded: bool = False) -> FileState:
     """Return the identity of a file that USD may open.
 
-    recorded: whether a user or a document names it as an input.
+    ``recorded`` says whether a user or a document names it as an input.
     """
     with open_input(path, None, recorded=recorded) as file:
         binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
@@ -197,14 +197,14 @@ def layer_state(path: Path, *, recorded: bool = False) -> FileState:
 def forget_layers() -> None:
     """Release unused layers, so that changed files are read again.
 
-    USD keeps a layer as long as somebody holds it, and stages hold theirs in circles.
+    USD keeps a layer while it is referenced, and stages reference theirs in cycles.
     """
     if any(not layer.anonymous for layer in Sdf.Layer.GetLoadedLayers()):
         gc.collect()
 
 
 def compute_alone() -> None:
-    """Limit USD to the calling thread when other processes use the cores."""
+    """Limit USD to the calling thread if other processes use the cores."""
     Work.SetConcurrencyLimit(1)
 
 
@@ -228,8 +228,8 @@ def usd_reason(error: Tf.ErrorException, most: int = 300) -> str:
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
-        head, _, tail = text.partition(marker)
-        text = head + tail.split(marker)[0]
+        before_marker, _, after_marker = text.partition(marker)
+        text = before_marker + after_marker.split(marker)[0]
     return text.strip()[:most] or "is not a USD layer"
 
 
@@ -237,8 +237,8 @@ def new_layer(path: Path) -> Any:
     """Return a new layer that `save_layer` writes to ``path``."""
     if path == STDOUT:
         return Sdf.Layer.CreateAnonymous(".usda")
-    packed = path.suffix.lower() == PACKAGE
-    return Sdf.Layer.CreateAnonymous(".usdc" if packed else path.suffix)
+    is_package = path.suffix.lower() == PACKAGE
+    return Sdf.Layer.CreateAnonymous(".usdc" if is_package else path.suffix)
 
 
 def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
@@ -263,7 +263,7 @@ def attribute(
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
-        if letter := largest(type_name):
+        if letter := float_letter(type_name):
             check_value(value, letter, Labels(str(attr.path)))
         attr.default = value
     if interpolation:
@@ -271,7 +271,7 @@ def attribute(
     return attr
 
 
-def put_samples(
+def write_samples(
     layer: Any,
     attr: Any,
     codes: npt.NDArray[np.floating[Any]],
@@ -280,12 +280,12 @@ def put_samples(
 ) -> None:
     """Write values of an attribute at selected time codes.
 
-    The first is its default, and all that is written where it is alone.
+    The first value is also the default; a single value is only written as the default.
 
     Raises:
         OutputError: A value is not finite, or too large for its type (USD170).
     """
-    letter, labels = largest(attr.typeName), Labels(str(attr.path))
+    letter, labels = float_letter(attr.typeName), Labels(str(attr.path))
     for code, value in zip(codes[rows].tolist(), values, strict=True):
         if letter:
             check_value(value, letter, labels, code)
@@ -312,7 +312,7 @@ def save_layer(layer: Any, path: Path) -> int:
         sys.stdout.flush()
         return len(text.encode())
     with replacing(path) as temporary:
-        with unpacked(path, temporary) as file:
+        with layer_to_package(path, temporary) as file:
             export_layer(layer, file, path)
         return temporary.stat().st_size
 
@@ -322,12 +322,12 @@ def export_layer(
 ) -> None:
     """Export a layer to a temporary file that then replaces ``path``."""
     try:
-        done = layer.Export(str(temporary), args=dict(arguments or {}))
+        is_exported = layer.Export(str(temporary), args=dict(arguments or {}))
     except Tf.ErrorException as error:
         raise output_error(path, usd_reason(error)) from error
     except UnicodeEncodeError as error:
         raise output_error(path, NO_TEXT) from error
-    if not done:
+    if not is_exported:
         raise output_error(path, "USD could not write it")
 
 
@@ -350,9 +350,9 @@ def author_order(spec: Any, *names: str) -> None:
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
     """Set the applied API schemas of a prim."""
-    listed = Sdf.TokenListOp()
-    listed.prependedItems = list(schemas)
-    spec.SetInfo("apiSchemas", listed)
+    list_op = Sdf.TokenListOp()
+    list_op.prependedItems = list(schemas)
+    spec.SetInfo("apiSchemas", list_op)
 
 
 def vector(row: FloatArray) -> Any:
@@ -379,12 +379,13 @@ def quatf(row: FloatArray) -> Any:
 class SampleWriter:
     """Writer of an attribute's samples; a default only while values are constant.
 
-    The frames before the first change share one array, as copies of it would. Signs of
-    quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
-    every rotation over time is written here. With `every`, each frame is a sample, and
-    with `first` too the first is the default.
+    The frames before the first change share one array. Signs of quaternions ``(F, …,
+    4)`` continue from frame to frame and from block to block: every rotation over time
+    is written here. With `every`, each frame is a sample, and with `first` the first is
+    also the default.
 
-    sampled: whether they changed, or are sampled all the same.
+    Attributes:
+        sampled: Whether values changed, or are sampled anyway.
     """
 
     def __init__(
@@ -395,14 +396,14 @@ class SampleWriter:
         every: bool = False,
         first: bool = True,
         quaternions: bool = False,
-        of: str = "",
+        noun: str = "",
         names: Sequence[str] = (),
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set = attr.layer.SetTimeSample
-        self._make, self._every, self._rests = make, every, first
-        self._letter = largest(attr.typeName)
-        self._labels = Labels(str(self._path), of, names)
+        self._make, self._every, self._has_default = make, every, first
+        self._letter = float_letter(attr.typeName)
+        self._labels = Labels(str(self._path), noun, names)
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
         self._last: npt.NDArray[Any] | None = None
@@ -411,11 +412,11 @@ class SampleWriter:
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
-        rows = self._continued(np.ascontiguousarray(rows))
+        rows = self._with_continuous_signs(np.ascontiguousarray(rows))
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)
         if self._every:
-            if not self.sampled and self._rests:
+            if not self.sampled and self._has_default:
                 self._attribute.default = self._make(rows[0])
             self.sampled = True
         elif self._first is None:
@@ -425,20 +426,20 @@ class SampleWriter:
                 self._buffered.append(codes)
                 return
             self.release()
-        put, path, make = self._set, self._path, self._make
+        set_value, path, make = self._set, self._path, self._make
         for code, row in zip(codes.tolist(), rows, strict=True):
-            put(path, code, make(row))
+            set_value(path, code, make(row))
 
-    def _continued(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _with_continuous_signs(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return rows; quaternion signs continue the previous block."""
         if not self._quaternions or not rows.size:
             return rows
-        last = rows[0] if self._last is None else self._last
+        previous = rows[0] if self._last is None else self._last
         if rows.dtype == np.float32 and rows.ndim == 3:
-            continued = _kernels.continue_signs(rows, last)
-            rows = rows if continued is None else continued
+            aligned = _kernels.continue_signs(rows, previous)
+            rows = rows if aligned is None else aligned
         else:
-            rows = so3.align_signs(rows, last).astype(rows.dtype)
+            rows = so3.align_signs(rows, previous).astype(rows.dtype)
         self._last = rows[-1]
         return rows
 
@@ -456,16 +457,16 @@ class SampleWriter:
     def rest(self) -> None:
         """Author the first value as the default if there are samples.
 
-        Readers that ask at no time find it.
+        Readers without a time use it.
         """
         if self.sampled and self._first is not None:
             self._attribute.default = self._make(self._first)
 
-    def finish(self, otherwise: npt.NDArray[Any]) -> None:
-        """Author the default if values never changed or never came."""
+    def finish(self, fallback: npt.NDArray[Any]) -> None:
+        """Author the default if values never changed; ``fallback`` without values."""
         if not self.sampled:
-            first = otherwise if self._first is None else self._first
-            value = self._make(first)
+            default = fallback if self._first is None else self._first
+            value = self._make(default)
             if self._letter:
                 check_value(value, self._letter, self._labels)
             self._attribute.default = value

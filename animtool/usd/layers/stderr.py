@@ -11,14 +11,14 @@ from typing import IO
 
 from animtool.core.quantities import escaped_lines
 
-# Of its own writers, about every file with a spline or with time codes in metadata:
-# nothing that a user could change.
+# Warnings of USD's own writers about every file with splines or time codes in metadata,
+# which a user cannot act on.
 _KNOWN = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
 )
-# How the lines of its diagnostics begin.
+# Beginnings of USD's diagnostic lines.
 _DIAGNOSTICS = (
     b"Warning: in ",
     b"Error in ",
@@ -31,8 +31,8 @@ _DIAGNOSTICS = (
 def without_version_warnings() -> Iterator[None]:
     """Context that drops USD's warnings about splines and time codes.
 
-    They print to the process's stderr, past Python. Everything else that arrives
-    there meanwhile is printed afterwards.
+    USD prints them to the process's stderr, bypassing Python. Other output to stderr is
+    printed afterwards.
     """
     with _captured(_KNOWN):
         yield
@@ -42,23 +42,23 @@ def without_version_warnings() -> Iterator[None]:
 def without_usd_warnings() -> Iterator[None]:
     """Context that drops USD's warnings about opened layers.
 
-    Everything else that arrives there meanwhile is printed afterwards.
+    Other output to stderr is printed afterwards.
     """
     with _captured(_DIAGNOSTICS):
         yield
 
 
 @contextmanager
-def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
+def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)
-    except OSError:  # nobody listens
+    except OSError:  # stderr is closed
         yield
         return
     buffer = None
     try:
-        # Where a full disk holds nothing, USD's lines come as they are.
+        # On a full disk nothing can be captured, and USD's lines are printed directly.
         with suppress(OSError):
             buffer = tempfile.TemporaryFile()  # noqa: SIM115
             os.dup2(buffer.fileno(), 2)
@@ -70,13 +70,13 @@ def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
             os.close(saved)
         if buffer is not None:
             with suppress(OSError), buffer:
-                _print_others(buffer, known)
+                _print_others(buffer, dropped_texts)
 
 
-def _print_others(buffer: IO[bytes], known: tuple[bytes, ...]) -> None:
+def _print_others(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> None:
     """Print the captured lines except those with known texts."""
     buffer.seek(0)
     for line in buffer:
-        if not any(text in line for text in known):
+        if not any(text in line for text in dropped_texts):
             text = line.decode("utf-8", "surrogateescape")
             os.write(2, escaped_lines(text).encode())

@@ -22,31 +22,31 @@ _METADATA = (
 
 
 def write_view(
-    path: Path, shown: Path, below: Sequence[Path] = (), over: Sequence[Path] = ()
+    path: Path, shown: Path, weaker: Sequence[Path] = (), stronger: Sequence[Path] = ()
 ) -> Path:
     """Write a stage with a layer's metadata; return its path.
 
     Args:
-        path: The stage.
+        path: Path of the stage.
         shown: The layer.
-        below: Weaker layers, such as the rig of an animation layer.
-        over: Stronger layers, such as looks and props, the strongest first.
+        weaker: Weaker layers, such as the rig of an animation layer.
+        stronger: Stronger layers, such as looks and props, the strongest first.
 
     Raises:
-        FormatError: One is no USD layer (USD001).
+        FormatError: A file is not a USD layer (USD001).
     """
-    for other in (*over, *below):
-        find_layer(other)
+    for other_layer in (*stronger, *weaker):
+        find_layer(other_layer)
     with usd_errors(shown):
-        # Held, so that it stays open.
+        # Kept alive, so that it stays open.
         source = find_layer(shown)
-        stated = source.pseudoRoot
+        source_metadata = source.pseudoRoot
         view = Sdf.Layer.CreateAnonymous(".usda")
-        layers = [*over, shown, *below]
+        layers = [*stronger, shown, *weaker]
         view.subLayerPaths = [str(layer.resolve()) for layer in layers]
         for name in _METADATA:
-            if stated.HasInfo(name):
-                view.pseudoRoot.SetInfo(name, stated.GetInfo(name))
+            if source_metadata.HasInfo(name):
+                view.pseudoRoot.SetInfo(name, source_metadata.GetInfo(name))
         with replacing(path) as temporary:
             temporary.write_text(view.ExportToString(), "utf-8")
     return path

@@ -17,11 +17,11 @@ from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.physics.stage import (
     AXES,
-    LARGEST,
     MAX_FORCE,
+    MAX_NUMBER,
     PhysicsStage,
     is_body,
-    within,
+    relative_pose,
 )
 from animtool.usd.rigs.layer import read_ball
 from animtool.usd.rigs.prims import nearest_prim, upwards
@@ -35,21 +35,21 @@ JOINTS = {
 }
 
 
-# Names of the degrees of freedom of a joint without a type.
-FREEDOMS = ("rotX", "rotY", "rotZ")
-# An ellipse of swings has two half-angles above 0, and no axis at half a turn [rad].
-SWING = math.radians(1e-3), math.radians(179.0)
+# Names of the rotational degrees of freedom of an untyped joint.
+ROTATION_AXES = ("rotX", "rotY", "rotZ")
+# Range of swing half-angles [rad]: both above 0, and below half a revolution.
+SWING_RANGE = math.radians(1e-3), math.radians(179.0)
 
 
 def read_joint(
     source: PhysicsStage,
     prim: Any,
     body_index: Mapping[str, int],
-    moved: Sequence[bool],
+    is_dynamic: Sequence[bool],
 ) -> PhysicsJoint | None:
-    """Return a joint between bodies; None if it is disabled or joins none.
+    """Return a joint between bodies; None if it is disabled or has no bodies.
 
-    moved: Which bodies are moved by what happens to them.
+    ``is_dynamic`` says which bodies are dynamic.
     """
     joint = UsdPhysics.Joint(prim)
     if joint.GetJointEnabledAttr().Get() is False:
@@ -62,7 +62,7 @@ def read_joint(
     token = str((axis.Get() if axis else None) or "X")
     if token not in AXES:
         PrimLocation.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
-    lean = so3.between(AXES["X"], AXES[token])
+    axis_rotation = so3.between(AXES["X"], AXES[token])
     bodies, frames = [], []
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
@@ -70,7 +70,7 @@ def read_joint(
         local = IDENTITY_POSE.copy()
         local[:3] = 0.0 if at is None else at * source.unit
         local[3:] = so3.IDENTITY if rotation is None or not rotation.any() else rotation
-        local[3:] = so3.multiply(so3.normalize(local[3:]), lean)
+        local[3:] = so3.multiply(so3.normalize(local[3:]), axis_rotation)
         targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
         if len(targets) > 1:
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
@@ -85,7 +85,7 @@ def read_joint(
     if bodies[0] == bodies[1]:
         source.note(prim, "joins a body to itself: skipped")
         return None
-    if not any(moved[body] for body in bodies if body >= 0):
+    if not any(is_dynamic[body] for body in bodies if body >= 0):
         source.note(prim, "joins no dynamic body: skipped")
         return None
     limits, swing = _limits(source, prim, kind)
@@ -98,13 +98,16 @@ def read_joint(
         swing,
         _drive(source, prim, kind),
         joint.GetCollisionEnabledAttr().Get() is True,
-        (_most(source, prim, "breakForce", 1), _most(source, prim, "breakTorque", 2)),
+        (
+            _break_limit(source, prim, "breakForce", 1),
+            _break_limit(source, prim, "breakTorque", 2),
+        ),
     )
 
 
-def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
+def _break_limit(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
     """Return the break force [N] or torque [N m] of a joint; inf if unbreakable."""
-    value = source.endless(prim.GetAttribute(f"physics:{name}"))
+    value = source.infinite_number(prim.GetAttribute(f"physics:{name}"))
     if value is None or not 0 < value < MAX_FORCE:
         return math.inf
     return float(value) * source.kilograms * source.unit**power
@@ -128,20 +131,21 @@ def _side(
         PrimLocation.of(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
     local = np.concatenate([local[:3] * scale, local[3:]])
-    placed = np.concatenate(
+    pose_ = np.concatenate(
         [pose[:3] + so3.rotate(pose[3:], local[:3]), so3.multiply(pose[3:], local[3:])]
     )
-    for above in upwards(prim):
-        body = body_index.get(str(above.GetPath()))
+    for ancestor in upwards(prim):
+        body = body_index.get(str(ancestor.GetPath()))
         if body is not None:
-            return body, within(source.pose(source.matrix(above))[0], placed)
-        if is_body(above):
+            return body, relative_pose(source.pose(source.matrix(ancestor))[0], pose_)
+        if is_body(ancestor):
             message = (
-                f"is attached to {excerpt(str(above.GetPath()))}, a body that is not "
+                f"is attached to {excerpt(str(ancestor.GetPath()))}, a body that is "
             )
+            message += "not "
             source.note(joint, f"{message}supported: attached to the world instead")
             break
-    return -1, source.up(placed)
+    return -1, source.up(pose_)
 
 
 def _limits(
@@ -152,54 +156,54 @@ def _limits(
         return None, None
     if kind == "ball":
         names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
-        ends = product(FREEDOMS, ("low", "high"))
+        ends = product(ROTATION_AXES, ("low", "high"))
         for name in (*names, *(f"limit:{axis}:physics:{end}" for axis, end in ends)):
-            source.endless(prim.GetAttribute(name))
+            source.infinite_number(prim.GetAttribute(name))
         ball = read_ball(prim, (1.0, 0.0, 0.0))
         if ball is None:
             return None, None
-        swing = None
+        swing_limits = None
         if ball.swing is not None:
-            first, second = np.clip(ball.swing, *SWING).tolist()
-            swing = first, second
-        return _checked_range(source, prim, ball.twist, 2 * math.pi), swing
-    low, high = (
-        source.endless(prim.GetAttribute(f"physics:{end}Limit"))
+            swing_y, swing_z = np.clip(ball.swing, *SWING_RANGE).tolist()
+            swing_limits = swing_y, swing_z
+        return _checked_range(source, prim, ball.twist, 2 * math.pi), swing_limits
+    lower, upper = (
+        source.infinite_number(prim.GetAttribute(f"physics:{end}Limit"))
         for end in ("lower", "upper")
     )
-    if low is None or high is None or (math.isinf(low) and math.isinf(high)):
+    if lower is None or upper is None or (math.isinf(lower) and math.isinf(upper)):
         return None, None
     if kind == "pin":
         return _checked_range(
-            source, prim, (math.radians(low), math.radians(high))
+            source, prim, (math.radians(lower), math.radians(upper))
         ), None
-    slide = (low * source.unit, high * source.unit)
-    bounded = tuple(np.clip(slide, -LARGEST, LARGEST).tolist())
-    return _checked_range(source, prim, bounded, math.inf), None
+    slide = (lower * source.unit, upper * source.unit)
+    slide_limits = tuple(np.clip(slide, -MAX_NUMBER, MAX_NUMBER).tolist())
+    return _checked_range(source, prim, slide_limits, math.inf), None
 
 
 def _checked_range(
     source: PhysicsStage,
     prim: Any,
     limits: tuple[float, float] | None,
-    most: float = 2 * math.pi,
+    largest: float = 2 * math.pi,
 ) -> tuple[float, float] | None:
     """Return valid limits; None and a notice if they are invalid."""
     if limits is None:
         return None
-    low, high = limits
-    if low > high:
+    lower, upper = limits
+    if lower > upper:
         source.note(
             prim, "has a lower limit above its upper limit: the limit is ignored"
         )
         return None
-    if high - low > most * (1 + 1e-6):
+    if upper - lower > largest * (1 + 1e-6):
         message = (
             "has a range of more than 360 degrees, but full rotations are not counted: "
         )
         source.note(prim, f"{message}the limit is ignored")
         return None
-    return low, high
+    return lower, upper
 
 
 def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
@@ -213,11 +217,11 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
     gain = source.kilograms if linear else force * math.degrees(1.0)
     scale = source.unit if linear else math.radians(1.0)
 
-    def value(drive: Any, name: str, least: float = -LARGEST) -> float:
-        return source.number(getattr(drive, f"Get{name}Attr")(), least) or 0.0
+    def value(drive: Any, name: str, minimum: float = -MAX_NUMBER) -> float:
+        return source.number(getattr(drive, f"Get{name}Attr")(), minimum) or 0.0
 
     targets = [value(drive, "TargetPosition") * scale for drive in drives]
-    most = source.endless(drives[0].GetMaxForceAttr())
+    max_force = source.infinite_number(drives[0].GetMaxForceAttr())
     rates = [value(drive, "TargetVelocity") for drive in drives]
     ball = kind == "ball"
     if ball and any(rates):
@@ -227,6 +231,8 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
         value(drives[0], "Damping", 0.0) * gain,
         0.0 if ball else targets[0],
         so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
-        most * force if most is not None and 0 <= most < MAX_FORCE else None,
+        max_force * force
+        if max_force is not None and 0 <= max_force < MAX_FORCE
+        else None,
         0.0 if ball else rates[0] * scale,
     )

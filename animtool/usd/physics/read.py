@@ -21,11 +21,11 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.physics.joints_read import read_joint
 from animtool.usd.physics.stage import (
     AXES,
-    LARGEST,
+    MAX_NUMBER,
     PhysicsStage,
     collides,
     is_body,
-    within,
+    relative_pose,
 )
 from animtool.usd.rigs.prims import (
     decompose,
@@ -38,38 +38,47 @@ from animtool.usd.rigs.prims import (
 
 # Collision shapes of UsdPhysics, and the attributes that define them.
 
-# Scales that differ by less are one [1].
+# Scales that differ by less are equal [1].
 EQUAL_SCALES = 1e-5
-# Shapes that are round about their axis.
-ROUND = {"Sphere", "Capsule"}
+# Shapes that are rotationally symmetric.
+SYMMETRIC = {"Sphere", "Capsule"}
 # Shapes with an axis.
-LONG = {"Capsule", "Plane"}
+WITH_AXIS = {"Capsule", "Plane"}
 
 
 def read_shapes(
-    source: PhysicsStage, prim: Any, outer: FloatArray, *, static: bool
+    source: PhysicsStage, prim: Any, parent_frame: FloatArray, *, static: bool
 ) -> Iterator[PhysicsShape]:
     """Yield the collision shape of a prim in a frame, if it has a supported one."""
-    translation, rotation, _ = decompose(outer[None])
+    translation, rotation, _ = decompose(parent_frame[None])
     pose, scale = source.pose(source.matrix(prim))
     frame = np.concatenate([translation[0] * source.unit, rotation[0]])
-    pose = source.up(pose) if static else within(frame, pose)
-    even = float(np.abs(scale).max()), float(np.abs(scale).min())
-    size, kind = even[0] * source.unit, str(prim.GetTypeName())
-    if even[0] - even[1] > EQUAL_SCALES * even[0] and kind in ROUND:
+    pose = source.up(pose) if static else relative_pose(frame, pose)
+    scale_range = float(np.abs(scale).max()), float(np.abs(scale).min())
+    size, kind = scale_range[0] * source.unit, str(prim.GetTypeName())
+    if (
+        scale_range[0] - scale_range[1] > EQUAL_SCALES * scale_range[0]
+        and kind in SYMMETRIC
+    ):
         source.note(prim, "has a non-uniform scale: using the largest")
-    read = {name: _value(prim, name) for name in ("radius", "height", "size")}
+    values = {name: _value(prim, name) for name in ("radius", "height", "size")}
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
     hull = False
     match kind:
         case "Sphere":
-            kind_name, sizes = "sphere", (read["radius"] * size,)
+            kind_name, sizes = "sphere", (values["radius"] * size,)
         case "Capsule":
-            kind_name, sizes = "capsule", (read["radius"] * size, read["height"] * size)
+            kind_name, sizes = (
+                "capsule",
+                (values["radius"] * size, values["height"] * size),
+            )
         case "Cube":
-            sides = [side * source.unit for side in np.abs(scale).tolist()]
-            kind_name, sizes = "box", tuple(side * read["size"] for side in sides)
+            scaled_sides = [side * source.unit for side in np.abs(scale).tolist()]
+            kind_name, sizes = (
+                "box",
+                tuple(side * values["size"] for side in scaled_sides),
+            )
         case "Plane" if static:
             kind_name = "plane"
         case "Mesh":
@@ -83,11 +92,17 @@ def read_shapes(
         case other:
             source.note(prim, f"is a collider of type {other}, which is not supported")
             return
-    if not all(0 < one < LARGEST for one in sizes if kind_name != "capsule" or one):
+    if not all(
+        0 < size_ < MAX_NUMBER for size_ in sizes if kind_name != "capsule" or size_
+    ):
         source.note(prim, f"has a size of {list(sizes)} m: skipped")
         return
-    lean = so3.between(AXES["Y"], _axis(source, prim)) if kind in LONG else so3.IDENTITY
-    pose = np.concatenate([pose[:3], so3.multiply(pose[3:], lean)])
+    axis_rotation = (
+        so3.between(AXES["Y"], _axis(source, prim))
+        if kind in WITH_AXIS
+        else so3.IDENTITY
+    )
+    pose = np.concatenate([pose[:3], so3.multiply(pose[3:], axis_rotation)])
     name = str(prim.GetName())
     yield PhysicsShape(
         kind_name, sizes, pose, points, triangles, *_material(source, prim), name, hull
@@ -113,16 +128,18 @@ def _mesh(
     points, (counts, corners) = reader.at(time), reader.faces(time)
     if not len(points) or not len(counts):
         return points, np.zeros((0, 3), np.int64)
-    spot, message = (
+    location, message = (
         PrimLocation.of(source.path, prim),
         mesh_fault(points, counts, corners),
     )
     if message:
-        spot.fail("SIM051", message)
+        location.fail("SIM051", message)
     points = points * scale * source.unit
-    far = float(np.abs(points).max())
-    if far > LARGEST:
-        spot.fail("SIM051", f"has a point at {far:g} m; the limit is {LARGEST:g}")
+    largest = float(np.abs(points).max())
+    if largest > MAX_NUMBER:
+        location.fail(
+            "SIM051", f"has a point at {largest:g} m; the limit is {MAX_NUMBER:g}"
+        )
     return points, triangulated(counts, corners).astype(np.int64)
 
 
@@ -133,42 +150,45 @@ def _value(prim: Any, name: str) -> float:
 
 def _material(source: PhysicsStage, prim: Any) -> tuple[float, float]:
     """Return friction and restitution."""
-    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
-    if not bound or not bound.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
+    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
+    if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
         return 0.5, 0.0
-    api = UsdPhysics.MaterialAPI(bound.GetPrim())
+    api = UsdPhysics.MaterialAPI(material.GetPrim())
     friction = source.number(api.GetDynamicFrictionAttr()) or 0.0
     restitution = source.number(api.GetRestitutionAttr()) or 0.0
-    taken = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
-    if taken != (friction, restitution):
+    friction_and_restitution = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
+    if friction_and_restitution != (friction, restitution):
         message = f"has friction {friction:g} and restitution {restitution:g}: "
-        message += f"using {taken[0]:g} and {taken[1]:g}"
-        source.note(bound.GetPrim(), message)
-    return taken
+        message += (
+            f"using {friction_and_restitution[0]:g} and {friction_and_restitution[1]:g}"
+        )
+        source.note(material.GetPrim(), message)
+    return friction_and_restitution
 
 
-# What is read; more would fill the memory before anything is simulated.
+# Maximum number of prims that are read, to limit memory.
 MAX_PRIMS = 100_000
 
 
 def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
     """Return all bodies below a prim, in metres and Y up.
 
-    ``frame``: the time code that comes at 0 s; None is the first of the stage. What is
-    not read is named in the notices (SIM136).
+    ``frame`` is the time code of 0 s; None is the first of the stage. Notices report
+    what is not read (SIM136).
 
     Raises:
-        FormatError: There is no such prim (SIM051), it has no bodies, or something
-            cannot be what a body is.
+        FormatError: The prim does not exist (SIM051), has no bodies, or contains
+            invalid
+            bodies.
     """
     with usd_errors(path):
         stage = open_stage(path)
-        top = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
-        if not top:
+        root_prim = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
+        if not root_prim:
             message = f"has no prim {excerpt(root)}"
             PrimLocation(str(path)).fail("SIM051", message, nearest_prim(stage, root))
-        start = stage.GetStartTimeCode() if frame is None else frame
-        return _read(PhysicsStage(path, stage, start), top)
+        start_code = stage.GetStartTimeCode() if frame is None else frame
+        return _read(PhysicsStage(path, stage, start_code), root_prim)
 
 
 def _read(source: PhysicsStage, root: Any) -> Physics:
@@ -188,23 +208,25 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
     bodies = [
         _body(source, prim, name) for prim, name in zip(rigid, names, strict=True)
     ]
-    kept = [k for k, body in enumerate(bodies) if body.shapes]
-    for k in sorted(set(range(len(rigid))) - set(kept)):
+    with_shapes = [k for k, body in enumerate(bodies) if body.shapes]
+    for k in sorted(set(range(len(rigid))) - set(with_shapes)):
         source.note(rigid[k], "has no supported shape: skipped")
-    if not kept:
+    if not with_shapes:
         message = (
             f"{counted(len(rigid), 'rigid body', 'rigid bodies')}, but no shape is "
         )
         message += f"read: {source.notices[0].message}"
         hint = "supported shapes are spheres, capsules, cubes and meshes"
         PrimLocation.of(source.path, root).fail("SIM051", message, hint)
-    body_index = {str(rigid[k].GetPath()): number for number, k in enumerate(kept)}
-    moved = [not bodies[k].kinematic for k in kept]
+    body_index = {
+        str(rigid[k].GetPath()): number for number, k in enumerate(with_shapes)
+    }
+    is_dynamic = [not bodies[k].kinematic for k in with_shapes]
     joints = [
         joint
         for prim in prims
         if prim.IsA(UsdPhysics.Joint)
-        and (joint := read_joint(source, prim, body_index, moved)) is not None
+        and (joint := read_joint(source, prim, body_index, is_dynamic)) is not None
     ]
     for prim in prims:
         if prim.IsA(UsdPhysics.CollisionGroup):
@@ -218,7 +240,11 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
         for shape in read_shapes(source, prim, np.eye(4), static=True)
     ]
     return Physics(
-        [bodies[k] for k in kept], joints, colliders, source.gravity(), source.notices
+        [bodies[k] for k in with_shapes],
+        joints,
+        colliders,
+        source.gravity(),
+        source.notices,
     )
 
 
@@ -233,11 +259,11 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         if collides(part)
         for shape in read_shapes(source, part, matrix, static=False)
     ]
-    above = source.cache.GetParentToWorldTransform(prim)
-    outer = source.pose(np.array(above, np.float64))[0][3:]
-    outer = so3.multiply(source.up_rotation, outer)
+    parent_matrix = source.cache.GetParentToWorldTransform(prim)
+    frame = source.pose(np.array(parent_matrix, np.float64))[0][3:]
+    frame = so3.multiply(source.up_rotation, frame)
     velocity, spin = (
-        np.zeros(3) if vector is None else so3.rotate(outer, vector)
+        np.zeros(3) if vector is None else so3.rotate(frame, vector)
         for vector in (
             source.numbers(rigid.GetVelocityAttr(), 3),
             source.numbers(rigid.GetAngularVelocityAttr(), 3),
@@ -245,7 +271,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     )
     times, path = np.zeros(1), None
     if kinematic:
-        times, path = _moves(source, prim)
+        times, path = _kinematic_poses(source, prim)
     return PhysicsBody(
         name,
         source.up(pose),
@@ -262,30 +288,32 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
 
 def _parts(body: Any) -> Iterator[Any]:
     """Yield a body and its descendants, except other bodies."""
-    parts = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
-    for prim in parts:
+    prims = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
+    for prim in prims:
         if prim != body and is_body(prim):
-            parts.PruneChildren()
+            prims.PruneChildren()
             continue
         yield prim
 
 
-def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | None]:
-    """Return times [s] and poses of a kinematic body; none if it is static."""
+def _kinematic_poses(
+    source: PhysicsStage, prim: Any
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return times [s] and poses of a kinematic body; no times if it is static."""
     codes = placing_times(prim)
     if len(codes) < 2:
         return np.zeros(1), None
-    ordered, rows = sorted(codes), []
-    if not max(abs(ordered[0]), abs(ordered[-1])) <= LARGEST:
-        message = f"moves from time code {ordered[0]:g} to {ordered[-1]:g}"
-        hint = f"the limit is {LARGEST:g}"
+    sample_codes, rows = sorted(codes), []
+    if not max(abs(sample_codes[0]), abs(sample_codes[-1])) <= MAX_NUMBER:
+        message = f"moves from time code {sample_codes[0]:g} to {sample_codes[-1]:g}"
+        hint = f"the limit is {MAX_NUMBER:g}"
         PrimLocation.of(source.path, prim).fail("SIM051", message, hint)
-    for code in ordered:
+    for code in sample_codes:
         source.cache.SetTime(Usd.TimeCode(code))
         rows.append(source.up(source.pose(source.matrix(prim))[0]))
     source.cache.SetTime(Usd.TimeCode(source.start))
     rate = float(source.stage.GetTimeCodesPerSecond())
-    return (np.array(ordered) - source.start) / rate, np.array(rows)
+    return (np.array(sample_codes) - source.start) / rate, np.array(rows)
 
 
 def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:

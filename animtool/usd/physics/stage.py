@@ -15,14 +15,14 @@ from animtool.core.errors import Fault, Severity, counted, excerpt
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.usd.layers.faults import LARGEST_METADATA, SMALLEST_METADATA, PrimLocation
+from animtool.usd.layers.faults import MAX_METADATA, MIN_METADATA, PrimLocation
 from animtool.usd.rigs.prims import decompose, up_axis
 
 AXES = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
-EARTH = 9.81  # [m/s²], where a scene does not say
-# Lengths, masses and rates of a shot are below this; it is far from overflowing.
-LARGEST = 1e12
-# What is meant to be without end is written as the largest of float32.
+EARTH = 9.81  # default gravity of a scene [m/s²]
+# Largest length, mass or rate of a shot, far from overflowing.
+MAX_NUMBER = 1e12
+# Larger numbers mean infinite, which is written as the largest float32.
 MAX_FORCE = 1e37
 
 
@@ -31,14 +31,14 @@ class PhysicsStage:
     """A stage at the time code of 0 s.
 
     Attributes:
-        path: Of its file.
-        stage: It.
-        start: That time code.
-        unit: Of lengths [m].
+        path: Path of the file.
+        stage: The stage.
+        start: Time code of 0 s.
+        unit: Unit of lengths [m].
         kilograms: Unit of masses [kg].
-        turn: From its up axis to y ``(4,)``.
-        cache: Of transforms, at ``start``.
-        notices: What is not read (SIM136).
+        up_rotation: Rotation from its up axis to Y ``(4,)``.
+        cache: Transform cache at ``start``.
+        notices: Unsupported contents (SIM136).
     """
 
     path: Path
@@ -49,13 +49,13 @@ class PhysicsStage:
     up_rotation: FloatArray = field(init=False)
     cache: Any = field(init=False)
     notices: list[Fault] = field(default_factory=list)
-    _noted: set[str] = field(default_factory=set)
+    _noted_messages: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         """Read units, axes and gravity."""
         self.unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
         self.kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
-        if not SMALLEST_METADATA <= self.kilograms <= LARGEST_METADATA:
+        if not MIN_METADATA <= self.kilograms <= MAX_METADATA:
             message = f"kilogramsPerUnit is {self.kilograms:g}"
             PrimLocation(str(self.path), "/").fail(
                 "SIM051", message, "write 1e-9 to 1e9"
@@ -69,13 +69,13 @@ class PhysicsStage:
     def note(self, prim: Any, message: str) -> None:
         """Add a notice about something unsupported on a prim (SIM136)."""
         text = f"{excerpt(str(prim.GetPath()))} {message}"
-        if text not in self._noted:
+        if text not in self._noted_messages:
             fault = Fault("SIM136", text, str(self.path), severity=Severity.WARNING)
             self.notices.append(fault)
-            self._noted.add(text)
+            self._noted_messages.add(text)
 
     def numbers(
-        self, attribute: Any, count: int, least: float = -LARGEST
+        self, attribute: Any, count: int, minimum: float = -MAX_NUMBER
     ) -> FloatArray | None:
         """Return the numbers of an attribute ``(count,)``; None if absent."""
         value = attribute.Get() if attribute else None
@@ -88,18 +88,20 @@ class PhysicsStage:
             message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
             PrimLocation.of(self.path, attribute).fail("SIM051", message)
         row = row.astype(np.float64)
-        outside = row[~((row >= least) & (row <= LARGEST))]
-        if len(outside):
-            message = f"has {outside[0]:g}: it must be {least:g} to {LARGEST:g}"
+        out_of_range = row[~((row >= minimum) & (row <= MAX_NUMBER))]
+        if len(out_of_range):
+            message = (
+                f"has {out_of_range[0]:g}: it must be {minimum:g} to {MAX_NUMBER:g}"
+            )
             PrimLocation.of(self.path, attribute).fail("SIM051", message)
         return row
 
-    def number(self, attribute: Any, least: float = -LARGEST) -> float | None:
+    def number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
         """Return the number of an attribute; None if absent."""
-        row = self.numbers(attribute, 1, least)
+        row = self.numbers(attribute, 1, minimum)
         return None if row is None else float(row[0])
 
-    def endless(self, attribute: Any) -> float | None:
+    def infinite_number(self, attribute: Any) -> float | None:
         """Return a number that may be infinite; the largest float32 means infinite."""
         value = attribute.Get() if attribute else None
         if isinstance(value, float) and abs(value) >= MAX_FORCE:
@@ -109,10 +111,12 @@ class PhysicsStage:
     def matrix(self, prim: Any) -> FloatArray:
         """Return a prim's world transform ``(4, 4)``, row vectors, stage units."""
         matrix = np.array(self.cache.GetLocalToWorldTransform(prim), np.float64)
-        most = LARGEST / max(self.unit, 1.0)
-        outside = matrix[~(np.abs(matrix) <= most)]
-        if len(outside):
-            message = f"has {outside[0]:g} in its transform; the limit is {most:g}"
+        limit = MAX_NUMBER / max(self.unit, 1.0)
+        out_of_range = matrix[~(np.abs(matrix) <= limit)]
+        if len(out_of_range):
+            message = (
+                f"has {out_of_range[0]:g} in its transform; the limit is {limit:g}"
+            )
             PrimLocation.of(self.path, prim).fail("SIM051", message)
         return matrix
 
@@ -133,7 +137,7 @@ class PhysicsStage:
                 continue
             scene = UsdPhysics.Scene(prim)
             size = scene.GetGravityMagnitudeAttr().Get()
-            # By the schema, below 0 is that of the earth, in the unit of the stage.
+            # In the schema, a negative magnitude means earth gravity in stage units.
             if size is None or (isinstance(size, float) and size < 0):
                 metres = EARTH
             else:
@@ -150,11 +154,11 @@ class PhysicsStage:
         return np.array([0.0, -EARTH, 0.0])
 
 
-def within(frame: FloatArray, pose: FloatArray) -> FloatArray:
+def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
     """Return a world pose relative to another frame ``(7,)``."""
-    back = so3.conjugate(frame[3:])
-    at = so3.rotate(back, pose[:3] - frame[:3])
-    return np.concatenate([at, so3.multiply(back, pose[3:])])
+    inverse_rotation = so3.conjugate(frame[3:])
+    at = so3.rotate(inverse_rotation, pose[:3] - frame[:3])
+    return np.concatenate([at, so3.multiply(inverse_rotation, pose[3:])])
 
 
 def is_body(prim: Any) -> bool:

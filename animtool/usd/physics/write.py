@@ -49,11 +49,11 @@ class PhysicsWriter:
     """Writer of physics for bodies that have an Xform each.
 
     Args:
-        spec: The prim.
+        spec: The prim spec.
         parts: Names of the Xforms.
-        physics: Their bodies and joints.
-        unit: Of the layer [m].
-        up_rotation: From Y up to the layer's up axis ``(4,)``.
+        physics: Bodies and joints.
+        unit: Unit of the layer [m].
+        up_rotation: Rotation from Y up to the layer's up axis ``(4,)``.
     """
 
     def __init__(
@@ -64,33 +64,37 @@ class PhysicsWriter:
         unit: float,
         up_rotation: FloatArray,
     ) -> None:
-        self._layer, self._top, self._unit = spec.layer, str(spec.path), unit
-        self._parts, self._physics, self._up_rotation = parts, physics, up_rotation
+        self._layer, self._root, self._unit = spec.layer, str(spec.path), unit
+        self._xform_names, self._physics, self._up_rotation = (
+            parts,
+            physics,
+            up_rotation,
+        )
         self._materials: dict[tuple[float, float], str] = {}
 
     def write(self) -> None:
         """Write scene, bodies, joints and materials."""
-        physics, scope = self._physics, f"{self._top}/{PHYSICS}"
+        physics, scope = self._physics, f"{self._root}/{PHYSICS}"
         self._layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim(self._layer, scope, "Scope")
         self._scene(f"{scope}/Scene")
-        for part, body in zip(self._parts, physics.bodies, strict=True):
-            self._body(f"{self._top}/{part}", body)
-        for path, shape in self._below("Collider", physics.colliders):
+        for xform_name, body in zip(self._xform_names, physics.bodies, strict=True):
+            self._body(f"{self._root}/{xform_name}", body)
+        for path, shape in self._scope_entries("Collider", physics.colliders):
             self._shape(path, shape, "none")
-        for path, joint in self._below("Joint", physics.joints):
+        for path, joint in self._scope_entries("Joint", physics.joints):
             self._joint(path, joint)
 
-    def _below(
-        self, kind: str, several: Sequence[NamedT]
+    def _scope_entries(
+        self, kind: str, entries: Sequence[NamedT]
     ) -> Iterator[tuple[str, NamedT]]:
         """Yield prim paths in a separate scope, with their entries."""
-        scope = f"{self._top}/{PHYSICS}/{kind}s"
-        if several:
+        scope = f"{self._root}/{PHYSICS}/{kind}s"
+        if entries:
             prim(self._layer, scope, "Scope")
-        names = [legal_name(one.name or kind.lower()) for one in several]
-        for name, one in zip(distinct(names), several, strict=True):
-            yield f"{scope}/{name}", one
+        names = [legal_name(entry.name or kind.lower()) for entry in entries]
+        for name, entry in zip(distinct(names), entries, strict=True):
+            yield f"{scope}/{name}", entry
 
     def _scene(self, path: str) -> None:
         spec = prim(self._layer, path, "PhysicsScene")
@@ -118,8 +122,8 @@ class PhysicsWriter:
         if not body.kinematic:
             velocity, spin = "physics:velocity", "physics:angularVelocity"
             self._author_vector(spec, velocity, body.velocity, _TYPES.Vector3f)
-            turning = Gf.Vec3f(*np.degrees(body.spin).tolist())
-            attribute(spec, spin, _TYPES.Vector3f, turning)
+            angular_velocity = Gf.Vec3f(*np.degrees(body.spin).tolist())
+            attribute(spec, spin, _TYPES.Vector3f, angular_velocity)
         if body.mass is not None:
             self._number(spec, "physics:mass", body.mass)
         if body.centre is not None:
@@ -183,7 +187,7 @@ class PhysicsWriter:
         """Return the path of a material, written on first use."""
         key = friction, restitution
         if key not in self._materials:
-            scope = f"{self._top}/{PHYSICS}/Materials"
+            scope = f"{self._root}/{PHYSICS}/Materials"
             prim(self._layer, scope, "Scope")
             path = f"{scope}/material_{len(self._materials) + 1}"
             spec = prim(self._layer, path, "Material")
@@ -199,14 +203,14 @@ class PhysicsWriter:
         ball = "PhysicsJoint" if twists else "PhysicsSphericalJoint"
         spec = prim(self._layer, path, _JOINTS.get(joint.kind, ball))
         for k, (i, frame) in enumerate(zip(joint.bodies, joint.frames, strict=True)):
-            body = self._top if i < 0 else f"{self._top}/{self._parts[i]}"
+            body = self._root if i < 0 else f"{self._root}/{self._xform_names[i]}"
             relationship(spec, f"physics:body{k}", body)
             self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
         for power, name in enumerate(("breakForce", "breakTorque"), start=1):
             if math.isfinite(joint.break_limits[power - 1]):
-                most = joint.break_limits[power - 1] / self._unit**power
-                self._number(spec, f"physics:{name}", most)
+                break_limit = joint.break_limits[power - 1] / self._unit**power
+                self._number(spec, f"physics:{name}", break_limit)
         if joint.contacts:
             attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []

@@ -1,7 +1,7 @@
 """Crowd characters: instances of rigs with separate or shared animations.
 
-Samples that interpolation finds all the same are left out. The hips' own motion is in
-the prim of the character, so that its animation has rotations alone.
+Samples that interpolation reproduces are left out. The motion of the hips is in the
+transform of the character's prim, so that its animation has only rotations.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from animtool.usd.layers.sdf import (
     attribute,
     author_order,
     prim,
-    put_samples,
     quatf,
     relationship,
+    write_samples,
 )
 from animtool.usd.props.sparse import (
-    NEAR,
-    NEAR_STANDING,
+    FOOT_TOLERANCE,
+    JOINT_TOLERANCE,
     RotationChain,
     kept_samples,
+    rotating_joints,
     slerped,
-    turning,
 )
 from animtool.usd.rigs.meshes import author_bones, author_meshes
 from animtool.usd.rigs.skeleton import author_rig
@@ -47,8 +47,8 @@ _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
 # Samples equal to both neighbors within this are dropped: position [m], heading [rad].
 SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
-# Skin goes beyond joints by a part of how far these reach.
-BEYOND = 1.2
+# Bounds of skin, relative to the reach of the joints.
+SKIN_FACTOR = 1.2
 
 
 @dataclass
@@ -56,9 +56,9 @@ class Characters:
     """Collects the frames of crowd characters, and writes them at the end.
 
     Attributes:
-        path: Of the prim above them.
-        unit: Of the layer [m].
-        fps: Time codes a second.
+        path: Path of their parent prim.
+        unit: Unit of the layer [m].
+        fps: Time codes per second.
     """
 
     path: str
@@ -76,15 +76,17 @@ class Characters:
         prim(layer, self.path, "Xform")
         for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
             _author_cast(layer, cast, paths, self.unit)
-        above = prim(layer, f"{self.path}/{PROTOTYPES}", "Scope")
-        above.specifier = Sdf.SpecifierClass
-        above.ClearInfo("kind")
+        scope = prim(layer, f"{self.path}/{PROTOTYPES}", "Scope")
+        scope.specifier = Sdf.SpecifierClass
+        scope.ClearInfo("kind")
 
     def _rigs(self, frame: CharactersFrame) -> list[RigPaths]:
         """Return the paths of the rigs."""
         names = [cast.rig.name for cast in frame.casts]
-        legal = distinct_names(names, names, names).names
-        return [RigPaths.below(f"{self.path}/{PROTOTYPES}/{name}") for name in legal]
+        legal_names = distinct_names(names, names, names).names
+        return [
+            RigPaths.below(f"{self.path}/{PROTOTYPES}/{name}") for name in legal_names
+        ]
 
     def add(self, code: float, frame: CharactersFrame) -> None:
         """Add a frame."""
@@ -99,22 +101,22 @@ class Characters:
         """Write the characters."""
         frame = self._first
         assert frame is not None
-        ends = np.cumsum(frame.counts).tolist()
+        rig_ends = np.cumsum(frame.counts).tolist()
         for c, (cast, paths) in enumerate(
             zip(frame.casts, self._rigs(frame), strict=True)
         ):
-            rows = slice(ends[c] - int(frame.counts[c]), ends[c])
-            parts = {
-                name: np.stack([one[rows] for one in each])
-                for name, each in self._rows.items()
+            rows = slice(rig_ends[c] - int(frame.counts[c]), rig_ends[c])
+            rig_rows = {
+                name: np.stack([frame_rows[rows] for frame_rows in frames_])
+                for name, frames_ in self._rows.items()
             }
-            rotations = np.stack([one[c] for one in self._rotations])
+            rotations = np.stack([frame_rows[c] for frame_rows in self._rotations])
             track = _CharacterTrack(
                 np.array(self.codes),
                 _continuous(rotations),
                 frame.scales[rows],
                 cast,
-                **parts,
+                **rig_rows,
             )
             group = _Group(self, layer, paths, frame.upright, track)
             group.bound()
@@ -165,17 +167,17 @@ class _CharacterTrack:
     def arms(self) -> FloatArray:
         """Return each moving joint's reach to its farthest descendant ``(M,)`` [m]."""
         parents = self.cast.rig.parents.tolist()
-        far = np.zeros(len(parents))
+        reaches = np.zeros(len(parents))
         for j in range(len(parents)):
-            above = parents[j]
-            while above >= 0:
-                length = np.linalg.norm(self.rest[j] - self.rest[above])
-                far[above] = max(far[above], float(length))
-                above = parents[above]
-        return np.asarray(far[self.cast.animated])
+            parent = parents[j]
+            while parent >= 0:
+                length = np.linalg.norm(self.rest[j] - self.rest[parent])
+                reaches[parent] = max(reaches[parent], float(length))
+                parent = parents[parent]
+        return np.asarray(reaches[self.cast.animated])
 
     @cached_property
-    def shown(self) -> IntArray:
+    def pose_joints(self) -> IntArray:
         """Return the joints that define a pose: moving joints and feet."""
         cast = self.cast
         return np.union1d(cast.animated, np.array(cast.feet))
@@ -183,27 +185,29 @@ class _CharacterTrack:
     @cached_property
     def chain(self) -> RotationChain:
         """Return those joints as a chain, with static joints between them at rest."""
-        rig, shown = self.cast.rig, self.shown.tolist()
+        rig, pose_joints = self.cast.rig, self.pose_joints.tolist()
         numbers = {joint: m for m, joint in enumerate(self.cast.animated.tolist())}
         parents, positions, rotations = [], [], []
-        for joint in shown:
+        for joint in pose_joints:
             position, rotation = rig.rest_translations[joint], so3.IDENTITY
-            above = int(rig.parents[joint])
-            while above >= 0 and above not in shown:
-                rest = rig.rest_rotations[above]
-                position = rig.rest_translations[above] + so3.rotate(rest, position)
-                rotation = so3.multiply(rest, rotation)
-                above = int(rig.parents[above])
-            parents.append(shown.index(above) if above >= 0 else -1)
+            parent = int(rig.parents[joint])
+            while parent >= 0 and parent not in pose_joints:
+                rest_rotation = rig.rest_rotations[parent]
+                position = rig.rest_translations[parent] + so3.rotate(
+                    rest_rotation, position
+                )
+                rotation = so3.multiply(rest_rotation, rotation)
+                parent = int(rig.parents[parent])
+            parents.append(pose_joints.index(parent) if parent >= 0 else -1)
             positions.append(position)
             rotations.append(rotation)
         return RotationChain(
             np.array(parents),
-            np.array([numbers.get(joint, -1) for joint in shown]),
+            np.array([numbers.get(joint, -1) for joint in pose_joints]),
             np.array(positions),
             np.array(rotations),
-            rig.rest_rotations[self.shown],
-            np.searchsorted(self.shown, self.cast.feet),
+            rig.rest_rotations[self.pose_joints],
+            np.searchsorted(self.pose_joints, self.cast.feet),
             self.size,
         )
 
@@ -222,39 +226,41 @@ class _Group:
         """Write all characters, by name."""
         track, report = self.track, self.owner.report
         size = track.size * float(track.scales.max(initial=0.0))
-        report.error = max(report.error, NEAR * size)
-        report.slide = max(report.slide, NEAR_STANDING * size)
-        shared = self._sharing()
+        report.error = max(report.error, JOINT_TOLERANCE * size)
+        report.slide = max(report.slide, FOOT_TOLERANCE * size)
+        shares_standing = self._sharing()
         for i, name in enumerate(names):
             path = f"{self.owner.path}/{name}"
-            if shared[i]:
+            if shares_standing[i]:
                 report.shared += 1
                 self._author_root(path, i, None)
                 self._use_shared(path, i)
                 continue
             rotations = track.rotations[:, i].copy()
-            moves = turning(rotations, track.arms, track.size)
+            moves = rotating_joints(rotations, track.arms, track.size)
             rotations[:, ~moves] = rotations[:1, ~moves]
-            kept, moved = kept_samples(rotations, track.chain, track.near_ground[:, i])
+            written, corrections = kept_samples(
+                rotations, track.chain, track.near_ground[:, i]
+            )
             report.own += 1
-            report.samples += int(kept.sum())
+            report.samples += int(written.sum())
             report.frames += len(track.codes)
-            self._author_root(path, i, moved)
-            self._animate(path, rotations, moves, kept)
+            self._author_root(path, i, corrections)
+            self._animate(path, rotations, moves, written)
 
     def bound(self) -> None:
         """Author bounds of the rig that contain every pose.
 
-        What is on a joint is no farther from the hips than when the rig lies stretched.
+        No pose reaches farther from the hips than the fully stretched rig.
         """
         rest = self.track.rest
-        far = float(np.linalg.norm(rest - rest[0], axis=1).max()) * BEYOND
+        reach = float(np.linalg.norm(rest - rest[0], axis=1).max()) * SKIN_FACTOR
         middle = rest[0] / self.owner.unit
-        ends = np.stack(
-            [middle - far / self.owner.unit, middle + far / self.owner.unit]
+        corners = np.stack(
+            [middle - reach / self.owner.unit, middle + reach / self.owner.unit]
         )
         root = self.layer.GetPrimAtPath(self.paths.root)
-        box = Vt.Vec3fArray.FromNumpy(ends.astype(np.float32))
+        box = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
         attribute(root, "extent", _TYPES.Float3Array, box)
 
     def _sharing(self) -> BoolArray:
@@ -263,40 +269,46 @@ class _Group:
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
         static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
         static &= np.ptp(track.headings, axis=0) <= SAME_HEADING
-        # On uneven ground legs differ.
+        # On uneven ground each leg has its own pose.
         cast = track.cast
         for i in np.flatnonzero(static).tolist():
             (at,) = _standing_values(cast, cast.rotations, track.clocks[:1, i])
-            near = np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
-            static[i] = bool(near.all())
+            is_standing_pose = (
+                np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
+            )
+            static[i] = bool(is_standing_pose.all())
         return np.asarray(static & (static.sum() > 1))
 
-    def _author_root(self, path: str, i: int, put_right: FloatArray | None) -> None:
+    def _author_root(
+        self, path: str, i: int, foot_correction: FloatArray | None
+    ) -> None:
         """Write the root transform of a character, and its rig reference.
 
-        ``put_right``: how far its hips are moved; None where its animation has them.
+        ``foot_correction`` moves its hips; None if its animation has the hips' motion.
         """
         track, unit = self.track, self.owner.unit
         spec = prim(self.layer, path, "Xform")
         spec.SetInfo("kind", "component")
         motion = np.zeros((len(track.codes), 3))
-        if put_right is not None:
+        if foot_correction is not None:
             rest = track.cast.rig.rest_translations[0]
-            motion = track.roots[:, i] - rest + put_right
+            motion = track.roots[:, i] - rest + foot_correction
         half = track.headings[:, i] / 2
-        turned = np.zeros((len(half), 4))
-        turned[:, 1], turned[:, 3] = np.sin(half), np.cos(half)
-        off = so3.rotate(self.upright, so3.rotate(turned, motion * track.scales[i]))
-        positions = ((track.points[:, i] + off) / unit).astype(np.float32)
+        heading_rotations = np.zeros((len(half), 4))
+        heading_rotations[:, 1], heading_rotations[:, 3] = np.sin(half), np.cos(half)
+        hip_offset = so3.rotate(
+            self.upright, so3.rotate(heading_rotations, motion * track.scales[i])
+        )
+        positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing(positions, SAME_POSITION / unit)
-        put_samples(
+        write_samples(
             self.layer,
             translate,
             track.codes,
             rows,
-            [Gf.Vec3f(*one) for one in positions[rows].tolist()],
+            [Gf.Vec3f(*position) for position in positions[rows].tolist()],
         )
         if (self.upright != so3.IDENTITY).any():
             attribute(spec, "xformOp:orient", _TYPES.Quatf, quatf(self.upright))
@@ -304,7 +316,7 @@ class _Group:
         translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
-        put_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
+        write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -315,10 +327,11 @@ class _Group:
         if not visible.all():
             translate = attribute(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(visible, prepend=~visible[:1]))
-            words = [
-                "inherited" if one else "invisible" for one in visible[rows].tolist()
+            text_rows = [
+                "inherited" if position else "invisible"
+                for position in visible[rows].tolist()
             ]
-            put_samples(self.layer, translate, track.codes, rows, words)
+            write_samples(self.layer, translate, track.codes, rows, text_rows)
         rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -326,52 +339,55 @@ class _Group:
         relationship(rig, "skel:animationSource", f"{path}/Anim")
 
     def _animate(
-        self, path: str, poses: Float32Array, moves: BoolArray, kept: BoolArray
+        self,
+        path: str,
+        poses: Float32Array,
+        is_animated: BoolArray,
+        is_written: BoolArray,
     ) -> None:
         """Write a separate animation of poses ``(F, M, 4)`` for a character.
 
-        Joints that do not move are in a pose that never changes, if they are not at
-        rest.
+        Joints that do not move but are not at rest have a constant pose.
         """
         rest = self.track.cast.rig.rest_rotations[self.track.cast.animated]
-        moves = moves | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
-        spec = self._animation(f"{path}/Anim", np.flatnonzero(moves))
-        rows = np.flatnonzero(kept)
+        is_animated = is_animated | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
+        spec = self._animation(f"{path}/Anim", np.flatnonzero(is_animated))
+        rows = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
         arrays = [
-            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one))
-            for one in poses[rows][:, moves]
+            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(pose))
+            for pose in poses[rows][:, is_animated]
         ]
-        put_samples(self.layer, rotations, self.track.codes, rows, arrays)
+        write_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
-    def _animation(self, path: str, which: IntArray) -> Any:
+    def _animation(self, path: str, joints_: IntArray) -> Any:
         """Return a new animation of joints that keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
-        joints = cast.animated[which]
+        joints = cast.animated[joints_]
         spec = prim(self.layer, path, "SkelAnimation")
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
-        moving = Vt.TokenArray([tokens[j] for j in joints.tolist()])
-        attribute(spec, "joints", _TYPES.TokenArray, moving, uniform=True)
+        joint_tokens = Vt.TokenArray([tokens[j] for j in joints.tolist()])
+        attribute(spec, "joints", _TYPES.TokenArray, joint_tokens, uniform=True)
         rest = (cast.rig.rest_translations[joints] / unit).astype(np.float32)
         translations = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
         attribute(spec, "translations", _TYPES.Float3Array, translations)
         attribute(spec, "rotations", _TYPES.QuatfArray)
-        ones = Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints))
-        attribute(spec, "scales", _TYPES.Half3Array, ones)
+        unit_scales = Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints))
+        attribute(spec, "scales", _TYPES.Half3Array, unit_scales)
         return spec
 
     def _use_shared(self, path: str, i: int) -> None:
         """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
-        above = f"{self.paths.model}/{STANDING}"
-        if self.layer.GetPrimAtPath(above) is None:
-            self._write_shared(above)
+        shared_root = f"{self.paths.model}/{STANDING}"
+        if self.layer.GetPrimAtPath(shared_root) is None:
+            self._write_shared(shared_root)
         clock = float(track.clocks[0, i]) % max(track.cast.period, 1e-9)
         offset = float(track.codes[0]) - clock * fps
         spec = prim(self.layer, f"{path}/Anim", "SkelAnimation")
         spec.referenceList.explicitItems = [
-            Sdf.Reference("", above, Sdf.LayerOffset(offset))
+            Sdf.Reference("", shared_root, Sdf.LayerOffset(offset))
         ]
 
     def _write_shared(self, path: str) -> None:
@@ -380,41 +396,44 @@ class _Group:
         spec = self._animation(path, np.arange(len(cast.animated)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
         # Standing characters start at most one period before the first frame.
-        last = (
+        duration = (
             codes[-1] - codes[0] + cast.period * fps if len(cast.rotations) > 1 else 0.0
         )
-        rows = np.arange(int(np.ceil(last)) + 1)
+        rows = np.arange(int(np.ceil(duration)) + 1)
         clocks = rows / fps
         rotations = _continuous(
             _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
         arrays = [
-            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in rotations
+            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rotation_rows))
+            for rotation_rows in rotations
         ]
         codes = rows.astype(np.float64)
-        put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
-        moved = np.repeat(cast.rig.rest_translations[None, cast.animated], len(rows), 0)
-        moved[:, cast.animated == 0] = _standing_values(cast, cast.roots, clocks)[
-            :, None
-        ]
+        write_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
+        translations = np.repeat(
+            cast.rig.rest_translations[None, cast.animated], len(rows), 0
+        )
+        translations[:, cast.animated == 0] = _standing_values(
+            cast, cast.roots, clocks
+        )[:, None]
         arrays = [
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
-            for one in (moved / self.owner.unit).astype(np.float32)
+            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rotation_rows))
+            for rotation_rows in (translations / self.owner.unit).astype(np.float32)
         ]
-        put_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
+        write_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
 def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
     """Return standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
     at = clocks / (cast.period or 1.0) * count
-    low = np.floor(at).astype(np.int64)
-    fraction = at - low
-    first, last = table[low % count], table[(low + 1) % count]
+    index = np.floor(at).astype(np.int64)
+    fraction = at - index
+    before, after = table[index % count], table[(index + 1) % count]
     if table.ndim == 2:
-        return np.asarray(first + fraction[:, None] * (last - first))
-    last = np.where((first * last).sum(axis=-1, keepdims=True) < 0, -last, last)
-    return slerped(first, last, fraction[:, None])
+        return np.asarray(before + fraction[:, None] * (after - before))
+    after = np.where((before * after).sum(axis=-1, keepdims=True) < 0, -after, after)
+    return slerped(before, after, fraction[:, None])
 
 
 def _continuous(rotations: Float32Array) -> Float32Array:
@@ -426,10 +445,10 @@ def _continuous(rotations: Float32Array) -> Float32Array:
     return continuous
 
 
-def _changing(values: Float32Array, same: float) -> IntArray:
+def _changing(values: Float32Array, tolerance: float) -> IntArray:
     """Return the frames of values ``(F, K)`` without those between equal neighbors."""
-    steps = (np.abs(np.diff(values, axis=0)) > same).any(axis=1)
+    steps = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
     if not steps.any():
         return np.zeros(1, np.int64)
-    kept = np.append(True, steps) | np.append(steps, True)
-    return np.flatnonzero(kept)
+    is_kept = np.append(True, steps) | np.append(steps, True)
+    return np.flatnonzero(is_kept)

@@ -1,4 +1,4 @@
-"""Where props are written: in a character's space, or in the stage's world."""
+"""Space in which props are written: a character's space, or the stage's world."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ if TYPE_CHECKING:
 class PropPlacements:
     """Prim paths and spaces of the props of a take."""
 
-    model: str  # the prim of the character
+    model: str  # prim path of the character
     meters_per_unit: float  # unit of the rig [m]
     up: UpAxis  # up axis of the rig, and of the take
-    exists: Callable[[str], bool]  # whether something else has a prim at a path
-    target: RigTarget | None = None  # the rig of a layer
-    # From where the take is to the numbers of that rig, at time codes; None: the same.
+    exists: Callable[[str], bool]  # whether another layer has a prim at a path
+    target: RigTarget | None = None  # rig below a layer
+    # Returns the placement from take space to that rig's space at time codes; None is
+    # the identity.
     to_rig: Callable[[FloatArray], Placement] | None = None
-    variant: str = ""  # the model in the variant of a take; empty where there is none
+    variant: str = ""  # path of the model in a take's variant; empty without variants
 
     def unit(self, path: str) -> float:
         """Return the length unit at a prim path [m]."""
-        if self.target is None or within(path, self.model):
+        if self.target is None or is_within(path, self.model):
             return self.meters_per_unit
         return self.target.unit
 
@@ -47,40 +48,46 @@ class PropPlacements:
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
 
     def located(
-        self, track: Track, path: str, codes: FloatArray, known: Transforms
+        self, track: Track, path: str, codes: FloatArray, transforms: Transforms
     ) -> Transforms:
         """Return a track at time codes ``(F,)``, in the space of its parent prim."""
         if self.target is None or not track.placed:
-            return known
-        if within(path, self.model):
+            return transforms
+        if is_within(path, self.model):
             if self.to_rig is not None:
-                known = placed(known, self.to_rig(codes))
-            above = space_above(self.target, path, codes, inside=True)
+                transforms = placed(transforms, self.to_rig(codes))
+            parent_space = space_above(self.target, path, codes, inside=True)
         else:
             if track.follows_placement:
-                known = self._with_rig(known, codes)
+                transforms = self._with_rig(transforms, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
-                known = placed(known, Placement.from_rotation(np.array(up_rotation)))
-            above = space_above(self.target, path, codes, inside=False)
-        if above is not None:
-            above[:, :3, 3] *= self.unit(path)
-            known = _below(known, above)
-        return replace(known, rotations=so3.align_signs(known.rotations))
+                transforms = placed(
+                    transforms, Placement.from_rotation(np.array(up_rotation))
+                )
+            parent_space = space_above(self.target, path, codes, inside=False)
+        if parent_space is not None:
+            parent_space[:, :3, 3] *= self.unit(path)
+            transforms = _premultiplied(transforms, parent_space)
+        return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
-    def _with_rig(self, known: Transforms, codes: FloatArray) -> Transforms:
+    def _with_rig(self, transforms: Transforms, codes: FloatArray) -> Transforms:
         """Return transforms of a take moved with the rig's stage placement."""
         assert self.target is not None
         rig_placement = self.target.placement()
         if rig_placement.uneven:
-            # It is read without such a transform, which the rig applies again.
-            return known
-        fixed = (
+            # The rig was read without this transform, which its stage applies again.
+            return transforms
+        placement_matrices = (
             self.target.placement(codes) if rig_placement.rides else rig_placement
         ).fixed
         if self.to_rig is not None:
-            fixed = fixed.after(self.to_rig(codes))
-        return known if fixed.steady().is_none else placed(known, fixed)
+            placement_matrices = placement_matrices.after(self.to_rig(codes))
+        return (
+            transforms
+            if placement_matrices.steady().is_none
+            else placed(transforms, placement_matrices)
+        )
 
 
 def prop_placements(
@@ -94,13 +101,19 @@ def prop_placements(
 ) -> PropPlacements:
     """Return the placements of a take's tracks.
 
-    rig_layer: another layer that holds the rig, or None;
-    meters_per_unit: unit of the rig [m]; to_rig: see `PropPlacements`.
+    Args:
+        paths: Prim paths of the character.
+        target: Rig below a layer; None for a stage.
+        rig_layer: Another layer with the rig, or None.
+        meters_per_unit: Unit of the rig [m].
+        up: Up axis of the rig.
+        take: Name of the take in a library.
+        to_rig: See `PropPlacements`.
     """
 
     def exists(path: str) -> bool:
         if take:
-            # Another take may have it, which is not bound at the same time.
+            # Another take may have this prim; only one take is bound at a time.
             return False
         if target is not None:
             return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
@@ -119,18 +132,18 @@ def space_above(
 ) -> FloatArray | None:
     """Return the inverse world matrices of a layer path's parent at time codes.
 
-    From the Skeleton's space, or with ``inside`` off from the world: column vectors in
-    the numbers of the stage ``(F, 4, 4)``, one where nothing moves; None is the same.
+    Relative to the Skeleton's space or, without ``inside``, to the world: column
+    vectors in stage units ``(F, 4, 4)``, or one matrix if static; None is the identity.
     """
-    # Stages that are no layers need nothing of them.
+    # A stage without a target rig needs no conversion.
     from animtool.usd.props.prim_transforms import world_matrices
     from animtool.usd.rigs.placement import fixed_matrices
 
     stage = target.stage
-    above = Sdf.Path(target.on_stage(path)).GetParentPath()
-    while not stage.GetPrimAtPath(above):
-        above = above.GetParentPath()
-    matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(above), codes))
+    parent_path = Sdf.Path(target.on_stage(path)).GetParentPath()
+    while not stage.GetPrimAtPath(parent_path):
+        parent_path = parent_path.GetParentPath()
+    matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(parent_path), codes))
     if inside:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
@@ -149,35 +162,35 @@ def matrices_inside(
 ) -> FloatArray | None:
     """Return the matrices from take space to the parent space of a layer path.
 
-    Column vectors in the unit of the rig ``(F, 4, 4)``; None is the same.
+    Column vectors in the unit of the rig ``(F, 4, 4)``; None is the identity.
     """
-    above = space_above(target, path, codes, inside=True)
+    parent_space = space_above(target, path, codes, inside=True)
     if to_rig is None:
-        return above
+        return parent_space
     placement, unit = to_rig(codes), target.skeleton.rig.meters_per_unit
     if placement.is_none:
-        return above
+        return parent_space
     local = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
     local[:, :3, :3] = so3.to_matrix(placement.rotations)
     local[:, :3, :3] *= placement.sizes[:, None, None]
     local[:, :3, 3] = placement.translations / unit
-    return local if above is None else above @ local
+    return local if parent_space is None else parent_space @ local
 
 
-def _below(known: Transforms, matrices: FloatArray) -> Transforms:
-    """Return transforms after matrices, as T, R, S if these only move and scale."""
+def _premultiplied(transforms: Transforms, matrices: FloatArray) -> Transforms:
+    """Return transforms multiplied by matrices; as T, R, S if these have no shear."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
     sizes = np.cbrt(np.abs(scales).prod(axis=-1))
-    even = np.tile(np.eye(4), (len(matrices), 1, 1))
-    even[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
-    even[:, :3, 3] = translations
-    if np.abs(even - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
-        return placed(known, Placement(translations, rotations, sizes))
-    return below_matrices(known, matrices)
+    unscaled = np.tile(np.eye(4), (len(matrices), 1, 1))
+    unscaled[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
+    unscaled[:, :3, 3] = translations
+    if np.abs(unscaled - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
+        return placed(transforms, Placement(translations, rotations, sizes))
+    return below_matrices(transforms, matrices)
 
 
-def within(path: str, above: str) -> bool:
+def is_within(path: str, ancestor: str) -> bool:
     """Return whether a path equals another, or is below it."""
-    return path == above or path.startswith(f"{above}/")
+    return path == ancestor or path.startswith(f"{ancestor}/")

@@ -30,28 +30,33 @@ def open_prim(
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
     """Return a function of a prim's world transforms over time, in rig axes.
 
-    Units and up axis of the stage are converted to the rig's; second 0 is time code
-    0. Scales of the prim are left out.
+    Units and up axis of the stage are converted to the rig's; second 0 is time code 0.
+    Scales of the prim are ignored.
 
-    space: path of a prim whose local space is the rig's; None is the world.
+    Args:
+        path: The stage.
+        prim: Path of the prim.
+        rig: The rig.
+        space: Path of a prim whose local space is the rig's; None is the world.
 
-    Returns A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
-    ``(F, 4)``; it raises `FormatError` where a transform is not finite.
+    Returns:
+        A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
+        ``(F, 4)``; it raises `FormatError` if a transform is not finite.
     """
     with usd_errors(path):
         stage = open_stage(path)
         usd_prim = _prim(stage, path, prim)
-        above = None if space is None else _prim(stage, path, space, "space")
+        space_prim = None if space is None else _prim(stage, path, space, "space")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     up_rotation = up_from_up(rig.up, up_axis(stage))
-    if above is not None:
+    if space_prim is not None:
         unit, up_rotation = rig.meters_per_unit, None
 
     def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Named here, the stage lives as long as the function, and its prims with it.
+        # A reference keeps the stage, and so its prims, alive as long as the function.
         codes = seconds * stage.GetTimeCodesPerSecond()
         with usd_errors(path):
-            matrices = world_matrices(usd_prim, codes, above)
+            matrices = world_matrices(usd_prim, codes, space_prim)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
             PrimLocation(str(path), prim).fail("USD171", message)
@@ -65,21 +70,21 @@ def open_prim(
     return transforms
 
 
-def world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArray:
+def world_matrices(prim: Any, codes: FloatArray, relative_to: Any = None) -> FloatArray:
     """Return a prim's matrices ``(F, 4, 4)``, world or relative to another prim."""
     cache = UsdGeom.XformCache()
     matrices = []
     for code in codes.tolist():
         cache.SetTime(Usd.TimeCode(code))
         world = cache.GetLocalToWorldTransform(prim)
-        if above is not None:
-            world = world * cache.GetLocalToWorldTransform(above).GetInverse()
+        if relative_to is not None:
+            world = world * cache.GetLocalToWorldTransform(relative_to).GetInverse()
         matrices.append(world)
     return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 
 def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim, or raise an error at ``where`` it is named."""
+    """Return a prim; raise an error at ``where`` if it is missing."""
     prim = find_prim(stage, name)
     if prim:
         return prim

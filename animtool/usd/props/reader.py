@@ -38,16 +38,16 @@ from animtool.usd.rigs.prims import (
     upwards,
 )
 
-# Rounding of float64 along a hierarchy is below this fraction of a transform.
-ROUNDED = 1e-11
-# A time this near to a key [time code] is that of the key.
-ON_KEY = 1e-9
+# Relative rounding error of float64 transforms composed along a hierarchy.
+ROUNDING = 1e-11
+# Times closer to a key than this equal the key [time code].
+KEY_TOLERANCE = 1e-9
 
-# By the C++ type of a value that is between two others, how many numbers it is.
+# Number of components of interpolated values, by their C++ type.
 _WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
     f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
 }
-# What lasts until the next value.
+# Types that USD holds until the next sample.
 _STEPPED_TYPES = {
     "bool",
     "int",
@@ -59,9 +59,9 @@ _STEPPED_TYPES = {
     "std::string",
     *(f"GfVec{width}i" for width in (2, 3, 4)),
 }
-# What a camera sees depends on these, stated or not.
+# Attributes that determine a camera's view, even if not authored.
 _LENS = ("focalLength", "horizontalAperture", "verticalAperture")
-_OF_CAMERAS = (
+_CAMERA_ATTRIBUTES = (
     *_LENS,
     "horizontalApertureOffset",
     "verticalApertureOffset",
@@ -72,33 +72,31 @@ _OF_CAMERAS = (
     "shutter:open",
     "shutter:close",
 )
-# In units of the stage, or in tenths of these.
-_LENGTHS = frozenset(_OF_CAMERAS[:7])
+# Attributes in stage units, or tenths of these.
+_LENGTHS = frozenset(_CAMERA_ATTRIBUTES[:7])
 
 
 @dataclass(frozen=True, slots=True)
 class PropSource:
     """An open stage prim, sampled by time."""
 
-    track: Track  # it, over the time codes of its file
-    fps: Fraction  # time codes a second
-    keys: FloatArray  # time codes of everything that moves it, ascending ``(K,)``
-    # First and last time code that it is for; None where it never moves.
+    track: Track  # the prim over the time codes of its file
+    fps: Fraction  # time codes per second
+    keys: FloatArray  # time codes of all its samples, ascending ``(K,)``
+    # First and last time code; None if it is static.
     span: tuple[Fraction, Fraction] | None
-    unstated: tuple[str, ...]  # what decides what a camera sees, and is not stated
-    # Whether its place is a matrix, as translation, rotation and scale do not come to
-    # the same.
+    unstated: tuple[str, ...]  # attributes of a camera's view that are not authored
+    # Whether its transform is a matrix because it has shear.
     sheared: bool
-    # Returns the largest share of a transform that was left out so far, as such a
-    # matrix would have it between keys.
+    # Returns the largest relative shear that was dropped between keys so far.
     shear: Callable[[], float]
 
 
 def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
     """Open a prim to read its transform and values over time.
 
-    Its place is that in the world of its file: all operations of it and of the prims
-    above come together. Units are metres, the up axis is that of the rig.
+    The transform is its world transform, with all operations of the prim and its
+    ancestors. Units are metres, the up axis is that of the rig.
     """
     with usd_errors(request.file):
         stage = open_stage(request.file)
@@ -108,13 +106,13 @@ def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
             raise OptionError(
                 Fault("SCN048", message, hint=nearest_prim(stage, request.prim))
             )
-        return _opened(request, stage, prim, up)
+        return _prop_source(request, stage, prim, up)
 
 
-def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
-    placed = bool(UsdGeom.Xformable(prim))
+def _prop_source(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
+    has_transform = bool(UsdGeom.Xformable(prim))
     attributes = _attributes(prim, request)
-    if not placed and not attributes:
+    if not has_transform and not attributes:
         message = (
             f"{request.prim} has no transform: it is a {prim.GetTypeName() or 'prim'}"
         )
@@ -124,20 +122,20 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
         stage,
         prim,
         attributes,
-        tuple(_described(attribute) for attribute in attributes),
+        tuple(_attribute_of(attribute) for attribute in attributes),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_from_up(up, up_axis(stage)),
         str(request.file),
-        placed,
+        has_transform,
     )
-    sampler.settle()
+    sampler.find_constants()
     track = Track(
         request.path,
         sampler.at,
         _type_name(prim, request),
-        placed,
-        sampler.moves,
-        sampler.described,
+        has_transform,
+        sampler.is_animated,
+        sampler.descriptions,
         _reference(request, stage),
     )
     lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
@@ -145,7 +143,7 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
         track,
         rate_from_float(stage.GetTimeCodesPerSecond()),
         sampler.keys,
-        _span(stage, sampler.keys) if sampler.moves else None,
+        _span(stage, sampler.keys) if sampler.is_animated else None,
         tuple(n for n in lens if not prim.GetAttribute(n).HasAuthoredValue()),
         sampler.sheared,
         lambda: sampler.shear,
@@ -168,11 +166,11 @@ def _reference(request: PropRequest, stage: Any) -> PropReference | None:
     if request.reference == request.file:
         unit = UsdGeom.GetStageMetersPerUnit(stage)
         return PropReference(str(request.file.resolve()), request.prim, unit)
-    other = open_stage(request.reference)
-    if not other.GetDefaultPrim():
+    reference_stage = open_stage(request.reference)
+    if not reference_stage.GetDefaultPrim():
         message = f"{request.reference.name} has no default prim to reference"
         raise OptionError(Fault("SCN048", message))
-    unit = UsdGeom.GetStageMetersPerUnit(other)
+    unit = UsdGeom.GetStageMetersPerUnit(reference_stage)
     return PropReference(str(request.reference.resolve()), "", unit)
 
 
@@ -180,9 +178,9 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     """Return the attributes to read."""
     attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
-        # What USD takes for lengths that are not stated depends on the unit.
+        # USD's fallback for lengths that are not authored depends on the unit.
         always = {*_LENS, "clippingRange"}
-        camera_attributes = [prim.GetAttribute(name) for name in _OF_CAMERAS]
+        camera_attributes = [prim.GetAttribute(name) for name in _CAMERA_ATTRIBUTES]
         attributes = [
             a
             for a in camera_attributes
@@ -200,8 +198,8 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             faults.append(Fault("SCN049", message, hint="remove it"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
-            near = similar(name, names)
-            hint = f"did you mean {near}?" if near else None
+            similar_name = similar(name, names)
+            hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
         elif _kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
@@ -220,7 +218,7 @@ def _kind(attribute: Any) -> str:
     return "array" if type_name.isArray else str(type_name.cppTypeName)
 
 
-def _described(attribute: Any) -> Attribute:
+def _attribute_of(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
     width = _WIDTHS.get(_kind(attribute), 0)
     if width:
@@ -232,59 +230,67 @@ def _described(attribute: Any) -> Attribute:
 
 def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
     """Return the time codes of a prim: the stage's range and its keys."""
-    ends = keys[[0, -1]].tolist() if len(keys) else []
-    if stage.HasAuthoredTimeCodeRange() or not ends:
-        ends += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
-    return time_fraction(min(ends)), time_fraction(max(ends))
+    key_range = keys[[0, -1]].tolist() if len(keys) else []
+    if stage.HasAuthoredTimeCodeRange() or not key_range:
+        key_range += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    return time_fraction(min(key_range)), time_fraction(max(key_range))
 
 
 @dataclass(slots=True)
 class _Sampler:
     """Samples a prim at time codes."""
 
-    stage: Any  # open as long as this is, and its prims with it
+    stage: Any  # keeps the stage and its prims alive
     prim: Any
     attributes: Sequence[Any]
-    described: tuple[Attribute, ...]  # the same, without values
-    unit: float  # of the stage [m]
-    # From its up axis to the rig's; None if equal.
+    descriptions: tuple[Attribute, ...]  # types and names of the attributes
+    unit: float  # unit of the stage [m]
+    # Rotation from its up axis to the rig's; None if equal.
     up_rotation: tuple[float, float, float, float] | None
     where: str
-    placed: bool  # whether it has a world transform
-    # Time codes at which something is stated, ascending.
+    has_transform: bool  # whether it has a world transform
+    # Time codes of all samples, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
-    moves: bool = True  # whether anything is another at one time than at another
+    is_animated: bool = True  # whether the transform or a value changes over time
     sheared: bool = False  # whether transforms are written as matrices
-    shear: float = 0.0  # largest relative shear left out so far
+    shear: float = 0.0  # largest relative shear dropped so far
     # The constant scales, if they vary only by rounding.
     scales: FloatArray | None = None
 
-    def settle(self) -> None:
-        """Collect the keys, and decide from them what is constant."""
-        moving = list(self._moving())
-        stated = {time for part in moving for time in part.GetTimeSamples()}
-        self.keys = np.array(sorted(stated))
+    def find_constants(self) -> None:
+        """Collect the keys, and find out what is constant."""
+        varying = list(self._varying())
+        sample_times = {time for source in varying for time in source.GetTimeSamples()}
+        self.keys = np.array(sorted(sample_times))
         codes = self.keys
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])
-        self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
+        self.sheared = (
+            self.has_transform and _split(self._matrices(codes))[3] > ROUNDING
+        )
         transforms = self.at(codes)
-        # Values such as splines are functions of time without samples.
-        self.moves = any(not part.GetTimeSamples() for part in moving) or any(
+        # Values such as splines vary over time without samples.
+        self.is_animated = any(
+            not source.GetTimeSamples() for source in varying
+        ) or any(
             bool((values != values[:1]).any())
             for values in (transforms.matrix(), *transforms.values)
         )
-        even = np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDED
+        has_constant_scales = (
+            np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDING
+        )
         self.scales = (
-            _plain(transforms.scales[0]) if even and not self.sheared else None
+            _without_rounding(transforms.scales[0])
+            if has_constant_scales and not self.sheared
+            else None
         )
 
-    def _moving(self) -> Iterator[Any]:
+    def _varying(self) -> Iterator[Any]:
         """Yield attributes and xformables that may change over time."""
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
-        for prim in upwards(self.prim) if self.placed else ():
+        for prim in upwards(self.prim) if self.has_transform else ():
             xformable = UsdGeom.Xformable(prim)
             if xformable and xformable.TransformMightBeTimeVarying():
                 yield xformable
@@ -297,46 +303,48 @@ class _Sampler:
         Raises:
             FormatError: Its transform or a value is not finite (USD171).
         """
-        codes = self._on_keys(times if self.moves else times[:1])
+        codes = self._on_keys(times if self.is_animated else times[:1])
         count, matrices = len(codes), None
         positions, rotations = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
         scales = np.ones((count, 3))
         if self.sheared:
             matrices = self._matrices(codes)
-        elif self.placed:
+        elif self.has_transform:
             positions, rotations, scales, shear = _split(self._matrices(codes))
             self.shear = max(self.shear, shear)
             if self.scales is not None:
-                near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
-                scales = np.where(near, self.scales, scales)
+                is_constant = np.abs(scales - self.scales) <= ROUNDING * np.abs(
+                    self.scales
+                )
+                scales = np.where(is_constant, self.scales, scales)
         transforms = Transforms(
             positions, rotations, scales, matrices, self._values(codes)
         )
-        if not self.moves:
-            return _lasting(transforms, len(times))
+        if not self.is_animated:
+            return _repeated(transforms, len(times))
         return replace(transforms, clamped=self._outside_samples(codes))
 
     def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
-        low, high = map(float, _span(self.stage, self.keys))
-        # A frame lasts until the next would come, and so does its shutter before it.
-        slack = 1 - ON_KEY
-        outside = (codes < low - slack) | (codes > high + slack)
-        return outside if outside.any() else None
+        first, last = map(float, _span(self.stage, self.keys))
+        # A frame, and its shutter before the next one, lasts up to the next frame.
+        frame_length = 1 - KEY_TOLERANCE
+        is_outside = (codes < first - frame_length) | (codes > last + frame_length)
+        return is_outside if is_outside.any() else None
 
     def _on_keys(self, times: FloatArray) -> FloatArray:
         """Return time codes snapped to keys within rounding."""
         if not len(self.keys):
             return times
-        behind = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
-        before = (behind - 1).clip(min=0)
-        for at in (before, behind):
-            near = np.abs(times - self.keys[at]) <= ON_KEY
-            times = np.where(near, self.keys[at], times)
+        next_key = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
+        previous_key = (next_key - 1).clip(min=0)
+        for at in (previous_key, next_key):
+            is_on_key = np.abs(times - self.keys[at]) <= KEY_TOLERANCE
+            times = np.where(is_on_key, self.keys[at], times)
         return times
 
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
         columns: list[Any] = []
-        for attribute, about in zip(self.attributes, self.described, strict=True):
+        for attribute, about in zip(self.attributes, self.descriptions, strict=True):
             with usd_errors(Path(self.where)):
                 rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if about.width:
@@ -363,14 +371,16 @@ class _Sampler:
             PrimLocation.of(self.where, self.prim).fail("USD171", message)
 
 
-def _plain(scales: FloatArray) -> FloatArray:
+def _without_rounding(scales: FloatArray) -> FloatArray:
     """Return scales without the rounding error of short decimals."""
-    plain = np.round(scales, 9)
-    return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
+    rounded = np.round(scales, 9)
+    return np.where(
+        np.abs(rounded - scales) <= ROUNDING * np.abs(scales), rounded, scales
+    )
 
 
-def _lasting(transforms: Transforms, count: int) -> Transforms:
-    """Return one transform and its values for all times."""
+def _repeated(transforms: Transforms, count: int) -> Transforms:
+    """Return one transform and its values repeated for all times."""
 
     def all_times(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
@@ -387,7 +397,7 @@ def _lasting(transforms: Transforms, count: int) -> Transforms:
 def _split(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return translations, rotations, scales, and the relative shear left out."""
+    """Return translations, rotations, scales, and the relative shear dropped."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
     again = so3.to_matrix(rotations) * scales[:, None, :]

@@ -1,6 +1,6 @@
 """Writes simulated prims to a layer while the simulation runs.
 
-Each frame is a record of a prim's values; `FORMS` says how each type is written.
+Each frame is a record of a prim's values; `FORMS` defines how each type is written.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from animtool.motion.frames import (
 )
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
-    LINEAR,
+    POLYLINE,
     Block,
     CachedMesh,
     FrameForm,
@@ -73,7 +73,7 @@ from animtool.usd.rigs.meshes import MeshForm
 if TYPE_CHECKING:
     from animtool.usd.props.characters import Characters
 
-# Of each frame its time code, and what each prim is then.
+# Time code of each frame, and the frame of each prim.
 Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
 
 
@@ -91,7 +91,7 @@ class _Curves(FrameForm[CurvesFrame]):
 
     def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
         """Author type and width of the curves."""
-        author_values(spec, LINEAR)
+        author_values(spec, POLYLINE)
         author_width(spec, frame.width / writer.unit)
 
     def values(
@@ -129,8 +129,8 @@ _XFORMS = XformsForm()
 
 def form_of(frame: Frame) -> FrameForm[Any]:
     """Return the form that writes a type of frame."""
-    divided = isinstance(frame, TransformsFrame) and frame.xforms
-    return _XFORMS if divided else FORMS[type(frame)]
+    has_xforms = isinstance(frame, TransformsFrame) and frame.xforms
+    return _XFORMS if has_xforms else FORMS[type(frame)]
 
 
 class SimulatedPrim:
@@ -144,13 +144,13 @@ class SimulatedPrim:
         fps: float = 24.0,
     ) -> None:
         self.report = CachedMesh(path)
-        self.unit = meters_per_unit  # of the layer [m]
+        self.unit = meters_per_unit  # unit of the layer [m]
         # Orientation of the prim in the layer (4,).
         self.rotation = so3.IDENTITY if rotation is None else rotation
-        self.fps = fps  # time codes a second
+        self.fps = fps  # time codes per second
         self._characters: Characters | None = None
         self._first: Any = None
-        self._sampled: tuple[str, ...] = ()  # what every frame has, in order
+        self._sampled: tuple[str, ...] = ()  # attributes of every frame, in order
 
     @cached_property
     def triangles(self) -> IntArray:
@@ -158,7 +158,7 @@ class SimulatedPrim:
         return triangulated(self._first.counts, self._first.indices)
 
     @cached_property
-    def parts(self) -> list[str]:
+    def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
         return part_names(self._first.names).names
 
@@ -178,13 +178,13 @@ class SimulatedPrim:
                 report.notices += part_names(frame.names).notices
         spec = prim(layer, report.path, form.type_name)
         form.divide(spec, frame)
-        kinds, shape = form.kinds(frame), form.shape(frame)
-        self._sampled = tuple(kinds)
-        for name, kind in kinds.items():
+        attribute_kinds, shape = form.kinds(frame), form.shape(frame)
+        self._sampled = tuple(attribute_kinds)
+        for name, kind in attribute_kinds.items():
             path, leaf = split_attribute(report.path, name)
             owner = layer.GetPrimAtPath(path)
             attribute(owner, leaf, kind.type_name, interpolation=kind.interpolation)
-        report.sampled = list(kinds)
+        report.sampled = list(attribute_kinds)
         if form.tears(frame):
             report.sampled += shape
             for name in shape:
@@ -202,9 +202,9 @@ class SimulatedPrim:
             return Block(number, codes, {}, 0)
         form = form_of(frame)
         if not form.points:
-            nothing = np.zeros((0, 3), np.float32)
-            placed = form.values(self, frame, nothing, code)
-            return Block(number, codes, _rows(placed), len(frame.points))
+            no_points = np.zeros((0, 3), np.float32)
+            values_ = form.values(self, frame, no_points, code)
+            return Block(number, codes, _rows(values_), len(frame.points))
         points, error, vertex = self._rounded(form.points, frame.points, code)
         values = {form.points: points, **form.values(self, frame, points, code)}
         for name, array in frame.primvars.items():
@@ -214,10 +214,12 @@ class SimulatedPrim:
                 else self.narrowed(f"primvars:{name}", array, code)
             )
         values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
-        sampled = {name: values[name] for name in self._sampled}
+        sampled_values = {name: values[name] for name in self._sampled}
         if form.tears(frame):
-            sampled |= form.shape(frame)
-        return Block(number, codes, _rows(sampled), len(points), error, code, vertex)
+            sampled_values |= form.shape(frame)
+        return Block(
+            number, codes, _rows(sampled_values), len(points), error, code, vertex
+        )
 
     def finish(self, layer: Any) -> None:
         """Author values that are known only after the last frame."""
@@ -269,16 +271,16 @@ class SimulatedJob:
     """Settings of writing simulated prims."""
 
     model: str  # path of the prim above all others
-    names: Sequence[str]  # of the other prims, legal and distinct
-    metadata: StageMetadata  # what the layer states
+    names: Sequence[str]  # legal, distinct names of the prims
+    metadata: StageMetadata  # metadata of the layer
     meters_per_unit: float  # length unit below the model [m]
     rotation: FloatArray | None = (
         None  # from Y up to the layer's up axis (4,); None for Y
     )
-    # From the world of a take to below the model, at all time codes: columns in that
-    # unit ``(F, 4, 4)``, or one; None is the same.
+    # From the world of a take to the space of the model, for all time codes: column
+    # vectors in the model's unit ``(F, 4, 4)``, or one matrix; None is the identity.
     placement_matrices: FloatArray | None = None
-    codes: FloatArray | None = None  # those time codes ``(F,)``
+    codes: FloatArray | None = None  # time codes of the placement ``(F,)``
 
     @property
     def paths(self) -> list[str]:
@@ -295,7 +297,7 @@ class SimulatedJob:
 def simulated_layer(job: SimulatedJob, output: Path) -> Any:
     """Return a layer with only the parent prim.
 
-    output: the file that it becomes, or `STDOUT` for usda.
+    ``output`` is the path of the file, or `STDOUT` for usda.
     """
     layer = new_layer(output)
     author_model(layer, job.model)
@@ -308,26 +310,33 @@ def grow_simulated(
 ) -> list[CachedMesh]:
     """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prims(), growing.layer
-    reports = [one.report for one in prims]
+    reports = [prim_writer.report for prim_writer in prims]
     writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
     write_frames(_blocks(job, prims, rows, layer, growing), writer, reports)
-    for one in prims:
-        one.finish(layer)
+    for prim_writer in prims:
+        prim_writer.finish(layer)
     return reports
 
 
 def chunk_simulated(
     job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
 ) -> tuple[list[Path], list[CachedMesh]]:
-    """Write samples of prims to chunk files, joined by a layer.
+    """Write samples of prims to chunk files, combined by a layer.
 
-    size: samples a file. The layer, in memory, has the prim above the others, and gets
-    these without samples.
+    The in-memory layer has the parent prim, and gets the other prims without samples.
 
-    Returns the files, and what was written of each prim.
+    Args:
+        job: Settings of the prims.
+        rows: Frames of all prims.
+        layer: The combining layer.
+        files: Paths of the chunks.
+        size: Samples per file.
+
+    Returns:
+        The files, and a report per prim.
     """
     prims = job.prims()
-    reports = [one.report for one in prims]
+    reports = [writer.report for writer in prims]
 
     @contextmanager
     def chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
@@ -339,7 +348,7 @@ def chunk_simulated(
                     report,
                     every=True,
                     first=number == 0,
-                    added=growing.added,
+                    on_added=growing.count_bytes,
                 )
                 for report in reports
             ]
@@ -362,7 +371,8 @@ def _blocks(
     prims: Sequence[SimulatedPrim],
     rows: Rows,
     layer: Any,
-    growing: GrowingLayer | None = None,  # told of each row; None is in chunks
+    growing: GrowingLayer
+    | None = None,  # counts the bytes of each row; None for chunks
 ) -> Iterator[Block]:
     """Yield blocks of frames; the prims are created at the first one.
 
@@ -372,9 +382,9 @@ def _blocks(
     for i, (code, frames) in enumerate(rows):
         if growing is None:
             _refuse_characters(frames)
-        for one, frame in () if i else zip(prims, frames, strict=True):
-            one.begin(layer, frame)
-            spec = layer.GetPrimAtPath(one.report.path)
+        for writer, frame in () if i else zip(prims, frames, strict=True):
+            writer.begin(layer, frame)
+            spec = layer.GetPrimAtPath(writer.report.path)
             if job.placement_matrices is not None:
                 _author_placement(spec, job, job.placement_matrices)
             elif job.rotation is not None:
@@ -382,12 +392,12 @@ def _blocks(
                 attribute(spec, "xformOp:orient", types.Quatd, rotation)
                 author_order(spec, "xformOp:orient")
         size = 0
-        for k, (one, frame) in enumerate(zip(prims, frames, strict=True)):
-            block = one.block(k, code, frame)
+        for k, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
+            block = writer.block(k, code, frame)
             size += block.bytes
             yield block
         if growing is not None:
-            growing.added(size)
+            growing.count_bytes(size)
 
 
 def _author_placement(
@@ -396,9 +406,9 @@ def _author_placement(
     """Author the transform of a prim below a model placed by the rig's stage."""
     assert job.codes is not None
     if job.rotation is not None:
-        turned = np.eye(4)
-        turned[:3, :3] = so3.to_matrix(job.rotation)
-        placement_matrices = placement_matrices @ turned
+        up_matrix = np.eye(4)
+        up_matrix[:3, :3] = so3.to_matrix(job.rotation)
+        placement_matrices = placement_matrices @ up_matrix
     rows = np.broadcast_to(placement_matrices.swapaxes(1, 2), (len(job.codes), 4, 4))
     attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     samples = SampleWriter(attr, lambda row: Gf.Matrix4d(row.tolist()))

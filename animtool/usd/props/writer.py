@@ -1,6 +1,6 @@
 """Writes prims that move rigidly: props of a take, and instances of meshes.
 
-Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by name.
+Props, cameras and lights are a prim each; instances a PointInstancer, or named Xforms.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ from animtool.usd.layers.sdf import (
     relationship,
     vector,
 )
-from animtool.usd.props.placement import PropPlacements, within
+from animtool.usd.props.placement import PropPlacements, is_within
 
 
 @dataclass(slots=True)
 class PropSamples:
     """Prop tracks of a take sampled for a layer."""
 
-    tracks: tuple[Track, ...]  # what they are
-    # Time codes of the frames that have passed, one array a block.
+    tracks: tuple[Track, ...]
+    # Time codes of the recorded frames, one array per block.
     codes: list[FloatArray] = field(default_factory=list)
-    # Which time of its own each track shows there ``(F, N)``, likewise.
+    # Time of each track at these frames ``(F, N)``, one array per block.
     times: list[FloatArray] = field(default_factory=list)
 
     def see(self, codes: FloatArray, motion: Motion) -> None:
@@ -61,8 +61,8 @@ class PropSamples:
         self.times.append(motion.track_times.dense()[..., 0])
 
 
-# From a row of values to what USD has of it.
-_Make: TypeAlias = Callable[[Any], Any]
+# Converts a row of values to a USD value.
+_Convert: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
@@ -78,35 +78,35 @@ def check_props(
 ) -> None:
     """Refuse prop paths that overlap the character or each other.
 
-    stage: what the layer goes over; None is nothing; library: whether takes are
+    ``stage`` is the one below the layer, if any; ``library`` says whether takes are
     variants of the model.
     """
     faults = []
     model, root = paths.model, paths.root
     by_path = prop_paths(tracks, model)
     for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
-        there = None if stage is None else stage.GetPrimAtPath(path)
+        existing = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "choose another path, such as Props/box"
-        if overlap(path, root) or within(model, path):
+        if overlap(path, root) or is_within(model, path):
             message = f"{path} is part of the character at {model}"
-        elif there and there.IsInstanceProxy():
+        elif existing and existing.IsInstanceProxy():
             message = f"{path} is inside an instance, which a layer cannot reach"
-        elif library and not within(path, model):
+        elif library and not is_within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
-        for other in by_path[:i]:
-            if overlap(path, other):
-                message = f"{path} overlaps {other}, which another prop has"
+        for other_path in by_path[:i]:
+            if overlap(path, other_path):
+                message = f"{path} overlaps {other_path}, which another prop has"
                 hint = "each needs its own path, not below another's"
                 faults.append(Fault("SCN046", message, hint=hint, where=track.path))
     if faults:
         raise OptionError(faults)
 
 
-def overlap(one: str, other: str) -> bool:
+def overlap(first: str, second: str) -> bool:
     """Return whether one path contains the other."""
-    return within(one, other) or within(other, one)
+    return is_within(first, second) or is_within(second, first)
 
 
 def author_props(
@@ -117,31 +117,31 @@ def author_props(
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
 
-    output: the file that it becomes, or `STDOUT`.
+    ``output`` is the path of the file, or `STDOUT`.
 
-    Returns their paths, and what there is to say of their frames.
+    Returns the prim paths, and notices about their frames.
     """
     paths = prop_paths(samples.tracks, placements.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
-        _author_above(layer, path, placements)
-        there = placements.exists(path)
-        type_name = "" if there else track.type_name
-        spec = prim(layer, placements.spec(path), type_name, over=there)
+        _define_ancestors(layer, path, placements)
+        exists = placements.exists(path)
+        type_name = "" if exists else track.type_name
+        spec = prim(layer, placements.spec(path), type_name, over=exists)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        known = placements.located(track, path, codes, track.at(times[:, i]))
-        _author_track(spec, track, codes, known, placements.unit(path))
-        if known.clamped is not None and known.clamped.any():
-            notices.append(_constant_notice(track, path, codes, known.clamped))
+        transforms = placements.located(track, path, codes, track.at(times[:, i]))
+        _author_track(spec, track, codes, transforms, placements.unit(path))
+        if transforms.clamped is not None and transforms.clamped.any():
+            notices.append(_constant_notice(track, path, codes, transforms.clamped))
     return paths, notices
 
 
 def _constant_notice(
     track: Track, path: str, codes: FloatArray, constant: BoolArray
 ) -> Fault:
-    """Return a notice of frames where a prop is frozen outside its file's frames."""
+    """Return a notice of frames at which a prop is constant outside its range."""
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
         for first, end in runs(constant)
@@ -157,11 +157,11 @@ def _constant_notice(
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
-def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
-    """Define the ancestor prims that nothing else defines."""
-    for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
-        text = str(above)
-        if above.IsAbsoluteRootPath() or within(placements.model, text):
+def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None:
+    """Define the ancestor prims that no other layer defines."""
+    for ancestor in list(Sdf.Path(path).GetAncestorsRange())[1:]:
+        text = str(ancestor)
+        if ancestor.IsAbsoluteRootPath() or is_within(placements.model, text):
             continue
         spec = placements.spec(text)
         if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
@@ -181,7 +181,7 @@ def _author_track(
     # Points of a referenced file are in that file's unit.
     factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
 
-    def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
+    def author(name: str, type_name: Any, rows: Any, make: _Convert) -> None:
         quaternions = type_name == types.Quatd
         attr = attribute(spec, name, type_name)
         samples = SampleWriter(attr, make, quaternions=quaternions)
@@ -200,13 +200,18 @@ def _author_track(
         author("xformOp:orient", types.Quatd, sampled.rotations, quaternion)
         author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
-    for one, values in zip(track.attributes, sampled.values, strict=True):
-        value_type = types.Find(one.type_name)
-        if one.width:
-            make = _number if one.width == 1 else _numbers
-            author(one.name, value_type, values / (unit if one.length else 1.0), make)
+    for attribute_, values in zip(track.attributes, sampled.values, strict=True):
+        value_type = types.Find(attribute_.type_name)
+        if attribute_.width:
+            make = _number if attribute_.width == 1 else _numbers
+            author(
+                attribute_.name,
+                value_type,
+                values / (unit if attribute_.length else 1.0),
+                make,
+            )
         else:
-            author(one.name, value_type, values, _choice(one.choices))
+            author(attribute_.name, value_type, values, _choice(attribute_.choices))
 
 
 def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
@@ -225,9 +230,9 @@ def _matrix(row: FloatArray) -> Any:
     return Gf.Matrix4d(row.tolist())
 
 
-# Operations of an Xform that moves.
+# Operations of an animated Xform.
 _OPERATIONS = ("xformOp:translate", "xformOp:orient")
-PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # prims that are no copy
+PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # child prims that are not instances
 
 
 class InstancerForm(FrameForm[TransformsFrame]):
@@ -282,30 +287,30 @@ class XformsForm(FrameForm[TransformsFrame]):
     def kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
         """Return the transform ops of the animated instances."""
         return {
-            f"{part}.{name}": ATTRIBUTES[name]
-            for i, part in enumerate(part_names(frame.names).names)
+            f"{part_name}.{name}": ATTRIBUTES[name]
+            for i, part_name in enumerate(part_names(frame.names).names)
             if i not in frame.static
             for name in _OPERATIONS
         }
 
     def divide(self, spec: Any, frame: TransformsFrame) -> None:
         """Create the Xforms, in order."""
-        for part in part_names(frame.names).names:
-            prim(spec.layer, f"{spec.path}/{part}", "Xform")
+        for name in part_names(frame.names).names:
+            prim(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
-        The prototypes are a class, which nothing shows.
+        The prototypes are a class, so they are not visible.
         """
         layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
-        for i, part in enumerate(writer.parts):
-            body = layer.GetPrimAtPath(f"{spec.path}/{part}")
+        for i, name in enumerate(writer.child_names):
+            body = layer.GetPrimAtPath(f"{spec.path}/{name}")
             names = list(_OPERATIONS)
             if i in frame.static:
-                placed = _placed(frame, i, writer.unit)
-                author_values(body, dict(zip(names, placed, strict=True)))
+                transform = _instance_transform(frame, i, writer.unit)
+                author_values(body, dict(zip(names, transform, strict=True)))
             if not (frame.scales[i] == 1.0).all():
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
                 attribute(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
@@ -317,7 +322,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             from animtool.usd.physics.write import PhysicsWriter
 
             PhysicsWriter(
-                spec, writer.parts, frame.physics, writer.unit, writer.rotation
+                spec, writer.child_names, frame.physics, writer.unit, writer.rotation
             ).write()
 
     def values(
@@ -329,16 +334,16 @@ class XformsForm(FrameForm[TransformsFrame]):
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return the transforms of the animated instances."""
         return {
-            f"{part}.{name}": value
-            for i, part in enumerate(writer.parts)
+            f"{part_name}.{name}": value
+            for i, part_name in enumerate(writer.child_names)
             if i not in frame.static
             for name, value in zip(
-                _OPERATIONS, _placed(frame, i, writer.unit), strict=True
+                _OPERATIONS, _instance_transform(frame, i, writer.unit), strict=True
             )
         }
 
 
-def _placed(
+def _instance_transform(
     frame: TransformsFrame, i: int, unit: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return translation, in a unit [m], and rotation of an instance."""
@@ -358,8 +363,8 @@ def part_names(names: Sequence[str]) -> UsdNames:
 
 def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
-    above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
-    paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
+    scope = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    paths = [f"{scope.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
         writer.write_static(spec.layer, path, mesh)
     return paths
@@ -367,5 +372,5 @@ def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> li
 
 def _corners(points: FloatArray) -> FloatArray:
     """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
-    ends = np.stack([points.min(axis=0), points.max(axis=0)])
-    return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+    bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])
+    return bounds_[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

@@ -46,12 +46,12 @@ def author_physics(
 ) -> int:
     """Write bodies and joints below ``MODEL/Physics``; return the joint count.
 
-    meters_per_unit: unit of the layer [m].
+    ``meters_per_unit`` is the unit of the layer [m].
     """
-    jointed = [
+    movable = [
         i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
     ]
-    bodies = sorted({*jointed, *(rig.joints[i].parent for i in jointed)} - {-1})
+    bodies = sorted({*movable, *(rig.joints[i].parent for i in movable)} - {-1})
     scope = f"{model}/Physics"
     prim(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
@@ -61,9 +61,9 @@ def author_physics(
     for i in bodies:
         position = world.positions[0, i] / meters_per_unit
         _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
-    for i in jointed:
+    for i in movable:
         _joint(layer, scope, rig, i, names, meters_per_unit)
-    return len(jointed)
+    return len(movable)
 
 
 def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:
@@ -92,11 +92,11 @@ def _joint(
     relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
     axis, frame = _frame(joint)
     position = np.array(joint.translation) / meters_per_unit
-    outer = so3.multiply(np.array(joint.rotation), frame)
+    parent_frame = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
     attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist()))
     attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
-    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
+    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(parent_frame))
     attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
     if axis:
         attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
@@ -141,25 +141,28 @@ def _frame(joint: Joint) -> tuple[str, FloatArray]:
 def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     """Author the limits of a ball joint; return the schemas to apply.
 
-    One that is ``locked`` in place by limits, for it twists, is no spherical joint.
+    A ball joint whose twist is ``locked`` by limits is not a spherical joint.
     """
-    swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
+    swing_degrees = None if limits.swing is None else np.degrees(limits.swing).tolist()
     if not locked:
-        if swing is not None:
-            # The first cone angle leans towards Y, a rotation about Z.
-            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
-            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
+        if swing_degrees is not None:
+            # The first cone angle tilts towards Y, a rotation about Z.
+            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing_degrees[1])
+            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing_degrees[0])
         return []
     ranges: dict[str, tuple[float, float]] = {}
     if limits.twist is not None:
-        low, high = np.degrees(limits.twist).tolist()
-        ranges["rotX"] = LOCKED if low == high == 0 else (low, high)
-    if swing is not None:
-        ranges |= {"rotY": (-swing[0], swing[0]), "rotZ": (-swing[1], swing[1])}
+        lower, upper = np.degrees(limits.twist).tolist()
+        ranges["rotX"] = LOCKED if lower == upper == 0 else (lower, upper)
+    if swing_degrees is not None:
+        ranges |= {
+            "rotY": (-swing_degrees[0], swing_degrees[0]),
+            "rotZ": (-swing_degrees[1], swing_degrees[1]),
+        }
     ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
-    for name, (low, high) in ranges.items():
-        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
-        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
+    for name, (lower, upper) in ranges.items():
+        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, lower)
+        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, upper)
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
@@ -167,28 +170,38 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     """Return the limits of a ball joint about an axis; None if free."""
 
     def limit(name: str) -> tuple[float, float] | None:
-        low, high = (
+        lower, upper = (
             joint.GetAttribute(f"limit:{name}:physics:{end}").Get()
             for end in ("low", "high")
         )
-        if low is None or high is None or not math.isfinite(low + high):
+        if lower is None or upper is None or not math.isfinite(lower + upper):
             return None
-        return (0.0, 0.0) if low > high else (math.radians(low), math.radians(high))
+        return (
+            (0.0, 0.0) if lower > upper else (math.radians(lower), math.radians(upper))
+        )
 
     if joint.IsA(UsdPhysics.SphericalJoint):
-        first, second = (
+        swing_y, swing_z = (
             joint.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
         )
-        if first is None or second is None or not 0 <= min(first, second) < math.inf:
+        if (
+            swing_y is None
+            or swing_z is None
+            or not 0 <= min(swing_y, swing_z) < math.inf
+        ):
             return None
-        # An infinite one is 180 degrees.
-        first, second = min(first, 180.0), min(second, 180.0)
-        return BallLimit((math.radians(first), math.radians(second)), None, axis)
+        # An infinite limit is 180 degrees.
+        swing_y, swing_z = min(swing_y, 180.0), min(swing_z, 180.0)
+        return BallLimit((math.radians(swing_y), math.radians(swing_z)), None, axis)
     twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
-    swing = None
+    swing_limits = None
     if about_y is not None and about_z is not None:
-        swing = (about_y[1], about_z[1])
-    return None if twist is None and swing is None else BallLimit(swing, twist, axis)
+        swing_limits = (about_y[1], about_z[1])
+    return (
+        None
+        if twist is None and swing_limits is None
+        else BallLimit(swing_limits, twist, axis)
+    )
 
 
 # USD's fallback rate; an animation over the rig adopts it.
@@ -198,8 +211,9 @@ RATE = Fraction(24)
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     """Write a rig layer; return its size in bytes and notices about names.
 
-    It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
-    blend shapes, and in customData what USD has no place for. It binds no animation.
+    It has the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
+    blend shapes, and customData for what USD cannot express. It does not bind an
+    animation.
     """
     layer, names = _rig_layer(rig, path)
     return save_layer(layer, path), names
@@ -240,7 +254,7 @@ def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
 def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
     """Write joints as UsdPhysics over a rig layer.
 
-    Returns bytes, and how many joints.
+    Returns the size in bytes and the number of joints.
     """
     layer = new_layer(path)
     paths = RigPaths.below(f"/{legal_name(rig.name)}")

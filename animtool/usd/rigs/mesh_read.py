@@ -62,9 +62,9 @@ def read_meshes(
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
     """Return meshes, shapes and notices of what is left out.
 
-    Normals other than one per vertex are left out (USD116), as are shapes without a
-    target. Rigidly bound meshes get their influences at every vertex; unbound ones are
-    placed by their prim. Values are in the unit of the rig.
+    Normals other than one per vertex are skipped (USD116), as are shapes without a
+    target. Rigidly bound meshes get their influences at every vertex; unbound ones have
+    the transform of their prim. Values are in the unit of the rig.
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
@@ -74,16 +74,16 @@ def read_meshes(
         bind = _bind(query, skeleton, at)
         meshes.append(_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
-        known = {shape.name for shape in shapes}
-        shapes += _shapes(query, name, count, where, known)
+        shape_names_ = {shape.name for shape in shapes}
+        shapes += _shapes(query, name, count, where, shape_names_)
     return tuple(meshes), tuple(shapes), notices
 
 
 def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
     """Return the meshes a Skeleton deforms, as distinct names and queries."""
-    used: set[str] = set()
+    used_names: set[str] = set()
     return [
-        (unique_name(prim_name(query.GetPrim()), used), query)
+        (unique_name(prim_name(query.GetPrim()), used_names), query)
         for query in skinned_prims(skeleton, UsdGeom.Mesh)
     ]
 
@@ -174,9 +174,9 @@ def _faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
     if len(indices) and not 0 <= indices.min() <= indices.max() < points:
         at.fail("USD018", f"a face refers to a vertex outside 0 to {points - 1}")
     width = int(counts.max(initial=3))
-    within = np.arange(width) < counts[:, None]
-    faces = np.full(within.shape, -1, np.int64)
-    faces[within] = indices
+    is_corner = np.arange(width) < counts[:, None]
+    faces = np.full(is_corner.shape, -1, np.int64)
+    faces[is_corner] = indices
     return faces.astype(np.float64)
 
 
@@ -212,7 +212,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
 
 
 def _shapes(
-    query: Any, mesh: str, points: int, where: str, known: set[str]
+    query: Any, mesh: str, points: int, where: str, known_shapes: set[str]
 ) -> list[Shape]:
     """Return the blend shapes of a mesh; shapes shared by name keep one name."""
     if not query.HasBlendShapes():
@@ -230,7 +230,7 @@ def _shapes(
     return [
         _shape(
             UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
-            token if token not in known else f"{mesh}_{token}",
+            token if token not in known_shapes else f"{mesh}_{token}",
             mesh,
             points,
             where,
@@ -245,10 +245,12 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
     steps = shape.GetInbetweens()
-    turning = [shape.GetNormalOffsetsAttr()]
-    turning += [step.GetNormalOffsetsAttr() for step in steps]
-    if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
-        # It changes normals only.
+    normal_attributes = [shape.GetNormalOffsetsAttr()]
+    normal_attributes += [step.GetNormalOffsetsAttr() for step in steps]
+    if not len(deltas) and any(
+        attr and len(array_value(attr)) for attr in normal_attributes
+    ):
+        # The shape changes normals only.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
         at.fail("USD240", f"{len(deltas)} offsets for {rows} points")
@@ -266,7 +268,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
             )
         return LoadedArray(values)
 
-    between = []
+    inbetweens = []
     for step in steps:
         weight, normals = step.GetWeight(), rows_of(step.GetNormalOffsetsAttr())
         if normals is not None and not len(array_value(step.GetAttr())):
@@ -276,13 +278,13 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         if weight is None or offsets is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
             at.fail("USD240" if offsets is None else "USD244", message)
-        between.append(Inbetween(float(weight), offsets, normals))
+        inbetweens.append(Inbetween(float(weight), offsets, normals))
     return Shape(
         name,
         mesh,
         LoadedArray(deltas),
         rows_of(shape.GetNormalOffsetsAttr()),
-        tuple(sorted(between, key=lambda step: step.at)),
+        tuple(sorted(inbetweens, key=lambda step: step.at)),
         vertices=LoadedArray(vertices.astype(np.float64)) if len(vertices) else None,
     )
 
@@ -290,8 +292,8 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
     """Return linear curves bound to one joint each, as strands.
 
-    Curves of other kinds, of different lengths, or that follow several joints, are
-    passed over. Points are in the unit of the rig.
+    Curves of other types or with different lengths, and curves bound to several joints,
+    are skipped. Points are in the unit of the rig.
     """
     return tuple(entry for entry, _ in bound_strands(skeleton, rig, where))
 
@@ -301,14 +303,14 @@ def bound_strands(
 ) -> list[tuple[Attachment, Any]]:
     """Return the strands of `read_strands`, each with its prim."""
     strands: list[tuple[Attachment, Any]] = []
-    used: set[str] = set()
+    used_names: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
         at = PrimLocation.of(where, source)
         joint = _carrier(query, rig, at)
         points = _points(UsdGeom.BasisCurves(source), query, at)
         if joint is not None and points is not None:
-            name = unique_name(prim_name(source), used)
+            name = unique_name(prim_name(source), used_names)
             kind, array = AttachKind.STRANDS.value, LoadedArray(points)
             strands.append((Attachment(name, kind, (joint,), points=array), source))
     return strands
@@ -350,12 +352,12 @@ class StageMeshes:
     """Meshes and strands of a Skeleton."""
 
     surfaces: tuple[Surface, ...]  # the meshes [m]
-    strands: tuple[Strands, ...]  # the curves that single joints carry [m]
+    strands: tuple[Strands, ...]  # curves bound to single joints [m]
     # World transforms of the Skeleton's J joints at bind time, scale and shear
     # included, for column vectors ``(J, 4, 4)`` [m].
     bind: FloatArray
-    up: UpAxis  # up axis of all of it
-    notices: list[Fault]  # what is left out
+    up: UpAxis  # up axis of meshes and strands
+    notices: list[Fault]  # warnings about skipped contents
 
 
 def source_meshes(
@@ -363,7 +365,7 @@ def source_meshes(
 ) -> StageMeshes:
     """Return the meshes of the character that a USD file is read as.
 
-    placement: as `animtool.usd.takes.read.read_usd` has it.
+    ``placement`` is as in `animtool.usd.takes.read.read_usd`.
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
@@ -374,8 +376,8 @@ def source_meshes(
         where = local_placement(skeletons[0].GetPrim(), rig.rig)
         at_rest = where.sized if placement == DROP else where.rest
         meshes = _meshes(skeletons[0], rig, path, at_rest)
-        left = unskinned_notice(skeletons[0], str(path), placement)
-        return replace(meshes, notices=meshes.notices + left)
+        unskinned = unskinned_notice(skeletons[0], str(path), placement)
+        return replace(meshes, notices=meshes.notices + unskinned)
 
 
 def target_meshes(target: RigTarget) -> StageMeshes:
@@ -383,8 +385,10 @@ def target_meshes(target: RigTarget) -> StageMeshes:
     with usd_errors(target.path), without_usd_warnings():
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         meshes = _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
-        fresh = [notice for notice in meshes.notices if notice not in target.notices]
-        return replace(meshes, notices=fresh)
+        new_notices = [
+            notice for notice in meshes.notices if notice not in target.notices
+        ]
+        return replace(meshes, notices=new_notices)
 
 
 def _meshes(
@@ -398,14 +402,14 @@ def _meshes(
     rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
-    spot = PrimLocation.of(path, skeleton)
-    spot.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
+    location = PrimLocation.of(path, skeleton)
+    location.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
     if placement is not None and not placement.is_none:
         rig = placed_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
-        # Joints have no scale for it: it is in their lengths.
+        # Joints cannot store this scale: it is in their lengths.
         bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

@@ -1,6 +1,7 @@
 """Writes mesh prims: skinned rig meshes with blend shapes, bones, and frames.
 
-`author_mesh` says what every mesh is; `doubleSided` and subdivision are stated there.
+`author_mesh` authors what all meshes have in common, such as `doubleSided` and
+subdivision.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ from animtool.usd.layers.sdf import (
     prim,
     relationship,
 )
-from animtool.usd.rigs.skeleton import SCOPE
+from animtool.usd.rigs.skeleton import STRANDS_SCOPE
 
-# Fewer moving vertices than this fraction are written with their indices: an index is a
-# third of an offset.
-SPARSE = 0.75
+# Shapes that move a smaller fraction of the vertices are written with indices: an index
+# takes a third of an offset's space.
+MAX_INDEXED_FRACTION = 0.75
 
-# Of meshes in their order, and of bones; linear.
+# Linear colors of meshes in order, and of bones.
 COLORS = (
     (0.42, 0.45, 0.49),
     (0.49, 0.36, 0.27),
@@ -63,10 +64,10 @@ _METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
 def author_mesh(
     spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", closed: bool
 ) -> None:
-    """Author the constant part of a mesh.
+    """Author the constant attributes of a mesh.
 
-    values: its attributes, in their order; closed: whether it is visible from outside
-    alone.
+    ``values`` are its attributes in order; ``closed`` says whether only its outside is
+    visible.
     """
     author_values(spec, {**values, "subdivisionScheme": subdivision})
     if not closed:
@@ -114,13 +115,15 @@ def mesh_names(
 ) -> tuple[list[str], dict[str, str]]:
     """Return prim paths of meshes, and the original names of renamed ones.
 
-    They are siblings of Skeleton, animation and strands below the SkelRoot.
+    Meshes are siblings of Skeleton, animation and strands below the SkelRoot.
     """
-    taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
-    taken.append(SCOPE)
-    every = [*taken, *(surface.name for surface in surfaces)]
+    used_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
+    used_names.append(STRANDS_SCOPE)
+    every = [*used_names, *(surface.name for surface in surfaces)]
     names = distinct_names(every, every, every)
-    paths_of_meshes = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]
+    paths_of_meshes = [
+        f"{paths.root}/{name}" for name in names.names[len(used_names) :]
+    ]
     renamed = {
         path: surface.name
         for path, surface in zip(paths_of_meshes, surfaces, strict=True)
@@ -140,9 +143,9 @@ def author_meshes(
 ) -> tuple[list[str], list[Fault]]:
     """Write meshes below the SkelRoot; return their paths and notices.
 
-    Weights of a skin are normalised, which a note says (SKIN101).
+    Skin weights are normalised, which a note reports (SKIN101).
 
-    meters_per_unit: unit of the layer [m].
+    ``meters_per_unit`` is the unit of the layer [m].
     """
     notices: list[Fault] = []
     mesh_paths, renamed = mesh_names(surfaces, paths)
@@ -152,7 +155,7 @@ def author_meshes(
         if path in renamed:
             spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
-            _placed(spec, surface.geom_bind, meters_per_unit)
+            _author_transform(spec, surface.geom_bind, meters_per_unit)
         if bound and (surface.skin is not None or surface.shapes):
             apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
@@ -167,13 +170,13 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
     points = surface.points / meters_per_unit
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
     values = {
-        "extent": _narrow(extent, f"{path}.extent"),
+        "extent": _to_float32(extent, f"{path}.extent"),
         "faceVertexCounts": np.ascontiguousarray(surface.counts, np.int32),
         "faceVertexIndices": np.ascontiguousarray(surface.indices, np.int32),
-        "points": _narrow(points, f"{path}.points"),
+        "points": _to_float32(points, f"{path}.points"),
     }
     if surface.normals is not None:
-        values["normals"] = _narrow(surface.normals, f"{path}.normals")
+        values["normals"] = _to_float32(surface.normals, f"{path}.normals")
     author_mesh(
         spec,
         values,
@@ -194,7 +197,7 @@ def _color(spec: Any, color: tuple[float, float, float]) -> None:
     )
 
 
-def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
+def _author_transform(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
     """Author the transform of a mesh without skin."""
     matrix = _matrix(transform, meters_per_unit)
     attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
@@ -208,13 +211,13 @@ def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     return Gf.Matrix4d(*rows.ravel().tolist())
 
 
-def _narrow(values: FloatArray, where: str) -> Float32Array:
+def _to_float32(values: FloatArray, where: str) -> Float32Array:
     labels = Labels(where, "point")
     return np.ascontiguousarray(narrowed(values, "f", labels))
 
 
 def _vec3f(values: FloatArray, where: str) -> Any:
-    return Vt.Vec3fArray.FromNumpy(_narrow(values, where))
+    return Vt.Vec3fArray.FromNumpy(_to_float32(values, where))
 
 
 def _skin(
@@ -232,10 +235,10 @@ def _skin(
     if (surface.geom_bind != np.eye(4)).any():
         bind = _matrix(surface.geom_bind, meters_per_unit)
         attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
-    flat = np.ascontiguousarray(indices.ravel(), np.int32)
+    joint_indices = np.ascontiguousarray(indices.ravel(), np.int32)
     shares = np.ascontiguousarray(weights.ravel(), np.float32)
     for name, kind, values in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(flat)),
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
     ):
         attr = attribute(
@@ -252,9 +255,12 @@ def _skin(
 def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.first)
-    within = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
-    joints, weights = np.zeros(within.shape, np.int64), np.zeros(within.shape)
-    joints[within], weights[within] = influences.joints, influences.weights
+    is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
+    joints, weights = (
+        np.zeros(is_influence.shape, np.int64),
+        np.zeros(is_influence.shape),
+    )
+    joints[is_influence], weights[is_influence] = influences.joints, influences.weights
     return joints, weights
 
 
@@ -286,14 +292,18 @@ def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> 
 
 
 def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
-    parts = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
+    delta_arrays = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
     normal_offsets = [shape.normals, *(step.normals for step in shape.inbetweens)]
-    offsets = [part for part in [*parts, *normal_offsets] if part is not None]
-    moves = np.any([part.any(axis=1) for part in offsets], axis=0)
+    offsets = [
+        offset_array
+        for offset_array in [*delta_arrays, *normal_offsets]
+        if offset_array is not None
+    ]
+    is_moved = np.any([offset_array.any(axis=1) for offset_array in offsets], axis=0)
     vertices, rows = shape.vertices, slice(None)
-    if vertices is None and moves.mean() < SPARSE:
-        vertices = np.flatnonzero(moves)
-        rows = moves
+    if vertices is None and is_moved.mean() < MAX_INDEXED_FRACTION:
+        vertices = np.flatnonzero(is_moved)
+        rows = is_moved
     attribute(
         spec,
         "offsets",
@@ -323,11 +333,11 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
             )
 
 
-# A bone is an octahedron, widest a fifth of the way along.
-WAIST = 0.2
+# A bone is an octahedron, widest at a fifth of its length.
+WAIST_POSITION = 0.2
 HALF_WIDTH = 0.08
-# Gap at either end, of the length: tools would merge points that bones share.
-GAP = 0.005
+# Gap at either end, relative to the length: tools would merge points shared by bones.
+END_GAP = 0.005
 
 _FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
 
@@ -335,8 +345,8 @@ _FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (
 def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
     """Return bones at rest: ends ``(B, 2, 3)`` [m], world, and the joint of each.
 
-    One bone leads from a joint to each of its children and each of its tips;
-    those without length are left out.
+    A bone connects a joint to each of its children and each of its tips; bones of zero
+    length are left out.
     """
     world = rest_world(rig)
     ends, joints = [], []
@@ -345,8 +355,10 @@ def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
             ends.append((world.positions[0, joint.parent], world.positions[0, i]))
             joints.append(joint.parent)
         for tip in joint.tips:
-            here = world.positions[0, i]
-            ends.append((here, here + world.linear[0, i] @ np.asarray(tip)))
+            joint_position = world.positions[0, i]
+            ends.append(
+                (joint_position, joint_position + world.linear[0, i] @ np.asarray(tip))
+            )
             joints.append(i)
     segments = np.array(ends, np.float64).reshape(-1, 2, 3)
     owners = np.array(joints, np.int64)
@@ -364,7 +376,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     if not len(segments):
         return False
     corners, outwards = _octahedra(segments / meters_per_unit)
-    points = _narrow(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
+    points = _to_float32(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
     faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
     spec = prim(layer, f"{paths.root}/Bones", "Mesh")
     apply_schemas(spec, ["SkelBindingAPI"])
@@ -377,15 +389,15 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     }
     author_mesh(spec, values, closed=True)
     _color(spec, BONE_COLOR)
-    # Tools that read the rig again tell it from the meshes of the rig.
+    # Marks the mesh, so that readers can tell it from the meshes of the rig.
     spec.SetInfo("customData", {"animtool": {"bones": True}})
-    skinned = np.repeat(owners, 6).astype(np.int32)
+    joint_indices_ = np.repeat(owners, 6).astype(np.int32)
     for name, kind, value in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(skinned)),
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices_)),
         (
             "jointWeights",
             _TYPES.FloatArray,
-            Vt.FloatArray.FromNumpy(np.ones(len(skinned), np.float32)),
+            Vt.FloatArray.FromNumpy(np.ones(len(joint_indices_), np.float32)),
         ),
     ):
         attr = attribute(
@@ -403,20 +415,23 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Both are ``(B, 6, 3)``.
     """
-    along = segments[:, 1] - segments[:, 0]
-    head, tail = segments[:, 0] + GAP * along, segments[:, 1] - GAP * along
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    direction = along / length
-    # The axis that the bone is least along gives a side that is never degenerate.
-    other = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
-    side = np.cross(direction, other)
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    front = np.cross(direction, side)
-    waist = head + WAIST * along
+    directions = segments[:, 1] - segments[:, 0]
+    head, tail = (
+        segments[:, 0] + END_GAP * directions,
+        segments[:, 1] - END_GAP * directions,
+    )
+    length = np.linalg.norm(directions, axis=-1, keepdims=True)
+    direction = directions / length
+    # The coordinate axis least along the bone gives a side that is never degenerate.
+    least_axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    side_axis = np.cross(direction, least_axis)
+    side_axis /= np.linalg.norm(side_axis, axis=-1, keepdims=True)
+    front_axis = np.cross(direction, side_axis)
+    waist = head + WAIST_POSITION * directions
     width = HALF_WIDTH * length
-    around = [side, front, -side, -front]
-    ring = [waist + width * v for v in around]
+    corner_axes = [side_axis, front_axis, -side_axis, -front_axis]
+    waist_points = [waist + width * v for v in corner_axes]
     return (
-        np.stack([head, *ring, tail], axis=1),
-        np.stack([-direction, *around, direction], axis=1),
+        np.stack([head, *waist_points, tail], axis=1),
+        np.stack([-direction, *corner_axes, direction], axis=1),
     )

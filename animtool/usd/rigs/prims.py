@@ -24,8 +24,8 @@ from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
-    LARGEST_METADATA,
-    SMALLEST_METADATA,
+    MAX_METADATA,
+    MIN_METADATA,
     PrimLocation,
     joint_order,
     units_and_axis,
@@ -33,14 +33,14 @@ from animtool.usd.layers.faults import (
 from animtool.usd.layers.sdf import check_prim_path, find_layer
 from animtool.usd.rigs.rest_pose import readable_rest
 
-# Whose names are compared with one that there is not.
+# Maximum prims whose names are compared with an unknown one.
 MAX_COMPARED = 20_000
 
 
 def array_value(attr: Any, time: Any = None) -> Any:
     """Return an attribute's array; empty if it has none.
 
-    Without a time, that is the default, else the first sample.
+    Without a time, returns the default, else the first sample.
     """
     value = attr.Get() if time is None else attr.Get(time)
     if value is None and time is None:
@@ -54,12 +54,12 @@ def array_of(value: Any) -> Any:
 
 
 def numbers(attr: Any, width: int, time: Any = None) -> FloatArray:
-    """Return an attribute's rows ``(N, width)``; none for another type."""
+    """Return an attribute's rows ``(N, width)``; empty for another type."""
     return numbers_of(array_value(attr, time), width)
 
 
 def numbers_of(value: Any, width: int) -> FloatArray:
-    """Return the rows of an array ``(N, width)``; none for another type."""
+    """Return the rows of an array ``(N, width)``; empty for another type."""
     value = array_of(value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
@@ -68,7 +68,7 @@ def numbers_of(value: Any, width: int) -> FloatArray:
 
 
 def integers(attr: Any, time: Any = None) -> IntArray:
-    """Return an attribute's integers ``(N,)``; none for another type."""
+    """Return an attribute's integers ``(N,)``; empty for another type."""
     numbers = np.array(array_value(attr, time))
     if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
         return np.zeros(0, np.int64)
@@ -76,23 +76,23 @@ def integers(attr: Any, time: Any = None) -> IntArray:
 
 
 def stored_data(prim: Any) -> dict[str, Any]:
-    """Return ``animtool`` of a prim's customData, if it is a dictionary."""
+    """Return the ``animtool`` dictionary of a prim's customData, else an empty one."""
     data = prim.GetCustomDataByKey("animtool")
     return data if isinstance(data, dict) else {}
 
 
 _CONTROL = re.compile(f"[{CONTROL}]")
 # Rest transforms are float32.
-LARGEST_REST = float(np.finfo(np.float32).max)
+MAX_REST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, slots=True)
 class SkeletonRig:
     """A rig read from a Skeleton prim."""
 
-    rig: Rig  # its joints, named by the last part of their path
-    tokens: list[str]  # their paths as the prim has them
-    rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
+    rig: Rig  # joints named by the last component of their paths
+    tokens: list[str]  # joint paths on the prim
+    rest_scales: FloatArray  # scales of the rest transforms ``(J, 3)``
     notices: tuple[Fault, ...] = ()  # warnings and notes on the prim
 
 
@@ -106,13 +106,13 @@ def open_stage(path: Path) -> Any:
 def _check_metadata(stage: Any, where: PrimLocation) -> None:
     """Refuse metadata that make the numbers of a stage unreadable."""
     rate = stage.GetTimeCodesPerSecond()
-    if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
+    if not MIN_METADATA <= rate <= MAX_METADATA:
         where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
     for name, code in (
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
-        if not abs(code) <= LARGEST_METADATA:
+        if not abs(code) <= MAX_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     where.refuse(units_and_axis(stage))
 
@@ -127,8 +127,8 @@ def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim with the most similar path."""
     all_of_them = islice(stage.Traverse(), MAX_COMPARED)
     names = [str(prim.GetPath()) for prim in all_of_them]
-    near = similar(name, names)
-    return f"did you mean {near}?" if near else None
+    similar_path = similar(name, names)
+    return f"did you mean {similar_path}?" if similar_path else None
 
 
 def upwards(prim: Any) -> Iterator[Any]:
@@ -144,12 +144,12 @@ def placing_times(prim: Any) -> set[float]:
     return {time for xformable in xformables for time in xformable.GetTimeSamples()}
 
 
-def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
+def find_skeletons(stage: Any, root_path: str = "/") -> list[Any]:
     """Return the Skeleton prims of a stage, including instance proxies."""
-    start = stage.GetPrimAtPath(below)
-    if not start:
+    root_prim = stage.GetPrimAtPath(root_path)
+    if not root_prim:
         return []
-    prims = Usd.PrimRange(start, Usd.TraverseInstanceProxies())
+    prims = Usd.PrimRange(root_prim, Usd.TraverseInstanceProxies())
     return [UsdSkel.Skeleton(p) for p in prims if p.IsA(UsdSkel.Skeleton)]
 
 
@@ -168,7 +168,7 @@ def animation_source(skeleton: Any) -> Any:
 def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Split row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
 
-    A mirror becomes a negative scale on all three axes. Shear is left out.
+    A mirror becomes a negative scale on all three axes. Shear is dropped.
     """
     rotations, scales = so3.split_scale(matrices[..., :3, :3].swapaxes(-1, -2))
     return matrices[..., 3, :3], rotations, scales
@@ -179,7 +179,7 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
 
     A character of blend shapes alone has no joints.
 
-    animated: whether it is posed by what is bound to it, as it is not under a layer.
+    ``animated`` says whether its bound animation poses it, unlike below a layer.
     """
     stage = skeleton.GetPrim().GetStage()
     where = PrimLocation.of(path, skeleton)
@@ -188,18 +188,18 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     if tokens:
         rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
     data = stored_data(skeleton.GetPrim())
-    # Files by animtool have stored names.
-    named = () if data else array_value(skeleton.GetJointNamesAttr())
+    # Files written by animtool store the names.
+    joint_names = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
     transform_attrs = (
         skeleton.GetRestTransformsAttr(),
         skeleton.GetBindTransformsAttr(),
     )
-    authored = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
-    meters, up = _stated_units((authored or transform_attrs)[0], stage)
+    authored_attrs = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
+    meters, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
     rig = rig_from_tokens(
-        tokens, rest, name, where, meters, up, data, [str(name) for name in named]
+        tokens, rest, name, where, meters, up, data, [str(name) for name in joint_names]
     )
     return replace(rig, notices=tuple(notices))
 
@@ -218,12 +218,12 @@ def rig_from_tokens(
     meters_per_unit: float,
     up: UpAxis,
     data: dict[str, Any],
-    named: Sequence[str] = (),
+    source_names: Sequence[str] = (),
 ) -> SkeletonRig:
     """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
 
-    Joints are called as their paths end. Their names in the source are those of
-    ``data``, else ``named``, the Skeleton's ``jointNames``, where these are usable.
+    Joints have the last component of their paths as names. Their source names are those
+    of ``data``, else ``source_names``, the Skeleton's ``jointNames``, if valid.
     """
     index = {token: i for i, token in enumerate(tokens)}
     where.refuse(joint_order(f"{where.where}.joints", tokens))
@@ -231,9 +231,11 @@ def rig_from_tokens(
         isinstance(data.get(key, {}), dict) for key in ("names", "pins")
     ):
         where.fail("USD007", "customData animtool is malformed")
-    extras = _extras(data, where)
+    extras = _stored_extras(data, where)
     originals = dict(data.get("names", {}))
-    names = named if _are_names(named, len(tokens)) else [""] * len(tokens)
+    names = (
+        source_names if _are_names(source_names, len(tokens)) else [""] * len(tokens)
+    )
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
     uniques = distinct(token.rpartition("/")[2] for token in tokens)
@@ -262,17 +264,17 @@ def rig_from_tokens(
     return SkeletonRig(rig, list(tokens), scales)
 
 
-def _are_names(named: Sequence[str], joints: int) -> bool:
+def _are_names(names: Sequence[str], joints: int) -> bool:
     """Return whether there is a valid source name for each joint."""
-    plain = all(name.strip() and name.isprintable() for name in named)
-    return plain and len(set(named)) == len(named) == joints
+    is_printable = all(name.strip() and name.isprintable() for name in names)
+    return is_printable and len(set(names)) == len(names) == joints
 
 
-def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
+def _source_name(original: Any, joint_name: str, leaf: str, unique: str) -> str:
     """Return the original name of a joint; empty if unchanged."""
     if original is not None:
         return str(original)
-    name = named or leaf
+    name = joint_name or leaf
     return "" if name == unique else name
 
 
@@ -284,7 +286,9 @@ def _parent(token: str, index: dict[str, int]) -> int:
     return -1
 
 
-def _extras(data: dict[str, Any], where: PrimLocation) -> dict[str, dict[str, Any]]:
+def _stored_extras(
+    data: dict[str, Any], where: PrimLocation
+) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
     if not text:
         return {}
@@ -304,8 +308,8 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
     channels, tips = entry.get("channels"), entry.get("tips", ())
     if channels is not None:
         channels = tuple(channels)
-        known = [name for name in CHANNEL_NAMES if name in channels]
-        if len(known) != len(channels):
+        known_channels = [name for name in CHANNEL_NAMES if name in channels]
+        if len(known_channels) != len(channels):
             raise ValueError(f"channels must be among {', '.join(CHANNEL_NAMES)}")
     points = [(float(x), float(y), float(z)) for x, y, z in tips]
     if not all(map(math.isfinite, sum(points, ()))):
@@ -313,11 +317,11 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
     return {"channels": channels, "tips": tuple(points)}
 
 
-def _stated_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
+def _authored_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
     """Return unit [m] and up axis of the layer that authors an attribute.
 
-    A shot in metres may refer to a rig in centimetres: the numbers of the rig, and
-    of an animation for it, are centimetres all the same.
+    A shot in metres may reference a rig in centimetres: the numbers of the rig, and of
+    an animation for it, are still in centimetres.
     """
     meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     stack = attr.GetPropertyStack(Usd.TimeCode.Default())
@@ -358,11 +362,10 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
 def others_notice(
     skeletons: list[Any], where: str, hint: str | None = None
 ) -> list[Fault]:
-    """Report the characters that are skipped where there are several."""
+    """Report the characters that are skipped if there are several."""
     if len(skeletons) < 2:
         return []
-    taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
-    message = (
-        f"reading {taken} of {len(skeletons)} skeletons; the others: {listed(others)}"
-    )
+    first_path, *other_paths = [str(skeleton.GetPath()) for skeleton in skeletons]
+    message = f"reading {first_path} of {len(skeletons)} skeletons; the others: "
+    message += listed(other_paths)
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]

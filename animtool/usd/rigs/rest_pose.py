@@ -1,7 +1,7 @@
-"""The rest pose of a Skeleton, and its replacement where none is authored.
+"""The rest pose of a Skeleton, and its replacement if none is authored.
 
 UsdSkel poses a Skeleton without restTransforms by an animation of all its joints, and
-not at all by one that lacks some.
+does not pose it by one that lacks some.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ MAX_NAMED = 6
 class RestPose:
     """Rest transforms of a Skeleton's joints."""
 
-    matrices: FloatArray  # relative to the parents, as USD has them ``(J, 4, 4)``
-    source: str = ""  # what they are taken from; empty where they are authored
+    matrices: FloatArray  # relative to the parents, row vectors ``(J, 4, 4)``
+    source: str = ""  # replacement that they come from; empty if authored
 
 
 def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     """Return the rest pose of a Skeleton, authored if possible.
 
-    Else it is the bind pose; without one, the first sample of a bound animation of all
-    joints. None where there is neither.
+    Otherwise the bind pose, or the first sample of a bound animation of all joints.
+    None if there is neither.
     """
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):
@@ -51,15 +51,19 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     bind = relative_bind(skeleton, joints)
     if bind is not None:
         return RestPose(bind, "the bind pose")
-    first = _first_sample(_animation(skeleton), joints)
-    return None if first is None else RestPose(first, "the animation's first sample")
+    first_pose = _first_sample(_animation(skeleton), joints)
+    return (
+        None
+        if first_pose is None
+        else RestPose(first_pose, "the animation's first sample")
+    )
 
 
 def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
     """Return the bind transforms relative to their parents ``(J, 4, 4)``.
 
-    None where they are of another number, not finite or without an inverse, or
-    identities of several joints, which are placeholders.
+    None if their number is wrong, they are not finite or singular, or identities of
+    several joints, which are placeholders.
     """
     bind = matrix_array(skeleton.GetBindTransformsAttr())
     if len(bind) != len(joints) or not np.isfinite(bind).all():
@@ -78,7 +82,7 @@ def rest_transforms(
 ) -> Iterator[Fault]:
     """Yield faults of the rest transforms of a Skeleton with joints.
 
-    animated: whether what it is bound to counts, as it does not for a layer over it.
+    ``animated`` says whether its bound animation applies, unlike below a layer.
     """
     attr = skeleton.GetRestTransformsAttr()
     rest = matrix_array(attr)
@@ -96,10 +100,10 @@ def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
     """Return the fault of missing rest transforms: a warning if replaced."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
-    lacking = _lacking(_animation(skeleton), joints) if animated else []
-    if lacking:
-        message += f", and the animation does not have {len(lacking)} of them: "
-        message += f"{listed(lacking, MAX_NAMED)}; UsdSkel poses none"
+    unanimated = _unanimated_joints(_animation(skeleton), joints) if animated else []
+    if unanimated:
+        message += f", and the animation does not have {len(unanimated)} of them: "
+        message += f"{listed(unanimated, MAX_NAMED)}; UsdSkel poses none"
         return finding("USD239", where, message)
     pose = rest_pose(skeleton, joints)
     if pose is None:
@@ -115,16 +119,17 @@ def readable_rest(
 ) -> tuple[FloatArray, list[Fault]]:
     """Return rest transforms ``(J, 4, 4)``, and a warning if they are replaced.
 
-    What no reader can go on with is raised.
+    Faults that readers cannot accept are raised.
     """
     faults = list(rest_transforms(skeleton, joints, animated=animated))
-    replaced = [fault for fault in faults if fault.code == "USD229"]
-    where.refuse(fault for fault in faults if fault not in replaced)
+    replacement_faults = [fault for fault in faults if fault.code == "USD229"]
+    where.refuse(fault for fault in faults if fault not in replacement_faults)
     pose = rest_pose(skeleton, joints)
     matrices = np.zeros((0, 4, 4)) if pose is None else pose.matrices
     warning = Severity.WARNING
     return matrices, [
-        replace(fault, path=where.path, severity=warning) for fault in replaced
+        replace(fault, path=where.path, severity=warning)
+        for fault in replacement_faults
     ]
 
 
@@ -135,36 +140,36 @@ def _animation(skeleton: Any) -> Any:
     return UsdSkel.Animation(source) if source else None
 
 
-def _lacking(animation: Any, joints: Sequence[str]) -> list[str]:
+def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
     """Return the joints missing from an animation that has joints."""
     if animation is None:
         return []
-    moved = set(tokens(animation.GetJointsAttr()))
-    parts = transform_attributes(animation).values()
-    if not moved or not all(attr.HasAuthoredValue() for attr in parts):
+    animated = set(tokens(animation.GetJointsAttr()))
+    attributes = transform_attributes(animation).values()
+    if not animated or not all(attr.HasAuthoredValue() for attr in attributes):
         return []
-    return [joint for joint in joints if joint not in moved]
+    return [joint for joint in joints if joint not in animated]
 
 
 def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:
-    """Return the first pose of an animation of all joints, as USD's matrices."""
-    if animation is None or _lacking(animation, joints):
+    """Return the first pose of an animation of all joints, as USD matrices."""
+    if animation is None or _unanimated_joints(animation, joints):
         return None
     index = {name: i for i, name in enumerate(tokens(animation.GetJointsAttr()))}
-    first = Usd.TimeCode.EarliestTime()
-    parts = []
+    first_code = Usd.TimeCode.EarliestTime()
+    components = []
     for attr, width in zip(
         transform_attributes(animation).values(), (3, 4, 3), strict=True
     ):
-        rows = np.array(attr.Get(first) or (), np.float64)
+        rows = np.array(attr.Get(first_code) or (), np.float64)
         if rows.shape != (len(index), width) or not np.isfinite(rows).all():
             return None
-        parts.append(rows[[index[joint] for joint in joints]])
-    moves, rotations, sizes = parts
+        components.append(rows[[index[joint] for joint in joints]])
+    translations, rotations, scales = components
     if not np.linalg.norm(rotations, axis=1).all():
         return None
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     linear = so3.to_matrix(so3.normalize(rotations)).swapaxes(-1, -2)
-    matrices[:, :3, :3] = sizes[:, :, None] * linear
-    matrices[:, 3, :3] = moves
+    matrices[:, :3, :3] = scales[:, :, None] * linear
+    matrices[:, 3, :3] = translations
     return matrices

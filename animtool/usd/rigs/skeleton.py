@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 KEY = "stands"
 
 
-def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
+def rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
     """Return the record of a rig's rest placement; empty if it has none.
 
-    resting: the rig whose rest pose the file has; None is the same. If that one is
-    placed, a take without placement is recorded as such.
+    ``rest_pose_rig`` is the rig with the file's rest pose; None is the same rig. If
+    that one is placed, a take without placement is recorded as such.
     """
-    others = (rig,) if resting is None else (rig, resting)
-    if all(one.stands is None and not one.rides for one in others):
+    rigs = (rig,) if rest_pose_rig is None else (rig, rest_pose_rig)
+    if all(rig_.stands is None and not rig_.rides for rig_ in rigs):
         return {}
-    stands = rig.stands or Placement.from_rotation(so3.IDENTITY)
+    placement_ = rig.stands or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
-        "translate": Gf.Vec3d(*stands.translations[0].tolist()),
-        "rotate": quaternion(stands.rotations[0]),
+        "translate": Gf.Vec3d(*placement_.translations[0].tolist()),
+        "rotate": quaternion(placement_.rotations[0]),
     }
     return record | ({"rides": True} if rig.rides else {})
 
@@ -61,24 +61,33 @@ def with_recorded_rest(
 ) -> Rig:
     """Return a rig with the rest placement recorded in its motion file.
 
-    skeleton: the prim of its rest pose; None is none; animation: that of its motion;
-    None is the rest pose.
+    Args:
+        rig: The rig.
+        skeleton: Prim with the rest pose; None for none.
+        animation: Prim with the motion; None is the rest pose.
+        where: Location for faults.
     """
-    resting = None if skeleton is None else _recorded(skeleton, where)
-    moving = resting if animation is None else _recorded(animation, where)
-    if moving is None:
+    rest_placement = None if skeleton is None else _recorded(skeleton, where)
+    motion_placement = (
+        rest_placement if animation is None else _recorded(animation, where)
+    )
+    if motion_placement is None:
         return rig
-    stands, rides = moving
-    if skeleton is not None and resting is not moving:
-        # The rest pose belongs to another take of a library, or is not placed.
-        back = stands if resting is None else stands.after(resting[0].inverse())
-        rig = placed_rig(rig, back)
+    stands, rides = motion_placement
+    if skeleton is not None and rest_placement is not motion_placement:
+        # The rest pose belongs to another take of a library, or has no placement.
+        relative_placement = (
+            stands
+            if rest_placement is None
+            else stands.after(rest_placement[0].inverse())
+        )
+        rig = placed_rig(rig, relative_placement)
     return replace(rig, stands=None if stands.is_none else stands, rides=rides)
 
 
 def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
     """Return the recorded placement of a prim, and whether it moves; None if absent."""
-    # What writes needs nothing of stages.
+    # Writing does not need stages.
     from animtool.usd.rigs.prims import stored_data
 
     record = stored_data(prim).get(KEY)
@@ -101,10 +110,10 @@ def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
 
 _TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
-# Below the SkelRoot, what holds the curves.
-SCOPE = "Strands"
+# Scope of the curves below the SkelRoot.
+STRANDS_SCOPE = "Strands"
 # Width of drawn curves [m]: rig files do not define it.
-WIDTH = 4e-4
+STRAND_WIDTH = 4e-4
 
 
 def author_rig(
@@ -125,11 +134,11 @@ def author_rig(
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
-        named = dict(zip(rig.names, map(str, tokens), strict=True))
-        author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
+        paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
+        author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
     data: dict[str, Any] = {}
     if has_extra_data(rig):
-        data["rig"] = rig_text(stripped(rig))
+        data["rig"] = rig_text(without_arrays(rig))
         if pins := _pins(rig):
             data["pins"] = pins
         data["hash"] = skeleton_hash(tokens, rest, bind)
@@ -146,10 +155,10 @@ def author_rig(
 def has_extra_data(rig: Rig) -> bool:
     """Return whether a rig contains data that USD cannot express.
 
-    Types of joints with channels follow from these, which are stored separately.
+    Types of joints with channels follow from the channels, which are stored separately.
     """
-    parts = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
-    return any(map(bool, parts)) or any(
+    extras = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
+    return any(map(bool, extras)) or any(
         (joint.type is not JointType.FREE and joint.channels is None)
         or joint.limits is not None
         or joint.mimic is not None
@@ -158,8 +167,8 @@ def has_extra_data(rig: Rig) -> bool:
     )
 
 
-def stripped(rig: Rig) -> Rig:
-    """Return a rig without the arrays that USD holds."""
+def without_arrays(rig: Rig) -> Rig:
+    """Return a rig without the arrays that USD stores."""
     shapes = tuple(
         Shape(shape.name, combine=shape.combine, driven=shape.driven)
         for shape in rig.shapes
@@ -204,7 +213,7 @@ def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
 def joint_extras(rig: Rig, names: list[str]) -> str:
     """Return joint data that USD cannot express, as canonical JSON; else empty.
 
-    Channel orders and the ends of bones [m], by USD name.
+    Channel orders and tips [m], by USD joint name.
     """
     joints: dict[str, dict[str, object]] = {}
     for joint, name in zip(rig.joints, names, strict=True):
@@ -236,10 +245,10 @@ def author_binding(
 
 
 def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
-    """Return paths of the strands' prims."""
+    """Return the prim paths of strands."""
     source_names = [entry.name for entry in strands]
     names = distinct_names(source_names, source_names, source_names).names
-    return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
+    return tuple(f"{paths.root}/{STRANDS_SCOPE}/{name}" for name in names)
 
 
 def author_strands(
@@ -254,36 +263,36 @@ def author_strands(
     """Write strands as linear curves below the SkelRoot, each bound to its joint."""
     if not strands:
         return
-    prim(layer, f"{paths.root}/{SCOPE}", "Scope")
+    prim(layer, f"{paths.root}/{STRANDS_SCOPE}", "Scope")
     for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
         spec = prim(layer, path, "BasisCurves")
         if Sdf.Path(path).name != entry.name:
             spec.SetInfo("customData", {"animtool": {"name": entry.name}})
-        _curves(spec, entry.points / meters_per_unit, WIDTH / meters_per_unit)
+        _curves(spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit)
         if bound:
-            _bound(spec, tokens[entry.joint])
+            _bind_to_joint(spec, tokens[entry.joint])
 
 
 def _curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
 
-    from animtool.usd.caches.writer import LINEAR, author_values, author_width
+    from animtool.usd.caches.writer import POLYLINE, author_values, author_width
 
     count, length = points.shape[:2]
     labels = Labels(f"{spec.path}.points", "point")
-    flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
-    curve_points, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
+    points_array = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
+    curve_points, widths = Vt.Vec3fArray.FromNumpy(points_array), Vt.FloatArray([width])
     values = {
         "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
-        **LINEAR,
+        **POLYLINE,
         "curveVertexCounts": np.full(count, length, np.int32),
-        "points": flat,
+        "points": points_array,
     }
     author_values(spec, values)
     author_width(spec, width)
 
 
-def _bound(spec: Any, token: str) -> None:
+def _bind_to_joint(spec: Any, token: str) -> None:
     """Bind a prim rigidly to one joint."""
     apply_schemas(spec, ["SkelBindingAPI"])
     joints = Vt.TokenArray([token])

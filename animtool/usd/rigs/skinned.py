@@ -29,7 +29,7 @@ def is_bones(prim: Any) -> bool:
 
 
 def is_shown_mesh(prim: Any) -> bool:
-    """Return whether a prim is a visible mesh: no guide, no bones."""
+    """Return whether a prim is a visible mesh, not a guide or bones."""
     return bool(
         prim.IsA(UsdGeom.Mesh)
         and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
@@ -54,7 +54,7 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
     ]
 
 
-# What binds a prim to a Skeleton, and its values to joints and shapes.
+# Attributes that bind a prim's points to joints and shapes.
 _BINDING = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
@@ -63,17 +63,17 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
-    below = Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
-    unbound = [
+    descendants = Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
+    unbound_paths = [
         str(prim.GetPath())
-        for prim in below
+        for prim in descendants
         if prim.IsA(UsdGeom.Gprim)
         and not prim.HasAPI(UsdSkel.BindingAPI)
         and any(prim.HasProperty(name) for name in _BINDING)
     ]
-    if not unbound:
+    if not unbound_paths:
         return []
-    message = f"SkelBindingAPI is not applied to {listed(unbound, MAX_NAMED)}"
+    message = f"SkelBindingAPI is not applied to {listed(unbound_paths, MAX_NAMED)}"
     message += ", which no joint or shape deforms"
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
@@ -81,8 +81,12 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
 def ignored_binding(skeleton: Any) -> str:
     """Return the prim whose binding UsdSkel ignores for lack of its schema, or None."""
     for prim in upwards(skeleton):
-        bound = prim.GetRelationship("skel:animationSource")
-        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
+        relationship = prim.GetRelationship("skel:animationSource")
+        if (
+            relationship
+            and relationship.GetTargets()
+            and not prim.HasAPI(UsdSkel.BindingAPI)
+        ):
             return str(prim.GetPath())
     return ""
 
@@ -98,18 +102,21 @@ def prim_name(prim: Any) -> str:
     return str(data.get("name", prim.GetName()))
 
 
-def unique_name(name: str, used: set[str]) -> str:
-    """Return a name, numbered if already used; it counts as used from then on."""
+def unique_name(name: str, used_names: set[str]) -> str:
+    """Return a name, numbered if already used, and add it to the used names."""
     unique, number = name, 2
-    while unique in used:
+    while unique in used_names:
         unique, number = f"{name}_{number}", number + 1
-    used.add(unique)
+    used_names.add(unique)
     return unique
 
 
 def floats(attr: Any, width: int, at: PrimLocation, code: str = "USD017") -> FloatArray:
-    """Return the rows of an attribute ``(N, width)``; ``code``: of one not finite."""
-    # Points that are sampled only are those of the first sample.
+    """Return the rows of an attribute ``(N, width)``.
+
+    ``code`` is that of the fault for non-finite rows.
+    """
+    # Points without a default are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} contain a value that is not finite"
@@ -130,9 +137,9 @@ def joint_names(query: Any, rig: SkeletonRig, at: PrimLocation) -> tuple[str, ..
 
 
 def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
-    """Return the world transforms of a stage's first skeleton, by UsdSkel.
+    """Return the world transforms of a stage's first skeleton, posed by UsdSkel.
 
-    codes: time codes, between samples too ``(F,)``.
+    ``codes`` are the time codes, also between samples ``(F,)``.
     """
     stage = Usd.Stage.Open(str(path))
     prim = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
@@ -142,14 +149,14 @@ def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
     query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
     joints = len(query.GetJointOrder())
     local = np.zeros((len(codes), joints, 4, 4))
-    placed = np.zeros((len(codes), 1, 4, 4))
+    matrices = np.zeros((len(codes), 1, 4, 4))
     # UsdSkel evaluates one time at a time.
     for i, code in enumerate(codes.tolist()):
-        when = Usd.TimeCode(code)
-        local[i] = query.ComputeJointSkelTransforms(when)
-        placed[i] = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(when)
+        time_code = Usd.TimeCode(code)
+        local[i] = query.ComputeJointSkelTransforms(time_code)
+        matrices[i] = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time_code)
     # Rows of USD's matrices are columns of ours.
-    world = np.swapaxes(local @ placed, -1, -2)
+    world = np.swapaxes(local @ matrices, -1, -2)
     positions = world[..., :3, 3] * UsdGeom.GetStageMetersPerUnit(stage)
     return WorldTransforms(
         np.ascontiguousarray(positions), np.ascontiguousarray(world[..., :3, :3])
@@ -162,7 +169,7 @@ MAX_NAMED = 40
 def character_paths(stage: Any) -> list[str]:
     """Return the root prims of the characters of a stage.
 
-    Of each Skeleton that is the component it is part of, else its SkelRoot.
+    For each Skeleton this is its component, or its SkelRoot without one.
     """
     paths = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
     return list(dict.fromkeys(paths))
@@ -170,27 +177,27 @@ def character_paths(stage: Any) -> list[str]:
 
 def _character(skeleton: Any) -> str:
     root = UsdSkel.Root.Find(skeleton)
-    top = root.GetPrim() if root else skeleton
-    for prim in upwards(top):
+    top_prim = root.GetPrim() if root else skeleton
+    for prim in upwards(top_prim):
         if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
             return str(prim.GetPath())
-    return str(top.GetPath())
+    return str(top_prim.GetPath())
 
 
 def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     """Return whether a stage has a character at a path, or could place one there.
 
-    A rig alone has one character, at the top, and nothing where the path begins: a
-    shot will have it at the path. Any other stage is the shot itself, in which the
-    path must be that of a character.
+    A rig layer has one character at the top, and no prim at the start of the path: a
+    shot will place it at the path. Any other stage is the shot itself, and needs a
+    character at the path.
     """
     if find_skeletons(stage, prim_path):
         return True
     characters = character_paths(stage)
     if not characters or _is_rig_alone(stage, prim_path, characters):
         return False
-    there = listed(characters, MAX_NAMED)
-    message = f"has no character at {prim_path}, but at {there}"
+    existing = listed(characters, MAX_NAMED)
+    message = f"has no character at {prim_path}, but at {existing}"
     hint = "only a file with a single rig can be given a new path"
     raise OptionError(Fault("USD033", message, where, (), hint))
 
@@ -201,7 +208,7 @@ def _is_rig_alone(stage: Any, prim_path: str, characters: list[str]) -> bool:
     if len(characters) > 1:
         return False
     prim = stage.GetPrimAtPath(characters[0])
-    # A component further down is what a shot, or a set, refers to.
-    below = Sdf.Path(characters[0]).pathElementCount > 1
+    # A component further down is part of a shot or a set.
+    is_nested = Sdf.Path(characters[0]).pathElementCount > 1
     is_model = Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component)
-    return not (below and is_model)
+    return not (is_nested and is_model)

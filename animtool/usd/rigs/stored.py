@@ -25,7 +25,7 @@ from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
 from animtool.usd.rigs.placement import local_placement, rest_rig, uneven_notice
 from animtool.usd.rigs.prims import (
-    LARGEST_REST,
+    MAX_REST,
     SkeletonRig,
     check_moves,
     composition_notices,
@@ -47,17 +47,17 @@ def joined_attachments(
 ) -> tuple[tuple[Attachment, ...], list[str]]:
     """Return a rig's attachments with arrays, and names of dropped ones.
 
-    Strands come from USD; those unknown to the rig are last. Dropped entries have lost
-    their mesh or curves, or the vertices they pin.
+    Strands come from USD; those unknown to the rig are last. Entries are dropped if
+    their mesh or curves, or the vertices they pin, no longer exist.
     """
-    others = dict(strands)
+    unknown_strands = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
     attachments: list[Attachment] = []
-    lost: list[str] = []
+    dropped: list[str] = []
     for entry in rig.attach:
-        if entry.kind == AttachKind.STRANDS and entry.name in others:
-            attachments.append(others.pop(entry.name))
-        elif entry.kind == AttachKind.CLOTH and _fits(entry, counts, pins):
+        if entry.kind == AttachKind.STRANDS and entry.name in unknown_strands:
+            attachments.append(unknown_strands.pop(entry.name))
+        elif entry.kind == AttachKind.CLOTH and _is_valid(entry, counts, pins):
             pin_values = (
                 np.array(pins[entry.name], float) if entry.name in pins else None
             )
@@ -67,17 +67,20 @@ def joined_attachments(
                 )
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
-            lost.append(entry.name)
+            dropped.append(entry.name)
         else:
             attachments.append(entry)
-    used = {entry.name for entry in attachments}
+    used_names = {entry.name for entry in attachments}
     attachments += [
-        replace(entry, name=unique_name(entry.name, used)) for entry in others.values()
+        replace(entry, name=unique_name(entry.name, used_names))
+        for entry in unknown_strands.values()
     ]
-    return tuple(attachments), lost
+    return tuple(attachments), dropped
 
 
-def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) -> bool:
+def _is_valid(
+    entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]
+) -> bool:
     """Return whether a cloth's mesh exists and its pins are valid vertices."""
     indices = np.array(pins.get(entry.name, ()))
     count = counts.get(entry.mesh, 0)
@@ -86,11 +89,11 @@ def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) ->
 
 
 # Rest transforms closer than this [m], [1] differ only by rounding.
-SAME = 1e-9
+REST_TOLERANCE = 1e-9
 
 
 def joined_rig(
-    read: Rig,
+    usd_rig: Rig,
     data: dict[str, Any],
     tokens: list[str],
     rest: Any,
@@ -106,9 +109,9 @@ def joined_rig(
     """
     text = data.get("rig")
     if not text:
-        return read, []
+        return usd_rig, []
     document = document_of(str(text), path)
-    # USD holds what these name.
+    # The referenced arrays are stored in USD.
     document.partial |= {"meshes", "attach"}
     try:
         stored = rig_of_document(document)
@@ -116,23 +119,23 @@ def joined_rig(
         reason = error.faults[0].message
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
-    shapes = _shapes(stored, read)
+    shapes = _shapes(stored, usd_rig)
     joined = replace(
         stored,
-        meshes=read.meshes,
+        meshes=usd_rig.meshes,
         shapes=shapes,
-        meters_per_unit=read.meters_per_unit,
+        meters_per_unit=usd_rig.meters_per_unit,
     )
     notices: list[Fault] = []
     if data.get("hash") != skeleton_hash(tokens, rest, bind):
-        joined, notices = _edited(joined, read, str(path))
-    names = dict(zip(read.names, joined.names, strict=True))
-    meshes = tuple(_renamed(mesh, names) for mesh in joined.meshes)
+        joined, notices = _merged_with_usd(joined, usd_rig, str(path))
+    names = dict(zip(usd_rig.names, joined.names, strict=True))
+    meshes = tuple(_with_joint_names(mesh, names) for mesh in joined.meshes)
     return replace(joined, meshes=meshes), notices
 
 
 def with_attachments(
-    joined: Rig, read: Rig, data: dict[str, Any], path: Path
+    joined: Rig, usd_rig: Rig, data: dict[str, Any], path: Path
 ) -> tuple[Rig, list[Fault]]:
     """Return a joined rig whose cloth and strands have their USD arrays.
 
@@ -140,20 +143,22 @@ def with_attachments(
     """
     if not data.get("rig"):
         return joined, []
-    names = dict(zip(read.names, joined.names, strict=True))
+    names = dict(zip(usd_rig.names, joined.names, strict=True))
     strands = {
         entry.name: replace(entry, joints=tuple(names[name] for name in entry.joints))
-        for entry in read.attach
+        for entry in usd_rig.attach
     }
-    attach, lost = joined_attachments(joined, strands, data.get("pins", {}))
+    attach, dropped = joined_attachments(joined, strands, data.get("pins", {}))
     rig = replace(joined, attach=attach)
-    if not lost:
+    if not dropped:
         return rig, []
-    message = f"attachments whose mesh or curves were removed or edited: {listed(lost)}"
+    message = (
+        f"attachments whose mesh or curves were removed or edited: {listed(dropped)}"
+    )
     return rig, [Fault("USD119", message, str(path), severity=Severity.WARNING)]
 
 
-def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
+def _with_joint_names(mesh: Mesh, names: dict[str, str]) -> Mesh:
     """Return a mesh whose skin uses the rig's joint names."""
     if mesh.skin is None:
         return mesh
@@ -161,10 +166,10 @@ def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
     return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
-def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
+def _shapes(stored: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
     """Return shapes in stored order, with USD's arrays."""
-    by_name = {shape.name: shape for shape in read.shapes}
-    known = {shape.name for shape in stored.shapes}
+    by_name = {shape.name: shape for shape in usd_rig.shapes}
+    stored_names = {shape.name for shape in stored.shapes}
     return (
         *(
             replace(by_name[shape.name], combine=shape.combine, driven=shape.driven)
@@ -172,28 +177,28 @@ def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
             else shape
             for shape in stored.shapes
         ),
-        *(shape for shape in read.shapes if shape.name not in known),
+        *(shape for shape in usd_rig.shapes if shape.name not in stored_names),
     )
 
 
-def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
-    known = {joint.name: joint for joint in stored.joints}
+def _merged_with_usd(stored: Rig, usd_rig: Rig, where: str) -> tuple[Rig, list[Fault]]:
+    stored_joints = {joint.name: joint for joint in stored.joints}
     parents = {
         joint.name: stored.joints[joint.parent].name if joint.parent >= 0 else ""
         for joint in stored.joints
     }
     joints: list[Joint] = []
-    changed: list[str] = []
-    for joint in read.joints:
-        old = known.get(joint.source_name or joint.name)
+    changed_names: list[str] = []
+    for joint in usd_rig.joints:
+        old = stored_joints.get(joint.source_name or joint.name)
         parent = joints[joint.parent].name if joint.parent >= 0 else ""
         if old is None:
-            changed.append(joint.name)
+            changed_names.append(joint.name)
             joints.append(joint)
         elif parents[old.name] == parent and _equal_rest(old, joint):
             joints.append(replace(old, parent=joint.parent))
         else:
-            changed.append(old.name)
+            changed_names.append(old.name)
             joints.append(
                 replace(
                     old,
@@ -202,35 +207,35 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
                     rotation=joint.rotation,
                 )
             )
-    gone = sorted(set(known) - {joint.name for joint in joints})
-    if not changed and not gone and stored.bind == read.bind:
+    gone = sorted(set(stored_joints) - {joint.name for joint in joints})
+    if not changed_names and not gone and stored.bind == usd_rig.bind:
         return stored, []
     message = "the Skeleton was edited after it was written; using the edited one"
-    if changed:
-        message += f"; joints that differ: {listed(changed)}"
+    if changed_names:
+        message += f"; joints that differ: {listed(changed_names)}"
     if gone:
         message += f"; removed: {listed(gone)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)
-    return _without(replace(stored, joints=tuple(joints), bind=read.bind), gone), [
-        notice
-    ]
+    return _without_joints(
+        replace(stored, joints=tuple(joints), bind=usd_rig.bind), gone
+    ), [notice]
 
 
-def _equal_rest(one: Joint, other: Joint) -> bool:
-    offset = np.abs(np.subtract(one.translation, other.translation)).max()
-    along = abs(float(np.dot(one.rotation, other.rotation)))
-    return bool(offset <= SAME and along >= 1 - SAME)
+def _equal_rest(first: Joint, second: Joint) -> bool:
+    offset = np.abs(np.subtract(first.translation, second.translation)).max()
+    rotation_dot = abs(float(np.dot(first.rotation, second.rotation)))
+    return bool(offset <= REST_TOLERANCE and rotation_dot >= 1 - REST_TOLERANCE)
 
 
-def _without(rig: Rig, gone: list[str]) -> Rig:
+def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
     """Return a rig without references to removed joints."""
-    lost = set(gone)
+    removed = set(removed_names)
     joints = tuple(
         replace(
             joint,
-            mirror="" if joint.mirror in lost else joint.mirror,
-            mimic=None if joint.mimic and joint.mimic.joint in lost else joint.mimic,
-            driven=_driver(joint.driven, lost),
+            mirror="" if joint.mirror in removed else joint.mirror,
+            mimic=None if joint.mimic and joint.mimic.joint in removed else joint.mimic,
+            driven=_driver(joint.driven, removed),
         )
         for joint in rig.joints
     )
@@ -238,36 +243,45 @@ def _without(rig: Rig, gone: list[str]) -> Rig:
         rig,
         joints=joints,
         shapes=tuple(
-            replace(shape, driven=_driver(shape.driven, lost)) for shape in rig.shapes
+            replace(shape, driven=_driver(shape.driven, removed))
+            for shape in rig.shapes
         ),
-        controls=tuple(_control(control, lost) for control in rig.controls),
+        controls=tuple(_control(control, removed) for control in rig.controls),
         chains=tuple(
-            chain for chain in rig.chains if not {chain.root, chain.tip} & lost
+            chain for chain in rig.chains if not {chain.root, chain.tip} & removed
         ),
-        attach=tuple(entry for entry in rig.attach if not set(entry.joints) & lost),
-        colliders=tuple(one for one in rig.colliders if one.joint not in lost),
-        masses=tuple(one for one in rig.masses if one.joint not in lost),
+        attach=tuple(entry for entry in rig.attach if not set(entry.joints) & removed),
+        colliders=tuple(
+            collider for collider in rig.colliders if collider.joint not in removed
+        ),
+        masses=tuple(
+            collider for collider in rig.masses if collider.joint not in removed
+        ),
     )
 
 
-def _control(control: Control, lost: set[str]) -> Control:
+def _control(control: Control, removed: set[str]) -> Control:
     drives = tuple(
         drive
         for drive in control.drives
-        if not any(drive.target.startswith(f"joint/{name}.") for name in lost)
+        if not any(drive.target.startswith(f"joint/{name}.") for name in removed)
     )
-    return replace(control, drives=drives, driven=_driver(control.driven, lost))
+    return replace(control, drives=drives, driven=_driver(control.driven, removed))
 
 
-def _driver(driver: Driver | None, lost: set[str]) -> Driver | None:
+def _driver(driver: Driver | None, removed: set[str]) -> Driver | None:
     """Return a driver; None if it reads a removed joint."""
-    read = () if driver is None else driver.names
-    return None if lost & {split_coordinate(name)[0] for name in read} else driver
+    driver_names = () if driver is None else driver.names
+    return (
+        None
+        if removed & {split_coordinate(name)[0] for name in driver_names}
+        else driver
+    )
 
 
-# A bind pose nearer to rest [rad], [1] is rest with the rounding of other tools.
+# A bind pose closer to rest than this equals it: rounding of other tools [rad], [1].
 BIND_TOLERANCE = 1e-6
-# A scale this near to 1 is that, with the rounding of other tools.
+# A scale closer to 1 than this is 1: rounding of other tools.
 SCALE_TOLERANCE = 1e-4
 
 
@@ -282,15 +296,15 @@ def read_rig_with_data(
 ) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
 
-    With bind pose, meshes, shapes and strands, and what its customData holds beyond
-    USD.
+    Includes bind pose, meshes, shapes and strands, and the customData that USD cannot
+    express.
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
-            below = "" if prim_path is None else f" at {prim_path}"
-            message = f"has no Skeleton{below}"
+            location = "" if prim_path is None else f" at {prim_path}"
+            message = f"has no Skeleton{location}"
             raise FormatError(Fault("USD008", message, str(path)))
         of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
@@ -327,41 +341,43 @@ def read_rig_with_data(
 
 
 def _bind_poses(
-    skeleton: Any, of_skeleton: SkeletonRig
+    skeleton: Any, skeleton_rig: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
     """Return local bind transforms that differ from rest, and their scales.
 
-    The scales ``(J, 3)`` are no part of the poses.
+    The scales ``(J, 3)`` are not part of the poses.
     """
-    rig = of_skeleton.rig
+    rig = skeleton_rig.rig
     world = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
         or len(world) != len(rig.joints)
-        or not (np.abs(world) <= LARGEST_REST).all()
+        or not (np.abs(world) <= MAX_REST).all()
     ):
         return {}, np.ones((len(rig.joints), 3))
-    above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
-    if (np.linalg.det(above) == 0).any():
+    parent_world = np.where(
+        (rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents]
+    )
+    if (np.linalg.det(parent_world) == 0).any():
         return {}, np.ones((len(rig.joints), 3))
-    translations, rotations, scales = decompose(world @ np.linalg.inv(above))
+    translations, rotations, scales = decompose(world @ np.linalg.inv(parent_world))
     translations = translations * rig.meters_per_unit
-    moved = np.abs(translations - rig.rest_translations).max(axis=1)
-    moved = moved > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
-    moved |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
+    distances = np.abs(translations - rig.rest_translations).max(axis=1)
+    distances = distances > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
+    distances |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
     poses = {
         rig.names[j]: Pose(
             tuple(translations[j].tolist()), tuple(rotations[j].tolist())
         )
-        for j in np.flatnonzero(moved).tolist()
+        for j in np.flatnonzero(distances).tolist()
     }
     return poses, scales
 
 
 def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
-    """Report joints with a rest or bind scale, which rigs cannot hold."""
-    off = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [rig.rig.names[j] for j in np.flatnonzero(off > SCALE_TOLERANCE)]
+    """Report joints with a rest or bind scale, which rigs cannot store."""
+    deviation = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(deviation > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"

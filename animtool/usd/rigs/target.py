@@ -48,15 +48,15 @@ class RigTarget:
     path: Path
     stage: Any
     skeleton: SkeletonRig
-    paths: RigPaths  # prims as the layer names them
-    stage_model: str  # the model as the rig's own stage names it
-    fps: Fraction  # the stage's time codes a second
-    start: Fraction | None  # the stage's start time code, where it states one
-    operations: list[str]  # transform operations of the SkelRoot that place it
-    moves: bool  # whether it has others, which move it: the take replaces those
+    paths: RigPaths  # prim paths in the layer
+    stage_model: str  # path of the model on the rig's stage
+    fps: Fraction  # time codes per second of the stage
+    start: Fraction | None  # start time code of the stage, if authored
+    operations: list[str]  # transform operations that place the SkelRoot
+    moves: bool  # whether it also has animated ones, which the take replaces
     skeletons: int  # number of skeletons below the SkelRoot
-    unit: float  # length unit that the stage states [m]; the rig has its own
-    up: UpAxis  # up axis that the stage states
+    unit: float  # length unit of the stage [m]; the rig has its own
+    up: UpAxis  # up axis of the stage
     notices: list[Fault]  # warnings and notes
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
@@ -89,7 +89,7 @@ class RigTarget:
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
-    """Open the stage that holds a rig: a rig layer, or a shot that references one."""
+    """Open the stage with a rig: a rig layer, or a shot that references one."""
     with usd_errors(path), without_usd_warnings():
         return _target(open_stage(path), path, prim_path)
 
@@ -111,23 +111,23 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         _binding(prim, root, model),
     )
     if moved_to is not None:
-        paths = _moved(paths, str(model), moved_to)
+        paths = _moved_paths(paths, str(model), moved_to)
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    placing, moving = _operations(root)
+    placing_ops, motion_ops = _operations(root)
     skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices = composition_notices(stage, str(path))
     notices += others_notice(
         skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     if moved_to is None:
-        notices += _bound_in_shot(stage, paths, str(path))
+        notices += _shot_binding_notice(stage, paths, str(path))
     notices += skeleton.notices
     notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
-    if moving:
-        message = f"the SkelRoot {root.GetPath()} is moved by {', '.join(moving)}"
+    if motion_ops:
+        message = f"the SkelRoot {root.GetPath()} is moved by {', '.join(motion_ops)}"
         hint = "the take replaces that motion"
         notices.append(Fault("USD108", message, str(path), (), hint, Severity.NOTE))
     return RigTarget(
@@ -138,8 +138,8 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         str(model),
         rate_from_float(stage.GetTimeCodesPerSecond()),
         start,
-        placing,
-        bool(moving),
+        placing_ops,
+        bool(motion_ops),
         len(find_skeletons(stage, str(root.GetPath()))),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_axis(stage),
@@ -171,13 +171,13 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
     if same_unit and up is rig.up:
         return []
-    mine = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
-    message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {mine}"
+    rig_units = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
+    message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {rig_units}"
     hint = "the animation uses the rig's; the shot's own transform must match them"
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
-def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+def _shot_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
     """Report a shot that itself binds an animation to the referenced rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
@@ -192,12 +192,12 @@ def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
 
 def _operations(root: Any) -> tuple[list[str], list[str]]:
     """Return the xform ops that place a SkelRoot, and those that animate it."""
-    placing: list[str] = []
-    moving: list[str] = []
+    placing_ops: list[str] = []
+    motion_ops: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
-        names = moving if moves_root(operation) else placing
+        names = motion_ops if moves_root(operation) else placing_ops
         names.append(str(operation.GetOpName()))
-    return placing, moving
+    return placing_ops, motion_ops
 
 
 def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
@@ -213,7 +213,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
 def _binding(skeleton: Any, root: Any, model: Any) -> str:
     """Return the nearest prim above the Skeleton that binds an animation, or the root.
 
-    What binds above the model is not the character's alone: the root is nearer.
+    A binding above the model is not specific to the character, so the root is used.
     """
     prim = skeleton
     while prim and prim.GetPath().HasPrefix(model):
@@ -224,7 +224,7 @@ def _binding(skeleton: Any, root: Any, model: Any) -> str:
     return str(root.GetPath())
 
 
-def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
+def _moved_paths(paths: RigPaths, model: str, to: str) -> RigPaths:
     def move(path: str) -> str:
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(model), Sdf.Path(to)))
 

@@ -1,4 +1,4 @@
-"""Rigidly animated meshes of a character, which a point cache leaves out."""
+"""Rigidly animated meshes of a character, which a point cache does not contain."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.props.prim_transforms import world_matrices
-from animtool.usd.rigs.placement import DROP, fixed_matrices, movers
+from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
 from animtool.usd.rigs.prims import numbers
 from animtool.usd.rigs.skinned import MAX_NAMED, is_shown_mesh
 
-# Times that a transform is looked at; a long take has more.
+# Maximum times at which a transform is evaluated.
 MAX_TIMES = 256
-# What moves by less [m] is rounding.
-MOVED = 1e-6
+# Smaller motion is rounding [m].
+MOTION_TOLERANCE = 1e-6
 
 
 def unskinned_notice(
@@ -27,25 +27,25 @@ def unskinned_notice(
 ) -> list[Fault]:
     """Report animated meshes of a character that no joint deforms (USD147).
 
-    choice: its placement; with ``drop`` what moves all of the character is no motion.
+    ``choice`` is its placement; with ``drop``, motion of the complete character does
+    not count.
     """
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
-    skinned = _skinned(root)
-    moved = {
+    skinned_paths = _skinned(root)
+    distances = {
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
-        if is_shown_mesh(prim) and prim.GetPath() not in skinned
-        if (distance := _distance(prim, skeleton.GetPrim(), choice)) > MOVED
+        if is_shown_mesh(prim) and prim.GetPath() not in skinned_paths
+        if (distance := _distance(prim, skeleton.GetPrim(), choice)) > MOTION_TOLERANCE
     }
-    if not moved:
+    if not distances:
         return []
-    many = counted(len(moved), "mesh", "meshes")
-    message = (
-        f"transforms move {many} without a skin by up to {max(moved.values()):.4g} "
-    )
-    message += f"m, but the cache does not: {listed(list(moved), MAX_NAMED)}"
+    mesh_count = counted(len(distances), "mesh", "meshes")
+    largest = max(distances.values())
+    message = f"transforms move {mesh_count} without a skin by up to {largest:.4g} "
+    message += f"m, but the cache does not: {listed(list(distances), MAX_NAMED)}"
     hint = (
         f"bind them to a joint; if the source is also {argument('rig_layer')}, "
         "meshes without "
@@ -68,7 +68,10 @@ def _skinned(root: Any) -> set[Any]:
 
 def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     """Return how far a mesh moves from its first position [m]."""
-    chain = [*movers(prim), *(movers(skeleton) if choice == DROP else ())]
+    chain = [
+        *animated_ancestors(prim),
+        *(animated_ancestors(skeleton) if choice == DROP else ()),
+    ]
     times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
     if len(times) < 2:
         return 0.0
@@ -79,9 +82,9 @@ def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
     corners = _corners(prim)
     positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
-    away = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
+    distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    return float(away) * float(unit) if np.isfinite(away) else 0.0
+    return float(distance) * float(unit) if np.isfinite(distance) else 0.0
 
 
 def _corners(prim: Any) -> FloatArray:
@@ -89,7 +92,7 @@ def _corners(prim: Any) -> FloatArray:
     points = numbers(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
     if not len(points):
         return np.zeros((1, 3))
-    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])
     return np.asarray(
-        ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+        bounds_[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
     )

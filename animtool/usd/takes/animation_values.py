@@ -45,7 +45,7 @@ def shape_weights(
 ) -> Channel:
     """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
-    rows = sampled_values(attr, codes, shapes, 1, where, of="shape", drift=drift)
+    rows = sampled_values(attr, codes, shapes, 1, where, noun="shape", drift=drift)
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
 
@@ -56,30 +56,32 @@ def sampled_values(
     width: int,
     where: PrimLocation,
     *,
-    of: str = "joint",
+    noun: str = "joint",
     drift: float = 0.0,
 ) -> FloatArray:
     """Return an attribute's samples ``(F, J, K)``; F is 1 if it is constant.
 
-    drift: how far from a frame a sample is that frame's [time codes].
+    ``drift`` is the largest distance of a sample from its frame [time codes].
     """
-    when = [Usd.TimeCode.EarliestTime()]
+    time_codes = [Usd.TimeCode.EarliestTime()]
     if attr.GetNumTimeSamples() > 1:
         times = attr.GetTimeSamples() if drift else []
-        when = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
-    rows = np.empty((len(when), count, width))
-    for i, time in enumerate(when):
+        time_codes = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
+    rows = np.empty((len(time_codes), count, width))
+    for i, time in enumerate(time_codes):
         value = numbers(attr, width, time)
         if len(value) != count:
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
-            message += f" for {counted(count, of)}"
+            message += f" for {counted(count, noun)}"
             hint = f"{_time_text(time)}; UsdSkel falls back to rest"
-            where.at(attr).fail("USD206" if of == "shape" else "USD200", message, hint)
+            where.at(attr).fail(
+                "USD206" if noun == "shape" else "USD200", message, hint
+            )
         rows[i] = value
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
-        hint = f"{_time_text(when[frame])}, {of} {joint}"
+        hint = f"{_time_text(time_codes[frame])}, {noun} {joint}"
         where.at(attr).fail("USD202", message, hint)
     return rows
 
@@ -95,13 +97,15 @@ def nearest_samples(
     if not times or not drift:
         return codes
     samples, frames = np.array(times), np.array(codes)
-    after = np.searchsorted(samples, frames).clip(1, max(len(samples) - 1, 1))
-    pair = np.stack([samples[after - 1], samples[np.minimum(after, len(samples) - 1)]])
-    gaps = np.abs(pair - frames)
-    nearest = np.where(gaps[0] <= gaps[1], pair[0], pair[1])
-    # Rounding of the distance itself is within.
-    near = gaps.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
-    return list(map(float, np.where(near, nearest, frames)))
+    next_index = np.searchsorted(samples, frames).clip(1, max(len(samples) - 1, 1))
+    neighbours = np.stack(
+        [samples[next_index - 1], samples[np.minimum(next_index, len(samples) - 1)]]
+    )
+    gaps = np.abs(neighbours - frames)
+    nearest = np.where(gaps[0] <= gaps[1], neighbours[0], neighbours[1])
+    # The tolerance includes rounding of the distance itself.
+    is_near = gaps.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(is_near, nearest, frames)))
 
 
 def _time_text(time: Any) -> str:
@@ -114,7 +118,7 @@ def _time_text(time: Any) -> str:
 def normalised(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst one."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
     deviations = np.abs(lengths - 1.0)
     notices = []
@@ -134,33 +138,33 @@ def normalised(
     return so3.normalize(rotations), notices
 
 
-# Sub-frame samples about each frame make a grid finer than the samples; beyond this
-# it is no grid but a curve's own keys.
-FINEST_GRID = 8
-# More frames than any take of unevenly spaced keys: there, a key has gone astray.
+# Largest number of grid steps per sample. Sub-frame samples around frames make a grid
+# finer than the samples; beyond this the samples are a curve's own keys.
+MAX_GRID_RATIO = 8
+# Maximum frames of a take with irregular keys; more indicate a misplaced key.
 MAX_FRAMES = 100_000
-# Samples within this fraction of a step or time code from a frame are that frame's:
-# exporters add up float steps, which drift. Shutter offsets are many times larger.
-LARGEST_DRIFT = 0.02
-# Where samples fit no other grid, those this near an integer time code are that frame's
-# [time codes]; further away, a sample may be meant where it is.
-OFF_FRAME = 0.05
-# Steps that people and exporters mean, and steps of rates that differ by a little.
-PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
+# Samples within this fraction of a step or time code from a frame belong to it:
+# exporters accumulate float steps, which drift. Shutter offsets are many times larger.
+MAX_DRIFT = 0.02
+# If samples fit no other grid, those this close to an integer time code belong to that
+# frame [time codes]; samples further away may be intended.
+MAX_OFF_FRAME = 0.05
+# Denominators of common steps, and of steps of slightly different rates.
+COMMON_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
 FINE_STEP_DENOMINATOR = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class SampleGrid:
-    """Evenly spaced time codes at which samples are read."""
+    """Regular grid of time codes at which samples are read."""
 
     start: Fraction  # time code of the first frame
-    step: Fraction  # time codes from one to the next
+    step: Fraction  # time codes per frame
     count: int  # number of frames
-    even: bool  # whether samples are so spaced, or some gaps are longer
+    regular: bool  # whether all samples are on consecutive frames
     drift: float = 0.0  # largest distance of a sample from its frame [time codes]
-    drift_code: float = 0.0  # time code of that sample
-    between: int = 0  # number of samples that fall between frames
+    drift_code: float = 0.0  # time code of the sample with the largest drift
+    between: int = 0  # number of samples between frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,22 +179,23 @@ def _span(stage: Any, animation: Any) -> _Span:
     authored = take_range(animation)
     if authored is not None:
         return _Span(*authored)
-    stated = stage.HasAuthoredTimeCodeRange()
-    last = time_fraction(stage.GetEndTimeCode()) if stated else None
-    return _Span(time_fraction(stage.GetStartTimeCode()), last)
+    is_authored = stage.HasAuthoredTimeCodeRange()
+    last_code = time_fraction(stage.GetEndTimeCode()) if is_authored else None
+    return _Span(time_fraction(stage.GetStartTimeCode()), last_code)
 
 
-def among_rest(
+def with_rest(
     rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
     """Return values of some joints, the others at rest ``(F, J, …)``.
 
-    columns: rig joint of each row, -1 if unknown; without rows all are at rest.
+    ``columns`` are the rig joints of the rows, -1 if unknown; without rows all are at
+    rest.
     """
     dense = np.repeat(rest[None], frames, axis=0)
     if rows is not None:
-        known = columns >= 0
-        dense[:, columns[known]] = rows[:, known]
+        is_known = columns >= 0
+        dense[:, columns[is_known]] = rows[:, is_known]
     return dense
 
 
@@ -199,36 +204,40 @@ def sample_grid(
 ) -> SampleGrid:
     """Return the frame grid of an animation."""
     grid = _grid(times, _span(stage, animation), where)
-    return _plain_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
+    return _with_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
-def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
+def _with_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     """Return a grid with the step of the standard rate near its own rate.
 
-    A layer that says 23.976 for 24000/1001 has its frames 1.001001 time codes apart in
-    a stage of 24.
+    A layer that states 23.976 for 24000/1001 has frames 1.001001 time codes apart in a
+    stage of 24.
     """
     rate = fps / grid.step
-    plain = rate_from_float(float(rate))
-    drift = float(abs(fps / plain - grid.step) * (grid.count - 1))
-    if plain == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
+    standard = rate_from_float(float(rate))
+    drift = float(abs(fps / standard - grid.step) * (grid.count - 1))
+    if standard == rate or drift > MAX_DRIFT * min(float(grid.step), 1.0):
         return grid
-    last = float(grid.start + grid.step * (grid.count - 1))
-    # The last sample drifts most, on top of what it has already.
-    code = grid.drift_code if grid.drift > drift else last
-    return replace(grid, step=fps / plain, drift=grid.drift + drift, drift_code=code)
+    last_code = float(grid.start + grid.step * (grid.count - 1))
+    # The last sample drifts most, in addition to its existing drift.
+    code = grid.drift_code if grid.drift > drift else last_code
+    return replace(grid, step=fps / standard, drift=grid.drift + drift, drift_code=code)
 
 
 def _grid(times: list[float], span: _Span, where: PrimLocation) -> SampleGrid:
     if not times and span.last is not None:
-        # Nothing moves, for as long as the take or its stage lasts.
+        # Nothing moves during the take or its stage.
         frames = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
         return SampleGrid(span.first, Fraction(1), frames, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
-    grid = _exact_grid(times) or _drifting_grid(times) or _astray_grid(times)
-    return _integer_codes(times, where) if grid is None else _from_stated(grid, span)
+    grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
+    return (
+        _integer_codes(times, where)
+        if grid is None
+        else _from_authored_start(grid, span)
+    )
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
@@ -237,7 +246,7 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
     count = int((exact[-1] - exact[0]) / step) + 1
-    if count > FINEST_GRID * len(times):
+    if count > MAX_GRID_RATIO * len(times):
         return None
     return SampleGrid(exact[0], step, count, len(gaps) == 1)
 
@@ -247,79 +256,85 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     codes = np.array(times)
     gaps = np.diff(codes)
     # Drifting attributes have samples of one frame at almost equal times.
-    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
+    gaps = gaps[gaps > MAX_DRIFT * np.quantile(gaps, 0.75, method="lower")]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
-    steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
+    steps = [
+        middle.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
+    ]
     steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
     grids = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
     return next((grid for grid in grids if grid is not None), None)
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is near a frame of it."""
+    """Return the grid of a step if every sample is close to one of its frames."""
     length = float(step)
-    most = LARGEST_DRIFT * min(length, 1.0)
-    is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
-    plain = step.denominator if is_plain else 1
-    start = Fraction(round(codes[0] * plain), plain)
-    if abs(codes[0] - float(start)) > most:
+    tolerance = MAX_DRIFT * min(length, 1.0)
+    is_plain = step.denominator <= COMMON_DENOMINATORS[-1]
+    denominator = step.denominator if is_plain else 1
+    start = Fraction(round(codes[0] * denominator), denominator)
+    if abs(codes[0] - float(start)) > tolerance:
         start = time_fraction(float(codes[0]))
     index = np.rint((codes - float(start)) / length)
-    away = np.abs(codes - (float(start) + index * length))
+    distances = np.abs(codes - (float(start) + index * length))
     gaps = np.diff(index)
-    worst = int(away.argmax())
+    worst = int(distances.argmax())
     count = int(index[-1]) + 1
-    if away[worst] > most or index[0] != 0:
+    if distances[worst] > tolerance or index[0] != 0:
         return None
-    if count > FINEST_GRID * len(codes):
+    if count > MAX_GRID_RATIO * len(codes):
         return None
-    drift, code = float(away[worst]), float(codes[worst])
+    drift, code = float(distances[worst]), float(codes[worst])
     return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
 
 
-def _astray_grid(times: list[float]) -> SampleGrid | None:
-    """Return the integer grid of samples of which some are off.
+def _snapped_grid(times: list[float]) -> SampleGrid | None:
+    """Return the integer grid of samples of which some are slightly off.
 
-    None where two would be one, or where the others fit none either.
+    None if two samples would fall on one frame, or if the others fit no grid either.
     """
     codes = np.array(times)
     nearest = np.round(codes)
-    off = np.abs(codes - nearest)
-    moved = np.where(off <= OFF_FRAME, nearest, codes)
-    if (np.diff(moved) <= 0).any():
+    distances = np.abs(codes - nearest)
+    snapped = np.where(distances <= MAX_OFF_FRAME, nearest, codes)
+    if (np.diff(snapped) <= 0).any():
         return None
-    grid = _exact_grid(moved.tolist())
+    grid = _exact_grid(snapped.tolist())
     if grid is None:
         return None
-    off[off > OFF_FRAME] = 0.0
-    worst = int(off.argmax())
-    return replace(grid, drift=float(off[worst]), drift_code=float(codes[worst]))
+    distances[distances > MAX_OFF_FRAME] = 0.0
+    worst = int(distances.argmax())
+    return replace(grid, drift=float(distances[worst]), drift_code=float(codes[worst]))
 
 
 def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
     """Return all integer time codes that the samples span."""
     exact = [time_fraction(time) for time in times]
-    first, last = math.floor(exact[0]), math.ceil(exact[-1])
-    if last - first > MAX_FRAMES:
-        message = f"{len(times)} samples spread over {last - first} time codes"
+    first_code, last_code = math.floor(exact[0]), math.ceil(exact[-1])
+    if last_code - first_code > MAX_FRAMES:
+        message = (
+            f"{len(times)} samples spread over {last_code - first_code} time codes"
+        )
         where.fail("USD016", message, "is one of them a stray sample?")
-    between = sum(time.denominator != 1 for time in exact)
-    count = last - first + 1
-    return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)
+    between_count = sum(time.denominator != 1 for time in exact)
+    count = last_code - first_code + 1
+    return SampleGrid(
+        Fraction(first_code), Fraction(1), count, False, between=between_count
+    )
 
 
-def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
+def _from_authored_start(grid: SampleGrid, span: _Span) -> SampleGrid:
     """Return a grid that starts at the authored first frame, if just before its own.
 
-    Samples within a frame before the first serve its motion blur.
+    Samples up to a frame earlier are used for its motion blur.
     """
     start = span.first
-    early = (start - grid.start) / grid.step
+    frames_before = (start - grid.start) / grid.step
     if not grid.start < start < grid.start + 1:
         return grid
-    if early.denominator != 1 or early >= grid.count:
+    if frames_before.denominator != 1 or frames_before >= grid.count:
         return grid
-    return replace(grid, start=start, count=grid.count - int(early))
+    return replace(grid, start=start, count=grid.count - int(frames_before))
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:

@@ -46,13 +46,13 @@ from animtool.usd.rigs.skeleton import KEY, author_binding, author_rig, rest_rec
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
 
-BLOCK_FRAMES = 512  # of a take that is written in one call
+BLOCK_FRAMES = 512  # frames per block of a take written by `write`
 
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     """Author the layers of a job in memory; nothing is saved yet.
 
-    The takes are drawn one after the other: one that is authored need not be kept.
+    Takes are requested one by one, so authored ones need not be kept in memory.
     """
     outputs = output_paths(job.output, job.form)
     animation = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
@@ -81,32 +81,35 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
                 authored.visible |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
                 )
-        parts = [
+        layer_parts = [
             _author_take(job, authored, take, first=not i)
             for i, take in enumerate(takes)
         ]
-        written = [part.written for part in parts]
+        written_takes = [layer_part.written for layer_part in layer_parts]
         for layer in authored.layers:
-            author_metadata(layer, _metadata(job, written))
-    notices += [notice for take in written for notice in take.notices]
-    result = UsdResult(layer_span(animation), takes=written, notices=notices)
-    for part in parts:
-        if part.curves:
+            author_metadata(layer, _metadata(job, written_takes))
+    notices += [notice for take in written_takes for notice in take.notices]
+    result = UsdResult(layer_span(animation), takes=written_takes, notices=notices)
+    for layer_part in layer_parts:
+        if layer_part.curves:
             from animtool.usd.takes.splines import author_controls
 
-            part.written.curves = author_controls(
-                animation, part.written.animation, part.curves
+            layer_part.written.curves = author_controls(
+                animation, layer_part.written.animation, layer_part.curves
             )
-    # Of a rig without rest transforms UsdSkel warns at each frame.
+    # Without rest transforms, UsdSkel would warn at each frame.
     with without_usd_warnings():
         author_extents(
             job,
             authored.visible,
             authored.layers,
-            [(part.written.name, part.writer) for part in parts],
+            [
+                (layer_part.written.name, layer_part.writer)
+                for layer_part in layer_parts
+            ],
         )
-    for part in parts:
-        part.written.sampled = part.writer.sampled
+    for layer_part in layer_parts:
+        layer_part.written.sampled = layer_part.writer.sampled
     return authored, result
 
 
@@ -128,7 +131,7 @@ def _author_take(
         from animtool.usd.takes.library import take_paths
 
         paths = take_paths(job.paths, take.name)
-    writer = AnimationWriter(layer, paths, job.joints, take.chosen, take.shapes)
+    writer = AnimationWriter(layer, paths, job.joints, take.written_joints, take.shapes)
     if take.name or authored.rig is not layer:
         prim(layer, paths.root, over=True)
     if take.name and first:
@@ -140,7 +143,7 @@ def _author_take(
         writer.finish([], replaces_motion=False)
     else:
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
-    written = _written(job, take, writer)
+    written_take = _written_take(job, take, writer)
     if take.props is not None:
         from animtool.usd.props.placement import prop_placements
         from animtool.usd.props.writer import author_props
@@ -155,7 +158,7 @@ def _author_take(
             take.name,
             take.to_rig,
         )
-        written.props, written.notices = author_props(
+        written_take.props, written_take.notices = author_props(
             layer, take.props, placements, job.output
         )
     if take.name:
@@ -165,36 +168,41 @@ def _author_take(
             layer,
             paths.animation,
             plain_text(take.source_name),
-            written.span.first,
-            written.span.last,
+            written_take.span.first,
+            written_take.span.last,
         )
     if job.form is LayerForm.LAYER and job.names.originals:
-        # For a reader that has no rig: names of joints in their source.
+        # For readers without the rig: source names of joints.
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
     if take.reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
     if take.rest_record:
         _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.rest_record)
-    return _LayerPart(writer, written, take.curves)
+    return _LayerPart(writer, written_take, take.curves)
 
 
 def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
     """Author SkelAnimation data that USD cannot express, as customData."""
     data_before = dict(animation.GetInfo("customData") or {})
-    stated = value if isinstance(value, bool) else dict(value)
-    data = {**data_before.get("animtool", {}), key: stated}
+    stored_value = value if isinstance(value, bool) else dict(value)
+    data = {**data_before.get("animtool", {}), key: stored_value}
     animation.SetInfo("customData", {**data_before, "animtool": data})
 
 
-def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
+def _written_take(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
     samples = sum(map(len, writer.codes))
-    first, last = take.frames or (take.start, take.start + take.step * (samples - 1))
+    first_code, last_code = take.frames or (
+        take.start,
+        take.start + take.step * (samples - 1),
+    )
     return WrittenTake(
         writer.paths.animation,
-        FrameSpan(first, last, job.fps),
+        FrameSpan(first_code, last_code, job.fps),
         take.name,
         samples,
-        joints=len(job.joints) if take.chosen is None else int(take.chosen.sum()),
+        joints=len(job.joints)
+        if take.written_joints is None
+        else int(take.written_joints.sum()),
         rounding=writer.rounding,
     )
 
@@ -212,9 +220,9 @@ def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
 class Authored:
     """Authored layers in memory."""
 
-    animation: Any  # holds the SkelAnimation
-    rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
-    visible: bool = False  # whether there are bones or meshes to see
+    animation: Any  # layer with the SkelAnimation
+    rig: Any = None  # layer with the skeleton; the same for a stage, None for a layer
+    visible: bool = False  # whether there are visible bones or meshes
 
     @property
     def layers(self) -> list[Any]:
@@ -259,8 +267,11 @@ def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
     spans = [take.span for take in takes]
-    first, last = min(each.first for each in spans), max(each.last for each in spans)
-    span = FrameSpan(first, last, job.fps)
+    first_code, last_code = (
+        min(span_.first for span_ in spans),
+        max(span_.last for span_ in spans),
+    )
+    span = FrameSpan(first_code, last_code, job.fps)
     return StageMetadata(default, span, unit, up, job.shot)
 
 
@@ -278,29 +289,28 @@ def write(
 ) -> UsdResult:
     """Write a take as a USD stage, or as an animation layer over a rig.
 
-    Every frame is a sample, at its own time code. A layer adopts the units, the up
-    axis and the rate of its rig layer; where that has another rate, the samples
-    stay where they are in time.
+    Every frame is a sample at its own time code. A layer adopts units, up axis and rate
+    of its rig layer; with another rate, samples keep their times.
 
     Args:
-        take: What to write.
+        take: The take.
         path: ``.usda``, ``.usdc`` or ``.usd``.
-        rig_layer: The rig that a layer is for, or a shot that holds it; None writes
-            a stage with skeleton and animation.
-        prim_path: Where the character stands; None is ``/{name of the rig}``, or
-            where the rig layer has it.
-        force_fit: Write a layer of a take that does not fit the rig all the same.
+        rig_layer: The rig of a layer, or a shot that contains it; None writes a stage
+            with skeleton and animation.
+        prim_path: Prim path of the character; None is ``/{name of the rig}``, or its
+            path in the rig layer.
+        force_fit: Write a layer even if the take does not fit the rig.
         split: Write the stage in three files, ``path`` the last.
         bones: Add geometry that shows the joints.
         unit: Length unit of the stage; None is the rig's.
-        overwrite: Replace files that exist.
+        overwrite: Replace existing files.
 
     Returns:
-        What was written, with the error that rounding made [m].
+        The written files and takes, with the rounding error [m].
 
     Raises:
         FormatError: The rig layer is malformed, or the take does not fit it (RIG040).
-        OptionError: An option is not for such an output (CLI002), or a file exists.
+        OptionError: An option does not apply to the output (CLI002), or a file exists.
         OutputError: A file cannot be written.
     """
     path = Path(path)
@@ -318,12 +328,12 @@ def write(
     check_suffix(path)
     inputs = [] if layer is None else [layer]
     check_outputs(output_paths(path, form), inputs, overwrite=overwrite)
-    job, written, notices = (
+    job, usd_take, notices = (
         _stage_job(take, path, form, prim_path, unit, bones)
         if layer is None
         else _layer_job(take, path, layer, prim_path, force_fit=force_fit)
     )
-    authored, result = author(job, [written])
+    authored, result = author(job, [usd_take])
     write_usd(job, authored, result)
     result.notices += notices
     return result
@@ -355,14 +365,14 @@ def _stage_job(
         meters_per_unit=rig.meters_per_unit if unit is None else _unit(unit).meters,
         bones=bones,
     )
-    written = UsdTake(
+    usd_take = UsdTake(
         round_blocks(_blocks(take), rig, job.meters_per_unit),
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
         rest_record=rest_record(rig),
     )
-    return job, written, [replace(n, path=str(path)) for n in names.notices]
+    return job, usd_take, [replace(n, path=str(path)) for n in names.notices]
 
 
 def _unit(name: LengthUnit | str) -> LengthUnit:
@@ -382,9 +392,11 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    placed = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
-    take = placed.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=placed)
+    converted = over_rig(
+        stream, target.placement, None, str(layer), target.skeleton.rig
+    )
+    take = converted.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, converted=converted)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -403,19 +415,19 @@ def _layer_job(
         (codes, mapping.at(codes, motion))
         for codes, motion in _blocks(replace(take, clock=clock))
     )
-    written = UsdTake(
+    usd_take = UsdTake(
         round_blocks(blocks, mapping.rig, job.meters_per_unit),
         clock.start,
         clock.step,
-        chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
+        written_joints=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + placed.notices + mapping.notices
-    return job, written, notices
+    notices = target.notices + converted.notices + mapping.notices
+    return job, usd_take, notices
 
 
 def _blocks(take: Take) -> _Blocks:
     codes = take.clock.times
     for begin in range(0, len(codes), BLOCK_FRAMES):
-        part = slice(begin, begin + BLOCK_FRAMES)
-        yield codes[part], take.motion.select(part)
+        frames = slice(begin, begin + BLOCK_FRAMES)
+        yield codes[frames], take.motion.select(frames)

@@ -1,4 +1,4 @@
-"""Extents of a SkelRoot over time, and a check of what UsdSkel resolves."""
+"""Extents of a SkelRoot over time, and a check of the binding that UsdSkel resolves."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def shape_bounds(
 ) -> Float32Array | None:
     """Return bounds ``(2, 3)`` of all frames in the space of a SkelRoot.
 
-    weights: their weights ``(F, S)``, one array a block.
+    ``weights`` are the shape weights ``(F, S)``, one array per block.
 
-    Returns none where there is no mesh with points.
+    Returns None without a mesh with points.
     """
     from pxr import Usd, UsdGeom
 
@@ -31,7 +31,7 @@ def shape_bounds(
     largest = np.zeros(len(shapes))
     for rows in weights:
         largest = np.maximum(largest, np.abs(rows).max(axis=0, initial=0.0))
-    reach = dict(zip(shapes, largest.tolist(), strict=True))
+    largest_weights = dict(zip(shapes, largest.tolist(), strict=True))
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     lows: list[FloatArray] = []
     highs: list[FloatArray] = []
@@ -43,19 +43,21 @@ def shape_bounds(
             continue
         local, _ = cache.ComputeRelativeTransform(mesh, root)
         matrix = np.array(local, np.float64)
-        placed = transformed(points, matrix)
-        pad = _shape_padding(mesh, reach) * float(np.linalg.norm(matrix[:3, :3], 2))
-        lows.append(placed.min(axis=0) - pad)
-        highs.append(placed.max(axis=0) + pad)
+        root_points = transformed(points, matrix)
+        pad = _shape_padding(mesh, largest_weights) * float(
+            np.linalg.norm(matrix[:3, :3], 2)
+        )
+        lows.append(root_points.min(axis=0) - pad)
+        highs.append(root_points.max(axis=0) + pad)
     if not lows:
         return None
     bounds = np.array([np.min(lows, axis=0), np.max(highs, axis=0)])
-    # Outwards, so that rounding leaves no point outside.
-    outside = np.array([[-np.inf], [np.inf]], np.float32)
-    return np.asarray(np.nextafter(bounds.astype(np.float32), outside), np.float32)
+    # Rounded outwards, so that no point is outside.
+    infinities = np.array([[-np.inf], [np.inf]], np.float32)
+    return np.asarray(np.nextafter(bounds.astype(np.float32), infinities), np.float32)
 
 
-def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
+def _shape_padding(prim: Any, largest_weights: dict[str, float]) -> float:
     """Return the largest displacement of a mesh's points by shapes."""
     from pxr import UsdSkel
 
@@ -64,13 +66,14 @@ def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
     targets = binding.GetBlendShapeTargetsRel().GetTargets()
     stage, pad = prim.GetStage(), 0.0
     for name, target in zip(names, targets, strict=False):
-        weight = reach.get(str(name), 0.0)
+        weight = largest_weights.get(str(name), 0.0)
         shape = UsdSkel.BlendShape(stage.GetPrimAtPath(target))
         if not weight or not shape:
             continue
         steps = [step.GetAttr() for step in shape.GetInbetweens()]
         if steps:
-            # Below an inbetween's weight, a small weight may move points as far as it.
+            # Below an inbetween's weight, a small weight may move points as far as the
+            # inbetween.
             weight = max(weight, 1.0)
         pad += weight * max(map(_largest, (shape.GetOffsetsAttr(), *steps)))
     return pad
@@ -89,14 +92,14 @@ def author_extents(
 ) -> None:
     """Author the SkelRoot's extent as UsdSkel computes it, for every take.
 
-    That is the bounds of the joints and a padding which depends on the meshes at
-    rest alone, so one frame tells it; where the SkelRoot holds several skeletons
-    or moves its own within, UsdSkel computes every frame.
+    It is the bounds of the joints plus a padding that depends only on the meshes at
+    rest, so one frame is enough to find it. If the SkelRoot has several skeletons or
+    moves its own within, UsdSkel computes every frame.
 
-    visible: whether there are bones or meshes to see.
+    ``visible`` says whether there are visible bones or meshes.
     """
-    bare = job.target is None and not visible
-    if bare and job.joints:
+    is_invisible = job.target is None and not visible
+    if is_invisible and job.joints:
         with Sdf.ChangeBlock():
             for _, writer in writers:
                 writer.author_bounds(writer.padded_bounds(0.0))
@@ -110,7 +113,7 @@ def author_extents(
             _check_resolved(job, stage, writer.paths.animation, library=bool(name))
         if not job.joints:
             _author_shape_bounds(job, stage, writer)
-        elif not bare:
+        elif not is_invisible:
             _author_bounds(job, stage, writer)
         if name:
             from animtool.usd.takes.library import check_variant
@@ -126,9 +129,9 @@ def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
         from animtool.usd.rigs.target import compose_check
 
         return compose_check(job.target, layers[0])
-    top = Sdf.Layer.CreateAnonymous(".usda")
-    top.subLayerPaths = [layer.identifier for layer in layers]
-    stage = Usd.Stage.Open(top)
+    root_layer = Sdf.Layer.CreateAnonymous(".usda")
+    root_layer.subLayerPaths = [layer.identifier for layer in layers]
+    stage = Usd.Stage.Open(root_layer)
     stage.SetTimeCodesPerSecond(float(job.fps))
     return stage
 
@@ -144,9 +147,9 @@ def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
 
     root = UsdGeom.Boundable(stage.GetPrimAtPath(job.paths.root))
     skeleton = UsdGeom.Xformable(stage.GetPrimAtPath(job.paths.skeleton))
-    within = skeleton.GetPrim().GetParent() == root.GetPrim()
+    is_direct_child = skeleton.GetPrim().GetParent() == root.GetPrim()
     simple = (
-        within
+        is_direct_child
         and (job.target is None or job.target.skeletons == 1)
         and not skeleton.GetXformOpOrderAttr().Get()
     )
@@ -174,7 +177,7 @@ def _are_computed(
 ) -> bool:
     """Return whether bounds equal those of USD to the last bit.
 
-    The first, the middle and the last are compared.
+    Compares the first, the middle and the last.
     """
     times, authored = np.concatenate(codes), np.concatenate(bounds)
     return all(
@@ -186,31 +189,33 @@ def _are_computed(
 def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     """Return UsdSkel's padding of the joint bounds.
 
-    With every joint at the origin, that is all that is left of the extent.
+    With every joint at the origin, the extent is only the padding.
     """
     from pxr import Usd, UsdSkel
 
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
-    folded = Sdf.Layer.CreateAnonymous(".usda")
-    posed = prim(folded, job.paths.animation, over=True)
+    collapsed = Sdf.Layer.CreateAnonymous(".usda")
+    animation_spec = prim(collapsed, job.paths.animation, over=True)
     count, types = len(joints), Sdf.ValueTypeNames
-    attribute(posed, "joints", types.TokenArray, joints, uniform=True)
-    attribute(posed, "translations", types.Float3Array, [(0, 0, 0)] * count)
-    attribute(posed, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count)
-    attribute(posed, "scales", types.Half3Array, [(1, 1, 1)] * count)
+    attribute(animation_spec, "joints", types.TokenArray, joints, uniform=True)
+    attribute(animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count)
+    attribute(
+        animation_spec, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count
+    )
+    attribute(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
     session = stage.GetSessionLayer()
-    session.subLayerPaths.insert(0, folded.identifier)
+    session.subLayerPaths.insert(0, collapsed.identifier)
     extent = _computed(root, Usd.TimeCode.Default())
-    session.subLayerPaths.remove(folded.identifier)
+    session.subLayerPaths.remove(collapsed.identifier)
     return np.float32(extent[1].max())
 
 
 def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
     """Author bounds of meshes deformed by shapes only.
 
-    Without joints, USD computes none. These hold every frame: the points at rest, and
-    as far around as the weights can move a point of the mesh.
+    Without joints, USD computes none. These contain every frame: the points at rest,
+    padded by the largest displacement that the weights allow.
     """
     root = stage.GetPrimAtPath(job.paths.root)
     bounds = shape_bounds(root, writer.shapes, writer.weights)

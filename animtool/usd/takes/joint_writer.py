@@ -28,7 +28,7 @@ from animtool.usd.layers.sdf import (
     vector,
 )
 
-# Transforms of joints that are dense in memory at once: 10 MB in float64.
+# Joint transforms that are dense in memory at once: 10 MB in float64.
 DENSE_JOINTS = 1 << 17
 
 
@@ -42,7 +42,7 @@ def round_blocks(
 ) -> Iterator[WrittenBlock]:
     """Yield blocks rounded to USD's precision, and the rounding errors.
 
-    size: what the rig's stage scales it by, where the error is seen.
+    ``size`` is the scale of the rig on its stage, in which errors are measured.
     """
     for codes, motion in _split(blocks, len(rig.joints)):
         translations, rotations, scales = motion.dense()
@@ -89,12 +89,12 @@ def round_blocks(
 def _split(
     blocks: Iterator[tuple[FloatArray, Motion]], joints: int
 ) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield blocks in parts of `DENSE_JOINTS`: a clip comes as one block."""
+    """Yield blocks split to at most `DENSE_JOINTS`: a clip comes as one block."""
     size = max(1, DENSE_JOINTS // max(joints, 1))
     for codes, motion in blocks:
         for start in range(0, len(codes), size):
-            part = slice(start, start + size)
-            yield codes[part], motion.select(part)
+            frames = slice(start, start + size)
+            yield codes[frames], motion.select(frames)
 
 
 def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:
@@ -108,22 +108,24 @@ def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None
 def _move_root(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Put the first root joint at rest in place; return the removed root motion.
+    """Move the motion of the first root joint to the SkelRoot; return it.
 
-    The SkelRoot's transform X and the local transforms M' of the roots satisfy
-    X · M' = M, with M' of the first root at rest.
+    The SkelRoot's transform X and the local transforms M' of the roots satisfy X · M' =
+    M, with M' of the first root at rest.
     """
-    first, *others = rig.roots
-    rest_t = rig.rest_translations[first] / meters_per_unit
-    rest_r = rig.rest_rotations[first]
-    rotation = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
-    move = translations[:, first] - so3.rotate(rotation, rest_t)
-    translations[:, first], rotations[:, first] = rest_t, rest_r
-    back = so3.conjugate(rotation)
-    for other in others:
-        translations[:, other] = so3.rotate(back, translations[:, other] - move)
-        rotations[:, other] = so3.multiply(back, rotations[:, other])
-    return RootPath(move, rotation)
+    first_root, *other_roots = rig.roots
+    rest_t = rig.rest_translations[first_root] / meters_per_unit
+    rest_r = rig.rest_rotations[first_root]
+    rotation = so3.multiply(rotations[:, first_root], so3.conjugate(rest_r))
+    root_translations = translations[:, first_root] - so3.rotate(rotation, rest_t)
+    translations[:, first_root], rotations[:, first_root] = rest_t, rest_r
+    inverse_rotation = so3.conjugate(rotation)
+    for root in other_roots:
+        translations[:, root] = so3.rotate(
+            inverse_rotation, translations[:, root] - root_translations
+        )
+        rotations[:, root] = so3.multiply(inverse_rotation, rotations[:, root])
+    return RootPath(root_translations, rotation)
 
 
 _TRANSFORMS = {
@@ -138,20 +140,24 @@ class AnimationWriter:
     """Writer of a SkelAnimation and the related SkelRoot values."""
 
     layer: Any
-    paths: RigPaths  # the character's prims
-    joints: list[str]  # their paths as the Skeleton has them, J of them
-    chosen: BoolArray | None = None  # which of them to write ``(J,)``; None is all
-    # Names of the rig's shapes, S of them; without, no weights are written.
+    paths: RigPaths  # prim paths of the character
+    joints: list[str]  # paths of the J joints in the Skeleton
+    written_joints: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    # Names of the rig's S shapes; empty writes no weights.
     shapes: tuple[str, ...] = ()
-    rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
+    rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
 
     def __post_init__(self) -> None:
         """Create the prim and its attributes."""
         spec = prim(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
-        if self.chosen is not None:
-            names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
+        if self.written_joints is not None:
+            names = [
+                n
+                for n, is_written in zip(names, self.written_joints, strict=True)
+                if is_written
+            ]
         self._count = len(names)
         self._transforms: dict[str, SampleWriter] = {}
         if names:
@@ -162,7 +168,7 @@ class AnimationWriter:
                     attribute(spec, name, kind),
                     make,
                     quaternions=name == "rotations",
-                    of="joint",
+                    noun="joint",
                     names=names,
                 )
                 for name, (kind, make) in _TRANSFORMS.items()
@@ -175,7 +181,7 @@ class AnimationWriter:
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames."""
-        keep = slice(None) if self.chosen is None else self.chosen
+        columns = slice(None) if self.written_joints is None else self.written_joints
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,
             "rotations": block.rotations,
@@ -184,7 +190,7 @@ class AnimationWriter:
         for name, samples in self._transforms.items():
             values = arrays[name]
             if values is not None:
-                samples.add(block.codes, values[:, keep])
+                samples.add(block.codes, values[:, columns])
         if self.shapes and block.weights is not None:
             self._weights.append(block.weights)
         self._codes.append(block.codes)
@@ -195,23 +201,24 @@ class AnimationWriter:
     @property
     def sampled(self) -> list[str]:
         """Names of the attributes that change over time."""
-        named = {**self._transforms, "blendShapeWeights": self._weight_samples}
-        return [n for n, samples in named.items() if samples and samples.sampled]
+        writers = {**self._transforms, "blendShapeWeights": self._weight_samples}
+        return [n for n, samples in writers.items() if samples and samples.sampled]
 
-    def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
+    def finish(self, placing_ops: list[str], *, replaces_motion: bool) -> None:
         """Author constant values as defaults, and the SkelRoot's motion.
 
-        replaces_motion: whether it has others, which must no longer move it.
+        ``replaces_motion`` says whether the SkelRoot has motion, which must be
+        disabled.
         """
-        ones = np.ones((self._count, 3), np.float16)
+        unit_scales = np.ones((self._count, 3), np.float16)
         for samples in self._transforms.values():
-            samples.finish(ones)
+            samples.finish(unit_scales)
         if self._weights:
             self._author_weights()
         if self._root_path:
-            self._author_root(placing)
+            self._author_root(placing_ops)
         elif replaces_motion:
-            author_order(self.layer.GetPrimAtPath(self.paths.root), *placing)
+            author_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
         """Return padded joint bounds ``(F, 2, 3)``, one array per block."""
@@ -235,38 +242,42 @@ class AnimationWriter:
 
     @property
     def weights(self) -> list[Float32Array]:
-        """Shape weights ``(F, S)``, one array per block; none if constant."""
+        """Shape weights ``(F, S)``, one array per block; empty if constant."""
         return self._weights
 
     def _author_weights(self) -> None:
         """Author the weights of shapes that are nonzero in some frame."""
-        used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
-        if not used.any():
+        is_used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
+        if not is_used.any():
             return
         spec = self.layer.GetPrimAtPath(self.paths.animation)
         types = Sdf.ValueTypeNames
-        names = [n for n, keep in zip(self.shapes, used, strict=True) if keep]
+        names = [
+            n for n, is_written in zip(self.shapes, is_used, strict=True) if is_written
+        ]
         tokens = Vt.TokenArray(names)
         attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute(spec, "blendShapeWeights", types.FloatArray)
         samples = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
-            samples.add(codes, rows[:, used])
+            samples.add(codes, rows[:, is_used])
         samples.finish(np.zeros(len(names), np.float32))
         self._weight_samples = samples
 
-    def _author_root(self, placing: list[str]) -> None:
+    def _author_root(self, placing_ops: list[str]) -> None:
         """Author the SkelRoot's motion after its placing operations."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = SampleWriter(attribute(spec, names[0], types.Double3), vector)
+        translation_writer = SampleWriter(
+            attribute(spec, names[0], types.Double3), vector
+        )
         samples = SampleWriter(
             attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
         )
-        author_order(spec, *placing, *names)
+        author_order(spec, *placing_ops, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
-            move.add(codes, path.translations)
+            translation_writer.add(codes, path.translations)
             samples.add(codes, path.rotations)
-        move.finish(np.zeros(3))
+        translation_writer.finish(np.zeros(3))
         samples.finish(so3.IDENTITY)

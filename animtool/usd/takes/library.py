@@ -1,10 +1,11 @@
 """Clip libraries: takes of one character, each bound by a variant of its model.
 
 Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
-``take`` of the model binds one: a variant holds ``skel:animationSource``, the
-SkelRoot's extent and, where it carries the root's motion, its transform. None of
-these is authored outside the variants, where it would be stronger than they are.
-``customData`` of a SkelAnimation has the frames of the take::
+``take`` of the model binds one: a variant has ``skel:animationSource``, the SkelRoot's
+extent and, if it has the root's motion, its transform. None of these is authored
+outside
+the variants, where it would be stronger. ``customData`` of a SkelAnimation has the
+frames of the take::
 
     animtool = { dictionary take = { string name, timecode start, timecode end } }
 """
@@ -37,7 +38,7 @@ STRONGER_HINT = (
 def take_paths(paths: RigPaths, name: str) -> RigPaths:
     """Return the prim paths of a take; its binding is inside its variant.
 
-    An empty name is of a file that holds one, without variants.
+    An empty name is for a file with a single take, without variants.
 
     >>> take_paths(RigPaths.below("/hero"), "run").binding
     '/hero{take=run}Rig'
@@ -67,7 +68,7 @@ def author_range(
     layer: Any, animation: str, name: str, first: Fraction, last: Fraction
 ) -> None:
     """Author a take's source name and frames on its SkelAnimation."""
-    # Time codes, so that an offset of a sublayer or reference shifts them too.
+    # Stored as time codes, so that layer offsets shift them too.
     begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
     take = {"name": name, "start": begin, "end": end}
     layer.GetPrimAtPath(animation).SetInfo("customData", {"animtool": {"take": take}})
@@ -78,28 +79,30 @@ def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
     data = animation.GetPrim().GetCustomDataByKey("animtool:take")
     if not isinstance(data, dict):
         return None
-    ends = [data.get("start"), data.get("end")]
-    ends = [x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in ends]
-    numbers = [float(x) for x in ends if isinstance(x, (int, float))]
+    stored_ends = [data.get("start"), data.get("end")]
+    stored_ends = [
+        x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in stored_ends
+    ]
+    numbers = [float(x) for x in stored_ends if isinstance(x, (int, float))]
     if len(numbers) < 2 or not all(abs(x) <= LARGEST_FRAME for x in numbers):
         return None
-    first, last = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
-    return (first, last) if first <= last else None
+    first_code, last_code = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
+    return (first_code, last_code) if first_code <= last_code else None
 
 
 @dataclass(frozen=True, slots=True)
 class TakeSet:
-    """The takes that a stage has for a character."""
+    """The takes of a character on a stage."""
 
     prim: Any  # the prim with the variant set
-    names: tuple[str, ...]  # of the takes
-    selected: str  # the one that is bound
+    names: tuple[str, ...]  # names of the takes
+    selected: str  # name of the bound take
 
 
 def find_take_set(start: Any) -> TakeSet | None:
     """Return the take set of a prim or its nearest ancestor with one.
 
-    Prims inside of instances cannot choose and are passed over.
+    Prims inside instances cannot select variants and are skipped.
     """
     for prim in upwards(start):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
@@ -116,8 +119,8 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
         hint = f"a library has a variant set {TAKE_SET!r}"
         raise OptionError(Fault("USD031", message, where, (), hint))
     if name not in takes.names:
-        near = similar(name, takes.names)
-        hint = f"did you mean {near!r}? " if near else ""
+        similar_name = similar(name, takes.names)
+        hint = f"did you mean {similar_name!r}? " if similar_name else ""
         hint += f"the takes: {listed(takes.names, 40)}"
         message = f"unknown take {excerpt(name)}"
         raise OptionError(Fault("USD031", message, where, (), hint))
@@ -149,7 +152,7 @@ def check_library(
 ) -> None:
     """Refuse a file that takes cannot be added to.
 
-    overwrite: whether a take of that name may be replaced.
+    ``overwrite`` says whether a take of that name may be replaced.
     """
     with usd_errors(path):
         stage = open_stage(path)
@@ -175,7 +178,7 @@ def check_library(
 def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     """Return a library with another layer's take added or replaced.
 
-    Every other take, and what it selects, stays as it is.
+    Every other take, and the selection, stays unchanged.
     """
     merged = new_layer(path)
     merged.TransferContent(find_layer(path))
@@ -183,9 +186,9 @@ def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)
     with Sdf.ChangeBlock():
-        for spot in (animation.GetParentPath(), model):
-            if merged.GetPrimAtPath(spot) is None:
-                Sdf.CreatePrimInLayer(merged, spot)
+        for spec_path in (animation.GetParentPath(), model):
+            if merged.GetPrimAtPath(spec_path) is None:
+                Sdf.CreatePrimInLayer(merged, spec_path)
         _make_variant(merged.GetPrimAtPath(model), name)
         Sdf.CopySpec(layer, animation, merged, animation)
         Sdf.CopySpec(layer, variant, merged, variant)

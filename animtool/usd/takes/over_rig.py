@@ -30,12 +30,12 @@ from animtool.usd.rigs.placement import (
 class OverRig:
     """A take converted to the space of a rig layer."""
 
-    stream: TakeStream  # without its placement, where that is dropped
-    sized: Placement  # makes the rig, as its numbers are, as large and as upright
-    # From where the take is to the rig's numbers, at time codes ``(F,)``; None: the
-    # same.
+    stream: TakeStream  # the take, without its placement if dropped
+    sized: Placement  # scale and upright rotation from rig to take
+    # Returns the placement from take space to the rig's space at time codes ``(F,)``;
+    # None is the identity.
     to_rig: Callable[[FloatArray], Placement] | None
-    notices: list[Fault]  # what is kept or dropped
+    notices: list[Fault]  # notices about kept and dropped placements
 
 
 def over_rig(
@@ -52,51 +52,60 @@ def over_rig(
 
     Args:
         stream: The take, with the up axis of the rig.
-        placement: Stage placement of the rig at time codes; None is the first.
+        placement: Returns the stage placement of the rig at time codes; None is the
+            first.
         choice: ``keep``, ``drop``, or None: drop if the rig is placed, unless the take
-            moves with a prim that the rig does not.
-        where: The rig layer, for notices.
+            moves with a prim that the rig does not follow.
+        where: Path of the rig layer, for notices.
         raw: The rig in local values.
     """
     rig_placement = placement(None)
-    spot = PrimLocation(where, "")
+    location = PrimLocation(where, "")
     if choice == KEEP:
-        refuse_uneven(rig_placement, spot)
-    notices = uneven_notice(rig_placement, spot)
-    left = [notice for notice in stream.notices if notice.code == "USD109"]
+        refuse_uneven(rig_placement, location)
+    notices = uneven_notice(rig_placement, location)
+    scale_notices = [notice for notice in stream.notices if notice.code == "USD109"]
     if (
         rig_placement.uneven
-        and left
-        and all(rig_placement.uneven in notice.message for notice in left)
+        and scale_notices
+        and all(rig_placement.uneven in notice.message for notice in scale_notices)
     ):
-        # The rig has the very transform that the take is read without.
-        others = [notice for notice in stream.notices if notice not in left]
-        stream, notices = replace(stream, notices=others), []
+        # The rig has the same transform that the take was read without.
+        other_notices = [
+            notice for notice in stream.notices if notice not in scale_notices
+        ]
+        stream, notices = replace(stream, notices=other_notices), []
     stands, rig = rig_placement.stands, stream.rig
-    placed = rig_placement.rides or not rig_placement.fixed.is_none
+    is_placed = rig_placement.rides or not rig_placement.fixed.is_none
     if choice is None and _rests_at_stage_placement(rig, raw, rig_placement):
-        # Its values include the rig's placement, which is not recorded.
+        # The values include the rig's placement, which is not recorded.
         rig = replace(rig, stands=stands, rides=rig_placement.rides)
         stream = replace(stream, rig=rig)
-    alone = not rig.has_rest and rig.stands is None and choice != KEEP
-    if alone and _is_sized(rig, raw, rig_placement.sized.size):
-        alone, choice = False, choice or KEEP
-    if rig_placement.uneven or alone or not placed:
-        # Without a rest pose it is in the space of its rig, which this is.
+    has_no_rest = not rig.has_rest and rig.stands is None and choice != KEEP
+    if has_no_rest and _is_sized(rig, raw, rig_placement.sized.size):
+        has_no_rest, choice = False, choice or KEEP
+    if rig_placement.uneven or has_no_rest or not is_placed:
+        # Without a rest pose the take is in the space of its rig, which is this one.
         stream = at_stage_origin(stream) if choice == DROP else stream
-        kept = choice != DROP
-        notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
+        keeps_placement = choice != DROP
+        notices += placement_notice(
+            rig, where, kept=keeps_placement, over=rig_placement.stands
+        )
         return OverRig(stream, _NONE, None, notices)
     somewhere = rig_placement.rides or not stands.is_none
-    kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
-    if not kept:
-        back = rig_placement.sized.inverse()
-        to_rig = None if back.is_none else lambda _: back
+    keeps_placement = choice == KEEP or (
+        choice is None and (stream.rig.rides or not somewhere)
+    )
+    notices += placement_notice(
+        rig, where, kept=keeps_placement, over=rig_placement.stands
+    )
+    if not keeps_placement:
+        inverse_size = rig_placement.sized.inverse()
+        to_rig = None if inverse_size.is_none else lambda _: inverse_size
         return OverRig(at_stage_origin(stream), rig_placement.sized, to_rig, notices)
     if not rig_placement.rides:
-        back = rig_placement.fixed.inverse()
-        return OverRig(stream, rig_placement.sized, lambda _: back, notices)
+        inverse_size = rig_placement.fixed.inverse()
+        return OverRig(stream, rig_placement.sized, lambda _: inverse_size, notices)
     return OverRig(
         stream,
         rig_placement.sized,
@@ -108,8 +117,8 @@ def over_rig(
 _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1))
 
 
-# Rest poses nearer than this fraction of their size are the same.
-NEAR = 1e-3
+# Rest poses closer than this, relative to their size, are equal.
+SAME_REST = 1e-3
 
 
 def _rests_at_stage_placement(
@@ -117,8 +126,8 @@ def _rests_at_stage_placement(
 ) -> bool:
     """Return whether a take rests at the stage placement of the rig, not its own.
 
-    As a take does that was read from such a stage, and came as another kind of file:
-    a BVH, whose joints are not turned at rest, has its roots there.
+    This is so for a take that was read from such a stage and converted to another
+    format: a BVH, whose joints have no rest rotation, has its roots there.
     """
     if take.stands is not None or not take.has_rest or rig_placement.stands.is_none:
         return False
@@ -130,25 +139,31 @@ def _rests_at_stage_placement(
     ]
     if len(pairs) < 2:
         return False
-    mine, theirs = np.array(pairs).T
-    rests = rest_world(take).positions[0, mine]
+    take_joints, rig_joints = np.array(pairs).T
+    rests = rest_world(take).positions[0, take_joints]
     size = float(np.ptp(rests, axis=0).max())
-    placed, alone = (
-        np.abs(rest_world(placed_rig(raw, at)).positions[0, theirs] - rests).max(axis=1)
+    fits_placed, fits_unplaced = (
+        np.abs(rest_world(placed_rig(raw, at)).positions[0, rig_joints] - rests).max(
+            axis=1
+        )
         for at in (rig_placement.rest, rig_placement.sized)
     )
     roots = np.array([take.joints[j].parent < 0 for j, _ in pairs])
     return any(
-        bool(placed[some].max() <= NEAR * size < alone[some].max())
-        for some in (np.full(len(pairs), True), roots)
-        if some.any()
+        bool(
+            fits_placed[selected].max()
+            <= SAME_REST * size
+            < fits_unplaced[selected].max()
+        )
+        for selected in (np.full(len(pairs), True), roots)
+        if selected.any()
     )
 
 
 def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
     """Return whether bone lengths match the rig in world scale, not in local scale.
 
-    Without its Skeleton, an animation does not tell which space it is in.
+    Without its Skeleton, the space of an animation is not stated.
     """
     lengths = {j.name: float(np.linalg.norm(j.translation)) for j in raw.joints}
     pairs = [

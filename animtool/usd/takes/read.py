@@ -27,9 +27,9 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
     PrimLocation,
+    duplicate_names,
     matrix_array,
     missing_parts,
-    names_twice,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -39,9 +39,9 @@ from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_shapes
 from animtool.usd.rigs.placement import (
     DROP,
-    NOWHERE,
+    NO_PLACEMENT,
     SkeletonPlacement,
-    movers,
+    animated_ancestors,
     refuse_uneven,
     rest_rig,
     skeleton_placement,
@@ -72,7 +72,6 @@ from animtool.usd.rigs.skinned import (
 )
 from animtool.usd.takes.animation_values import (
     SampleGrid,
-    among_rest,
     animated_shapes,
     nearest_samples,
     normalised,
@@ -80,6 +79,7 @@ from animtool.usd.takes.animation_values import (
     sampled_values,
     scale_channel,
     shape_weights,
+    with_rest,
 )
 from animtool.usd.takes.library import TakeSet, find_take_set, select_take
 
@@ -93,14 +93,17 @@ def read_usd(
 ) -> TakeStream:
     """Read the animation of a character on a stage, or of an animation layer alone.
 
-    Joints that the animation lacks are at rest. The character is as large, and is
-    where, pxr composes it: the roots and lengths hold the transforms of the Skeleton
-    and of all above it. A layer without its rig has no rest pose: its joints rest at
-    their first sample.
+    Joints without animation are at rest. The character has the size and position that
+    pxr composes: roots and lengths include the transforms of the Skeleton and its
+    ancestors. A layer without its rig has no rest pose: its joints rest at their first
+    sample.
 
-    take: which take of a clip library; None is the one that it selects.
-    placement: ``drop`` leaves out position and heading of the character, except motion
-        of its SkelRoot; size and up axis stay. None keeps it.
+    Args:
+        path: The file.
+        prim_path: Path of the character; None is the first.
+        take: Name of a take of a clip library; None is the selected one.
+        placement: ``drop`` ignores position and heading of the character, except motion
+            of its SkelRoot; size and up axis stay. None keeps it.
     """
     path = Path(path)
     with usd_errors(path), without_usd_warnings():
@@ -114,63 +117,67 @@ def _read_stage(
     take: str | None,
     choice: str | None,
 ) -> TakeStream:
-    below = prim_below(stage, prim_path)
-    takes = _takes(stage, below)
+    root_path = prim_below(stage, prim_path)
+    takes = _takes(stage, root_path)
     if take is not None:
         takes = select_take(takes, take, str(path))
-    stream = read_character(stage, path, below, choice)
+    stream = read_character(stage, path, root_path, choice)
     if takes is not None:
         stream.details["takes"] = list(takes.names)
         stream.details["take"] = takes.selected
     return stream
 
 
-def _takes(stage: Any, below: str) -> TakeSet | None:
+def _takes(stage: Any, root_path: str) -> TakeSet | None:
     """Return the take set of the character."""
-    skeletons = find_skeletons(stage, below)
+    skeletons = find_skeletons(stage, root_path)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())
     # An animation layer alone has only overs.
-    start = stage.GetPrimAtPath(below)
-    prims = Usd.PrimRange(start, Usd.PrimAllPrimsPredicate) if start else ()
+    root_prim = stage.GetPrimAtPath(root_path)
+    prims = Usd.PrimRange(root_prim, Usd.PrimAllPrimsPredicate) if root_prim else ()
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
 
 
 def read_character(
-    stage: Any, path: Path, below: str, choice: str | None = None
+    stage: Any, path: Path, root_path: str, choice: str | None = None
 ) -> TakeStream:
     """Read the first character below a prim, or the animation of a layer alone.
 
-    choice: its placement, as `read_usd` has it.
+    ``choice`` is its placement, as in `read_usd`.
     """
-    skeletons = find_skeletons(stage, below)
+    skeletons = find_skeletons(stage, root_path)
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
         animation = _bound_animation(skeletons[0])
         prim = skeletons[0].GetPrim()
     else:
-        animation = _first_animation(stage, below)
+        animation = _first_animation(stage, root_path)
         if animation is None:
-            message = f"has no Skeleton and no SkelAnimation below {below}"
-            there = character_paths(stage)
-            hint = f"characters: {listed(there, MAX_NAMED)}" if there else None
+            message = f"has no Skeleton and no SkelAnimation below {root_path}"
+            characters = character_paths(stage)
+            hint = (
+                f"characters: {listed(characters, MAX_NAMED)}" if characters else None
+            )
             raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
     if animation is None:
-        stream, placement = _resting(skeleton, stage, path, prim, choice)
+        stream, placement = _rest_take(skeleton, stage, path, prim, choice)
     else:
         stream, placement = _read(stage, path, skeleton, animation, prim, choice)
     stream.notices += skeleton.notices
-    moving = None if animation is None else animation.GetPrim()
+    animation_prim = None if animation is None else animation.GetPrim()
     if prim is None:
-        stream.notices += _lost_motion(animation, PrimLocation.of(path, animation))
+        stream.notices += _root_motion_notice(
+            animation, PrimLocation.of(path, animation)
+        )
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
-    where = PrimLocation.of(path, prim or moving)
-    stream.rig = with_recorded_rest(stream.rig, prim, moving, where)
+    where = PrimLocation.of(path, prim or animation_prim)
+    stream.rig = with_recorded_rest(stream.rig, prim, animation_prim, where)
     if choice == DROP:
-        stream = _dropped(stream, placement, prim, str(path))
+        stream = _without_placement(stream, placement, prim, str(path))
     else:
         stream.rig = rest_rig(stream.rig, placement)
     stream.notices += others_notice(
@@ -191,13 +198,13 @@ def _placement(
 ) -> tuple[SkeletonPlacement, list[Fault]]:
     """Return the placement of a Skeleton at time codes, which its take includes."""
     if prim is None:
-        return NOWHERE, []
+        return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
     if choice != DROP:
         refuse_uneven(placement, where)
     notices = uneven_notice(placement, where)
     notices += unit_mismatch_notice(placement, where.path or "")
-    return (NOWHERE if placement.uneven else placement), notices
+    return (NO_PLACEMENT if placement.uneven else placement), notices
 
 
 def _placed(
@@ -211,22 +218,22 @@ def _placed(
     return placed_motion(motion, roots, path).map(Channel.compact)
 
 
-def _dropped(
+def _without_placement(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
     """Return a take without its stage placement, which is kept separately.
 
-    Its joints still hold what the file records of that.
+    Its joints still include the placement that the file records.
     """
     raw = stream.rig
-    kept = rest_rig(raw, placement)
-    left = replace(kept, rides=placement.rides)
-    stream.notices += placement_notice(left, path, kept=False, stays=raw.rides)
+    placed_rig = rest_rig(raw, placement)
+    rig_ = replace(placed_rig, rides=placement.rides)
+    stream.notices += placement_notice(rig_, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     stands = stream.rig.stands
     stream = at_stage_origin(stream)
     stream.rig = replace(stream.rig, rides=False)
-    if left.stands is not None or left.rides:
+    if rig_.stands is not None or rig_.rides:
         stream.dropped = _dropped_placement(placement, stands, prim, raw)
     return stream
 
@@ -237,16 +244,16 @@ def _dropped_placement(
     """Return a function of the dropped placement by stage time codes."""
     stage: Any = None if prim is None else prim.GetStage()
 
-    def stood(codes: FloatArray) -> Placement:
+    def placement_at(codes: FloatArray) -> Placement:
         at_codes = placement
         if placement.rides:
-            # Named here, the stage lives as long as the function, and its prims.
+            # A reference keeps the stage and its prims alive as long as the function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
             at_codes = skeleton_placement(skeleton, rig, codes.tolist())
         stands, _ = at_codes.fixed.split(rig.up)
         return stands if rig_stands is None else stands.after(rig_stands)
 
-    return stood
+    return placement_at
 
 
 def _join_stored(
@@ -258,7 +265,7 @@ def _join_stored(
         return
     from animtool.usd.rigs.stored import joined_rig
 
-    joined, notices = joined_rig(
+    merged_rig, notices = joined_rig(
         stream.rig,
         data,
         rig.tokens,
@@ -266,28 +273,32 @@ def _join_stored(
         matrix_array(skeleton.GetBindTransformsAttr()),
         path,
     )
-    names = [shape.name for shape in joined.shapes]
+    names = [shape.name for shape in merged_rig.shapes]
     columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
-    stream.blocks = _among(stream.blocks, columns, len(names))
-    # Meshes and curves stay where they are, and with them cloth and strands.
-    cached = {AttachKind.CLOTH, AttachKind.STRANDS}
-    attach = tuple(entry for entry in joined.attach if entry.kind not in cached)
-    stream.rig = replace(joined, meshes=(), attach=attach)
+    stream.blocks = _with_columns(stream.blocks, columns, len(names))
+    # Meshes and curves stay in place, and with them cloth and strands.
+    with_usd_arrays = {AttachKind.CLOTH, AttachKind.STRANDS}
+    attach = tuple(
+        entry for entry in merged_rig.attach if entry.kind not in with_usd_arrays
+    )
+    stream.rig = replace(merged_rig, meshes=(), attach=attach)
     stream.notices += notices
 
 
-def _among(blocks: Iterator[Motion], columns: IntArray, count: int) -> Iterator[Motion]:
+def _with_columns(
+    blocks: Iterator[Motion], columns: IntArray, count: int
+) -> Iterator[Motion]:
     """Yield blocks whose weights fill some columns; the others are 0."""
     for block in blocks:
-        old = block.weights
-        if old is None:
+        channel = block.weights
+        if channel is None:
             yield block
             continue
         rest = np.zeros((count, 1))
-        rest[columns] = old.rest
-        animated = columns[old.animated]
+        rest[columns] = channel.rest
+        animated = columns[channel.animated]
         order = np.argsort(animated)
-        weights = Channel(rest, animated[order], old.values[:, order])
+        weights = Channel(rest, animated[order], channel.values[:, order])
         yield replace(block, weights=weights)
 
 
@@ -296,29 +307,29 @@ def _bound_animation(skeleton: Any) -> Any:
         return None
     if source := animation_source(skeleton):
         return UsdSkel.Animation(source)
-    # Bind an animation that UsdSkel cannot use, too: reading it reports why.
+    # Includes an animation that UsdSkel cannot use: reading it reports why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
     return UsdSkel.Animation(binding) if binding else None
 
 
-def _first_animation(stage: Any, below: str) -> Any:
-    start = stage.GetPrimAtPath(below)
+def _first_animation(stage: Any, root_path: str) -> Any:
+    root_prim = stage.GetPrimAtPath(root_path)
     # An animation layer alone has only overs above its animation.
-    everything = Usd.PrimAllPrimsPredicate
-    prims = list(Usd.PrimRange(start, everything)) if start else []
-    bound = [
+    predicate = Usd.PrimAllPrimsPredicate
+    prims = list(Usd.PrimRange(root_prim, predicate)) if root_prim else []
+    bindings = [
         stage.GetPrimAtPath(target)
         for prim in prims
         if (binding := prim.GetRelationship("skel:animationSource"))
         for target in binding.GetTargets()
     ]
-    for prim in (*bound, *prims):
+    for prim in (*bindings, *prims):
         if prim and prim.IsA(UsdSkel.Animation):
             return UsdSkel.Animation(prim)
     return None
 
 
-def _lost_motion(animation: Any, where: PrimLocation) -> list[Fault]:
+def _root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
     """Report root motion of a layer that is read without its rig."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
@@ -332,11 +343,11 @@ def _lost_motion(animation: Any, where: PrimLocation) -> list[Fault]:
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     joints = tokens(animation.GetJointsAttr())
     where = PrimLocation.of(path, animation)
-    where.refuse(names_twice(animation.GetJointsAttr()))
+    where.refuse(duplicate_names(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    first = Usd.TimeCode.EarliestTime()
-    positions = numbers(animation.GetTranslationsAttr(), 3, first)
+    first_code = Usd.TimeCode.EarliestTime()
+    positions = numbers(animation.GetTranslationsAttr(), 3, first_code)
     if joints and len(positions) == len(joints):
         matrices[:, 3, :3] = positions
     rig = rig_from_tokens(
@@ -351,7 +362,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     return replace(rig, rig=replace(rig.rig, has_rest=False))
 
 
-def _resting(
+def _rest_take(
     skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
 ) -> tuple[TakeStream, SkeletonPlacement]:
     """Return a take of one frame at rest, for a rig without animation."""
@@ -400,7 +411,10 @@ def _read(
     attributes = _attributes(animation, columns, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
-    sources = [*attributes.values(), *([] if prim is None else movers(prim))]
+    sources = [
+        *attributes.values(),
+        *([] if prim is None else animated_ancestors(prim)),
+    ]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
@@ -424,13 +438,13 @@ def _read(
             rows = sampled_values(
                 attr, codes, len(columns), width, where, drift=grid.drift
             )
-        return among_rest(rest, rows, columns, len(codes))
+        return with_rest(rest, rows, columns, len(codes))
 
     translations, rotations, scales = (dense(*part) for part in rests.items())
     translations *= meters
-    rotations, off = normalised(rotations, rig.names, codes, where)
+    rotations, length_warnings = normalised(rotations, rig.names, codes, where)
     rotations = so3.align_signs(rotations)
-    notices += off
+    notices += length_warnings
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
@@ -439,10 +453,12 @@ def _read(
         if shapes
         else None,
     )
-    moving = [] if prim is None else movers(prim)
-    sampled = sorted({time for mover in moving for time in mover.GetTimeSamples()})
-    moved = nearest_samples(sampled, codes, grid.drift)
-    placement, placement_notices = _placement(prim, rig, moved, where, choice)
+    ancestors = [] if prim is None else animated_ancestors(prim)
+    sample_times = sorted(
+        {time for mover in ancestors for time in mover.GetTimeSamples()}
+    )
+    ancestor_codes = nearest_samples(sample_times, codes, grid.drift)
+    placement, placement_notices = _placement(prim, rig, ancestor_codes, where, choice)
     notices += placement_notices
     motion = _placed(motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
@@ -458,16 +474,16 @@ def _attributes(
 ) -> dict[str, Any]:
     """Return the attributes UsdSkel requires of an animation, by name.
 
-    Nothing where it moves no joint: it has weights of shapes alone, or only names
-    joints, which then stay at rest.
+    Empty if it animates no joint: it only has shape weights, or only lists joints,
+    which then stay at rest.
     """
     if not len(columns):
         return {}
-    missing = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
-    if any(fault.severity is Severity.ERROR for fault in missing):
-        where.refuse(missing)
-    notices += [replace(fault, path=where.path) for fault in missing]
-    if missing:
+    faults = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
+    if any(fault.severity is Severity.ERROR for fault in faults):
+        where.refuse(faults)
+    notices += [replace(fault, path=where.path) for fault in faults]
+    if faults:
         return {}
     return transform_attributes(animation)
 
@@ -486,10 +502,10 @@ def _columns(
 
 
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
-    """Return notices of samples that are uneven or off frames."""
+    """Return notices of samples that are irregular or off frames."""
     notices = []
     every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
-    if not grid.even:
+    if not grid.regular:
         message = f"samples are unevenly spaced; read every {every}"
         notices.append(where.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:

@@ -2,33 +2,27 @@
 
 A control is a custom double attribute with a spline. Its segments become
 
-==========  ==================================================================
-HOLD        held
-LINEAR      linear
-CUBIC       curve; both widths are a third of the segment h, slopes dv / (h / 3)
-BEZIER      curve; widths abs(dt), slopes dv / dt
-==========  ==================================================================
+==========  ================================================================== HOLD
+held LINEAR      linear CUBIC       curve; both widths are a third of the segment h,
+slopes dv / (h / 3) BEZIER      curve; widths abs(dt), slopes dv / dt ==========
+==================================================================
 
-and what lies outside of the keys
+and extrapolation becomes
 
-============  ==============================================================
-HOLD          held
-LINEAR        sloped, by the slope that the curve itself has there
-CYCLE         loopReset
-CYCLE_OFFSET  loopRepeat
-OSCILLATE     loopOscillate
-============  ==============================================================
+============  ============================================================== HOLD
+held LINEAR        sloped, with the slope of the curve there CYCLE         loopReset
+CYCLE_OFFSET  loopRepeat OSCILLATE     loopOscillate ============
+==============================================================
 
-At the very end of a cycle USD is in the next one already (the first value again, or
-the held value before the last key), we are still at the last key:
-`CurveReport.seam`.
+At the very end of a cycle USD is already in the next one (the first value again, or the
+held value before the last key), we are still at the last key: `CurveReport.seam`.
 
-A handle that reaches beyond its segment is clamped to it, slope kept, as USD's
+A handle that exceeds its segment is clamped to it with its slope kept, as USD's
 ``AntiRegressionContain`` does. A handle with dt = 0 and dv ≠ 0 has no slope: the
-segment is split close to that key. The piece behind the split is the same curve
-exactly, with handles that have slopes; in the piece before it, ``NEAR`` of the
-segment long, the spline is a line, off by the order of 1e-5 dv, which no sample of
-`CurveReport.difference` meets.
+segment is split close to that key. After the split the curve is the same, with handles
+that have slopes; before it, for a time of ``SPLIT_TIME`` of the segment, the spline is
+linear, with an error of the order of 1e-5 dv, which no sample of
+`CurveReport.difference` hits.
 """
 
 from __future__ import annotations
@@ -47,13 +41,13 @@ from animtool.usd.layers.finite import Labels, check_value
 from animtool.usd.layers.names import distinct_names
 from animtool.usd.layers.sdf import attribute
 
-# What the attributes of controls begin with.
-CONTROL = "animtool:control:"
+# Namespace of the attributes of controls.
+CONTROL_NAMESPACE = "animtool:control:"
 
-# Of a segment's length. Less would be lost where a shot shifts or stretches time:
-# time codes of 1e6 are 1e-10 apart.
-NEAR = 2.0**-30
-# Samples a segment, and on either side, when the spline is measured.
+# Time of a split from its key, relative to the segment. Less would be lost if a shot
+# shifts or scales time: time codes of 1e6 are 1e-10 apart.
+SPLIT_TIME = 2.0**-30
+# Samples per segment, and on either side, to measure the spline.
 SAMPLES = 16
 
 _INTERPOLATION = {
@@ -79,8 +73,8 @@ class CurveReport:
 
     name: str
     knots: int  # knots of the spline
-    split: int  # segments that had to be split
-    # Largest difference of the spline from the curve, over samples at the keys, within
+    split: int  # number of split segments
+    # Largest difference between spline and curve, over samples at the keys, within
     # every segment and outside the keys [value].
     difference: float
     seam: float  # difference at the very end of a cycle [value]
@@ -101,9 +95,11 @@ def author_controls(
             values: FloatArray = evaluate(curves, times)[0]
             return values
 
-        report = author_curve(layer, prim_path, CONTROL + name, curves, values)
+        report = author_curve(
+            layer, prim_path, CONTROL_NAMESPACE + name, curves, values
+        )
         if name != control:
-            path = f"{prim_path}.{CONTROL}{name}"
+            path = f"{prim_path}.{CONTROL_NAMESPACE}{name}"
             layer.GetAttributeAtPath(path).displayName = control
         reports.append(replace(report, name=control))
     return reports
@@ -118,8 +114,8 @@ def author_curve(
 ) -> CurveReport:
     """Write one curve as a spline on a custom attribute, and measure its error.
 
-    evaluate: its values ``(F,)`` at times ``(F,)``, to measure against and to continue
-    it by.
+    ``evaluate`` returns its values ``(F,)`` at times ``(F,)``, to measure the error and
+    to extrapolate.
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
@@ -130,27 +126,27 @@ def author_curve(
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
         for knot in _knots(pieces, curves, where):
             spline.SetKnot(knot)
-        outside = (curves.pre[0], -1), (curves.post[0], 1)
-        before, after = (
+        extrapolations = (curves.pre[0], -1), (curves.post[0], 1)
+        pre_extrapolation, post_extrapolation = (
             _extrapolation(mode, curves, evaluate, side, where)
-            for mode, side in outside
+            for mode, side in extrapolations
         )
-        spline.SetPreExtrapolation(before)
-        spline.SetPostExtrapolation(after)
+        spline.SetPreExtrapolation(pre_extrapolation)
+        spline.SetPostExtrapolation(post_extrapolation)
     spec = layer.GetPrimAtPath(prim_path)
     attr = attribute(spec, name, Sdf.ValueTypeNames.Double)
     attr.custom = True
     attr.SetSpline(spline)
     difference, seam = _measure(spline, curves, evaluate)
-    split = len({piece.segment for piece in pieces if piece.part})
-    return CurveReport(name, len(spline.GetKnots()), split, difference, seam)
+    split_count = len({piece.segment for piece in pieces if piece.part})
+    return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """A segment of a curve, or a part of it.
+    """A segment of a curve, or a part of one.
 
-    Its control points ``(4, 2)`` are (time from the segment's first key, value).
+    The control points ``(4, 2)`` are (time from the segment's first key, value).
     """
 
     segment: int
@@ -162,56 +158,72 @@ class _Piece:
 
 def _pieces(curves: Curves, i: int) -> list[_Piece]:
     kind = SegmentKind(int(curves.kinds[i]))
-    ends = np.stack([curves.times[i : i + 2], curves.values[i : i + 2]], axis=1)
-    h = float(ends[1, 0] - ends[0, 0])
-    out, into = curves.outs[i].copy(), curves.ins[i + 1].copy()
+    end_points = np.stack([curves.times[i : i + 2], curves.values[i : i + 2]], axis=1)
+    h = float(end_points[1, 0] - end_points[0, 0])
+    out_handle, in_handle = curves.outs[i].copy(), curves.ins[i + 1].copy()
     if kind is SegmentKind.CUBIC:
-        out[0], into[0] = h / 3, -h / 3
-    out, into = _contained(out, h), _contained(into, h)
-    begin = float(ends[0, 0])
-    points = np.stack([ends[0], ends[0] + out, ends[1] + into, ends[1]])
-    points[:, 0] = 0.0, out[0], h + into[0], h
+        out_handle[0], in_handle[0] = h / 3, -h / 3
+    out_handle, in_handle = _clamped(out_handle, h), _clamped(in_handle, h)
+    begin = float(end_points[0, 0])
+    points = np.stack(
+        [
+            end_points[0],
+            end_points[0] + out_handle,
+            end_points[1] + in_handle,
+            end_points[1],
+        ]
+    )
+    points[:, 0] = 0.0, out_handle[0], h + in_handle[0], h
     if kind is not SegmentKind.BEZIER:
         return [_Piece(i, 0, kind, begin, points)]
-    parts = [points]
-    if _vertical(out):
-        parts = _split(points, _parameter(points[:, 0], h * NEAR))
-    if _vertical(into):
-        last = parts.pop()
-        mirrored = last[::-1] * [-1.0, 1.0] + [h, 0.0]
-        near, rest = _split(mirrored, _parameter(mirrored[:, 0], h * NEAR))
-        parts += [part[::-1] * [-1.0, 1.0] + [h, 0.0] for part in (rest, near)]
-    kinds = [SegmentKind.BEZIER] * len(parts)
-    if _vertical(out):
+    point_sets = [points]
+    if _is_vertical(out_handle):
+        point_sets = _split(points, _parameter_at(points[:, 0], h * SPLIT_TIME))
+    if _is_vertical(in_handle):
+        last_points = point_sets.pop()
+        mirrored_points = last_points[::-1] * [-1.0, 1.0] + [h, 0.0]
+        near_points, other_points = _split(
+            mirrored_points, _parameter_at(mirrored_points[:, 0], h * SPLIT_TIME)
+        )
+        point_sets += [
+            piece_points[::-1] * [-1.0, 1.0] + [h, 0.0]
+            for piece_points in (other_points, near_points)
+        ]
+    kinds = [SegmentKind.BEZIER] * len(point_sets)
+    if _is_vertical(out_handle):
         kinds[0] = SegmentKind.LINEAR
-    if _vertical(into):
+    if _is_vertical(in_handle):
         kinds[-1] = SegmentKind.LINEAR
     return [
-        _Piece(i, part, kind, begin, points)
-        for part, (kind, points) in enumerate(zip(kinds, parts, strict=True))
+        _Piece(i, piece_points, kind, begin, points)
+        for piece_points, (kind, points) in enumerate(
+            zip(kinds, point_sets, strict=True)
+        )
     ]
 
 
-def _contained(handle: FloatArray, h: float) -> FloatArray:
+def _clamped(handle: FloatArray, h: float) -> FloatArray:
     """Return a handle clamped to its segment, slope kept."""
     length = abs(handle[0])
     return handle * (h / length) if length > h else handle
 
 
-def _vertical(handle: FloatArray) -> bool:
+def _is_vertical(handle: FloatArray) -> bool:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         return bool(handle[1] != 0.0 and not np.isfinite(handle[1] / handle[0]))
 
 
-def _parameter(times: FloatArray, at: float) -> float:
+def _parameter_at(times: FloatArray, at: float) -> float:
     """Return the parameter of a monotonic cubic from 0 at a time, by bisection."""
     _, a, b, c = times.tolist()
-    low, high = 0.0, 1.0
-    while low < (middle := (low + high) / 2) < high:
-        rest = 1.0 - middle
-        x = middle * (3 * rest * (rest * a + middle * b) + middle * middle * c)
-        low, high = (middle, high) if x < at else (low, middle)
-    return high
+    lower, upper = 0.0, 1.0
+    while lower < (middle := (lower + upper) / 2) < upper:
+        complement = 1.0 - middle
+        x = middle * (
+            3 * complement * (complement * a + middle * b) + middle * middle * c
+        )
+        lower, upper = (middle, upper) if x < at else (lower, middle)
+    return upper
 
 
 def _split(points: FloatArray, u: float) -> list[FloatArray]:
@@ -227,14 +239,14 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
 
 def _knots(pieces: list[_Piece], curves: Curves, where: str) -> list[Any]:
     """Return the knots at the ends of all pieces."""
-    ends = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
-    last = (float(curves.times[-1]), float(curves.values[-1]), None)
+    piece_starts = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
+    end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []
-    before: _Piece | None = None
-    for time, value, piece in [*ends, last]:
+    previous: _Piece | None = None
+    for time, value, piece in [*piece_starts, end_point]:
         fields: dict[str, Any] = {"nextInterp": Ts.InterpHeld}
-        if before is not None and before.kind >= SegmentKind.CUBIC:
-            width, slope = _tangent(before.points[3] - before.points[2])
+        if previous is not None and previous.kind >= SegmentKind.CUBIC:
+            width, slope = _tangent(previous.points[3] - previous.points[2])
             fields |= {"preTanWidth": width, "preTanSlope": slope}
         if piece is not None:
             fields["nextInterp"] = _INTERPOLATION[piece.kind]
@@ -244,14 +256,14 @@ def _knots(pieces: list[_Piece], curves: Curves, where: str) -> list[Any]:
         numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
         check_value(numbers, "d", Labels(where, f"the knot at {time:.10g}"))
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
-        before = piece
+        previous = piece
     return knots
 
 
 def _tangent(handle: FloatArray) -> tuple[float, float]:
     """Return width and slope of a handle from its time and value offsets."""
-    width, rise = handle.tolist()
-    return (width, rise / width) if width > 0 else (0.0, 0.0)
+    width, value_offset = handle.tolist()
+    return (width, value_offset / width) if width > 0 else (0.0, 0.0)
 
 
 def _extrapolation(
@@ -260,10 +272,10 @@ def _extrapolation(
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
         edge = float(curves.times[0 if side < 0 else -1])
-        reach = max(1.0, abs(edge), float(np.ptp(curves.times)))
-        far = edge + side * 1024.0 * reach
-        at_edge, away = evaluate(np.array([edge, far])).tolist()
-        slope = (away - at_edge) / (far - edge)
+        magnitude = max(1.0, abs(edge), float(np.ptp(curves.times)))
+        far_time = edge + side * 1024.0 * magnitude
+        at_edge, far_value = evaluate(np.array([edge, far_time])).tolist()
+        slope = (far_value - at_edge) / (far_time - edge)
         check_value(slope, "d", Labels(where, "the slope outside the keys"))
         extrapolation.slope = slope
     return extrapolation
@@ -273,17 +285,19 @@ def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, fl
     """Return the largest error, and the error at the end of a cycle."""
     times = curves.times
     steps = np.arange(SAMPLES) / SAMPLES
-    inside = times[:-1, None] + np.diff(times)[:, None] * steps
+    segment_times = times[:-1, None] + np.diff(times)[:, None] * steps
     span = float(np.ptp(times)) or 1.0
-    away = span * (np.arange(3 * SAMPLES) + 0.5) / SAMPLES
-    at = np.concatenate([times[0] - away, inside.ravel(), times[-1] + away])
+    outside_times = span * (np.arange(3 * SAMPLES) + 0.5) / SAMPLES
+    at = np.concatenate(
+        [times[0] - outside_times, segment_times.ravel(), times[-1] + outside_times]
+    )
 
-    def difference(when: FloatArray) -> float:
-        mine = evaluate(when)
-        theirs = np.array([spline.Eval(float(time)) for time in when])
-        return float(np.abs(theirs - mine).max())
+    def difference(sample_times: FloatArray) -> float:
+        curve_values = evaluate(sample_times)
+        spline_values = np.array([spline.Eval(float(time)) for time in sample_times])
+        return float(np.abs(spline_values - curve_values).max())
 
-    last = difference(times[-1:])
+    seam = difference(times[-1:])
     if curves.post[0] in {Extrapolation.CYCLE, Extrapolation.OSCILLATE}:
-        return difference(at), last
-    return max(difference(at), last), 0.0
+        return difference(at), seam
+    return max(difference(at), seam), 0.0

@@ -15,17 +15,17 @@ from animtool.usd.takes.read import read_character
 def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
     """Return a reader of each Skeleton's take, by its path.
 
-    A layer without its rig holds none.
+    Empty for a layer without its rig.
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
 
-        def reader(below: str) -> Callable[[], TakeStream]:
+        def reader(path_: str) -> Callable[[], TakeStream]:
             def read() -> TakeStream:
                 with usd_errors(path), without_usd_warnings():
-                    return read_character(stage, path, below)
+                    return read_character(stage, path, path_)
 
             return read
 
         paths = [str(skeleton.GetPath()) for skeleton in find_skeletons(stage)]
-        return {below: reader(below) for below in paths}
+        return {path_: reader(path_) for path_ in paths}

@@ -71,7 +71,7 @@ def test_a_picture_is_what_the_canvas_of_the_page_shows(
             inset = opened.run("animtool.app.inset")
         high, wide = expected.shape[:2]
         view = CameraView(wide, high, inset)
-        scene.look(view, sample)
+        scene.frame_motion(view, sample)
         drawn = scene.draw(view, sample, Picture(device, wide, high))
         apart = np.abs(drawn - expected).max(axis=-1)
         away = np.abs(expected - expected[-1, 0]).max(axis=-1)

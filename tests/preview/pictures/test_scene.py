@@ -59,7 +59,7 @@ def drawn(
     view = CameraView(80, 60, light=light / np.linalg.norm(light))
     view.yaw, view.pitch = PRESETS["home"][0], 0.5
     scene = DrawnScene(device, page.manifest, page.blocks, frozenset(shown))
-    scene.look(view, 0)
+    scene.frame_motion(view, 0)
     return scene.draw(view, 0, Picture(device, 80, 60), shot).astype(int)
 
 
