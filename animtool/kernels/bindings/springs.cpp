@@ -127,7 +127,7 @@ strands above which a step is corrected once more.)")
 
   m.def("follow_strands", &follow_strands, Unlocked(), "strands"_a, "targets"_a, "state"_a,
         "span"_a, "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
-        "own"_a = OwnColliders{0, 0},
+        "own"_a = ParticleColliders{0, 0},
         R"(Advance strands over a frame, from a state ``(2, N, 3)``.
 
 ``targets`` ``(cells + 1, N, 3)`` are animated positions at the ends of even cells, linear
