@@ -11,7 +11,7 @@ namespace animtool::ik {
 
 class GoalSpace {
  public:
-  // Room for what is reckoned on the way, for one frame at a time.
+  // Buffers for the computation, one frame at a time.
   struct Work {
     std::vector<double> gram, missing, felt;
   };
@@ -52,7 +52,7 @@ class GoalSpace {
     orthonormalize(work);
   }
 
-  // Takes out of x (D,) what goals and limits feel.
+  // Projects x (D,) onto the null space of goals and limits.
   void project(double* x, Work& work) const {
     for (const Fixed& one : fixed) {
       double along = 0;
@@ -70,7 +70,7 @@ class GoalSpace {
   }
 
  private:
-  // What the Gram matrix of the goals is damped by: rows of length 1 lose as much.
+  // Damping of the Gram matrix of the goals, relative to rows of length 1.
   static constexpr double DAMPING = 1e-10;
 
   // basis_ <- L^-1 basis_, where L L^T is the damped Gram matrix.
@@ -96,7 +96,7 @@ class GoalSpace {
   }
 
   int rows_ = 0, width_ = 0;
-  // Orthonormal, of what the goals feel of the directions that are not fixed (M, D).
+  // Orthonormal basis (M, D) of the goals' rows in the directions that are not fixed.
   std::vector<double> basis_;
 };
 

@@ -171,8 +171,8 @@ class SharedBodies:
         Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """
         motion, moments = state.motion, self.bodies.moments
-        inverse_moments = np.divide(
+        inverse_inertia = np.divide(
             1.0, moments, out=np.zeros_like(moments), where=moments > 0
         )
         axes = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (axes * inverse_moments[:, None]) @ axes.swapaxes(1, 2)
+        return motion[:, :3], (axes * inverse_inertia[:, None]) @ axes.swapaxes(1, 2)

@@ -383,11 +383,11 @@ class RigidSimulation(SharedBodies):
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
-        inverse_moments = np.divide(
+        inverse_inertia = np.divide(
             1.0, moments, out=np.zeros_like(moments), where=moments > 0
         )
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((local**2 * inverse_moments).sum())
+        kinetic += 0.5 * float((local**2 * inverse_inertia).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002

@@ -97,9 +97,9 @@ class BodyForces:
                 continue
             arm = np.array(push.at) - self._bodies.centres[number]
             torque = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
-            nonzero_moments = moments[number][moments[number] > 0]
-            if torque and not push.local and len(nonzero_moments):
-                rates[0, number] += torque / nonzero_moments.min()
+            nonzero_inertia = moments[number][moments[number] > 0]
+            if torque and not push.local and len(nonzero_inertia):
+                rates[0, number] += torque / nonzero_inertia.min()
             if torque or push.local:
                 spin = self._bodies.spins(motion)[number]
                 rates[1, number] = np.linalg.norm(spin)

@@ -96,12 +96,12 @@ def passive_springs(
         centres: Centres of mass in the world ``(N, 3)`` [m].
         pivots: Positions of the joints to the parent bodies ``(N, 3)`` [m].
     """
-    weights, mass_moments = masses.copy(), masses[:, None] * centres
+    weights, weighted_centres = masses.copy(), masses[:, None] * centres
     for i in range(len(above) - 1, -1, -1):
         if above[i] >= 0:
             weights[above[i]] += weights[i]
-            mass_moments[above[i]] += mass_moments[i]
-    arms = np.linalg.norm(mass_moments / weights[:, None] - pivots, axis=1)
+            weighted_centres[above[i]] += weighted_centres[i]
+    arms = np.linalg.norm(weighted_centres / weights[:, None] - pivots, axis=1)
     stiffness = STIFFNESS_FRACTION * weights * GRAVITY * arms
     damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * weights) * arms
     return np.stack([stiffness, damping], axis=1)

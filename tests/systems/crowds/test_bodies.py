@@ -430,7 +430,7 @@ def test_feet_that_swing_go_around_those_that_stand(
     before = places.copy()
     bodies = AgentBodies(gaits, np.ones(1), level)
     state: Any = SimpleNamespace(swings=swings)
-    found = bodies._pass(state, going, places)
+    found = bodies._detour(state, going, places)
     np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)
     moved = before.copy()
     moved[0, k, :2] += side * around * x

@@ -99,7 +99,9 @@ def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
     own = steering(5)
     tickets = np.array([4, 7, NO_TICKET, NO_TICKET, NO_TICKET])
     x = np.array([[0, 5], [0, 5.8], [0.3, 6.6], [0.1, 6.6], [0, 9.0]])
-    found = own._joined(tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x)
+    found = own._with_new_tickets(
+        tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x
+    )
     assert found.tolist() == [4, 7, 9, 8, NO_TICKET]
     at, queued = own.targets(progress([1] * 5, tickets=found), np.ones(5, np.int64), x)
     assert queued.tolist() == [True] * 4 + [False]
@@ -109,6 +111,6 @@ def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
 def test_routes_are_gone_through_again_or_ended_or_left() -> None:
     stages = [0, 1, 2, 3, 5]
     for then, goals in (("repeat", [0, 1, 0, 1, 1]), ("stay", [0, 1, -1, -1, -1])):
-        assert steering(5, then).heading_for(progress(stages)).tolist() == goals
-    gone = steering(2, "leave").heading_for(progress([-1, 1]))
+        assert steering(5, then).current_goals(progress(stages)).tolist() == goals
+    gone = steering(2, "leave").current_goals(progress([-1, 1]))
     assert gone.tolist() == [-1, 1]

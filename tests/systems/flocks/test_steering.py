@@ -197,7 +197,7 @@ def test_who_closes_in_is_slower_at_the_end_of_a_step() -> None:
     before = np.array([[2.0, 0, 0], [0, 0, 0], [1, 1, 1]])
     v = np.array([[3.0, 0, 0], [0, 0, 0], [2, 2, 2]])
     each = 0.3 * 9 / (2 * 0.7) / 2
-    found = forces._braked(0.1, before, x, v)
+    found = forces._brake_velocities(0.1, before, x, v)
     expected = [[3 - 0.1 * each, 0, 0], [0.1 * each, 0, 0], [2, 2, 2]]
     assert_allclose(found, expected, atol=1e-12)
     settled = forces.settle(0.0, 0.1, np.stack([x, before]), np.stack([x, v]))
@@ -211,13 +211,13 @@ def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
     for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
         own = Members([model], [3], [parts], 0.0, rows, 0 * rows)
         moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
-        found = own.spread(moved, 0.0)
+        found = own.separation_notices(moved, 0.0)
         assert [fault.code for fault in found] == codes
         for fault in found:
             assert fault.severity is Severity.WARNING
             assert "1 member would" in fault.message
             assert "member 2 of 's' first: moved apart by up to 0.15 m" in fault.message
-        (crowded,) = own.spread(rows, 0.05)
+        (crowded,) = own.separation_notices(rows, 0.05)
         assert (crowded.code, crowded.severity) == ("SIM147", Severity.WARNING)
         assert "0.05 m closer" in crowded.message
 
