@@ -34,21 +34,21 @@ from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
-# Least size of a spike, over the typical change of speed around it.
+# Minimum size of a spike, relative to the typical change of speed around it.
 SPIKE_FACTOR = 5.0
 # Frames on either side for estimating roughness.
-AROUND = 8
-# Least size of a spike: a fraction of the rig's size, and a quaternion component.
+ROUGHNESS_FRAMES = 8
+# Minimum size of a spike: a fraction of the rig's size, and a quaternion component.
 MIN_SHIFT, MIN_ROTATION = 1e-3, 5e-3
 # Noise below this fraction of the smallest spike is rounding of the file.
-NO_NOISE = 2e-4
-# A spike can hide a neighbour, which is found once the first is removed.
-SEARCHES = 3
+NEGLIGIBLE_NOISE = 2e-4
+# One spike can hide its neighbour until it is removed, so the search is repeated.
+MAX_SEARCHES = 3
 # Interpolation across a spike keeps frequencies below this fraction of the rate.
-ACROSS = 0.2
+BRIDGE_CUTOFF = 0.2
 # Noise of good captures is below this [rad].
 TYPICAL_NOISE = math.radians(0.2)
-MAX_NAMED = 6
+MAX_LISTED_JOINTS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class CleanedSignal:
     rotation: bool  # of its rotations, or of its translations
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
-    cutoff: float | None  # [Hz]; none where it was not filtered
+    cutoff: float | None  # [Hz]; None if it was not filtered
 
     @property
     def part(self) -> str:
@@ -81,27 +81,29 @@ class _Cleaner:
     options: CleanOptions
     signals: list[CleanedSignal] = field(default_factory=list)
 
-    def channel(self, channel: Channel, least: float) -> Channel:
+    def channel(self, channel: Channel, min_size: float) -> Channel:
         """Return a channel of translations or rotations cleaned, joint by joint."""
         rotation = channel.rest.shape[1] == 4
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
-            if bad.any():
-                signal = bridged(signal, ~bad, rotation=rotation)
+            is_spike = _spikes(signal, self.options.spikes, min_size, rotation=rotation)
+            if is_spike.any():
+                signal = bridged(signal, ~is_spike, rotation=rotation)
             noise = (rotation_noise if rotation else noise_level)(signal)
-            # Half an angle is in a quaternion.
+            # A quaternion contains half the angle.
             tolerance = noise / 2 if rotation else noise
-            shakes = tolerance > NO_NOISE * least
-            cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
+            is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
+            cutoff = self._cutoff(signal, rotation=rotation) if is_noisy else None
             if cutoff is not None:
                 run = lowpass_rotations if rotation else lowpass
                 signal = run(signal, cutoff, self.rate)
             values[:, i] = signal
-            frames = tuple(np.flatnonzero(bad).tolist())
-            done = CleanedSignal(self.names[joint], rotation, frames, noise, cutoff)
-            self.signals.append(done)
+            frames = tuple(np.flatnonzero(is_spike).tolist())
+            cleaned_signal = CleanedSignal(
+                self.names[joint], rotation, frames, noise, cutoff
+            )
+            self.signals.append(cleaned_signal)
         return replace(channel, values=values).compact()
 
     def _cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
@@ -117,66 +119,68 @@ def beyond_nyquist(options: CleanOptions, rate: float) -> bool:
     return options.cutoff is not None and options.cutoff >= rate / 2
 
 
-def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArray:
+def bridged(signal: FloatArray, is_known: BoolArray, *, rotation: bool) -> FloatArray:
     """Return a signal ``(F, K)`` with unknown frames interpolated."""
     if rotation:
         aligned = signal.copy()
-        aligned[known] = so3.align_signs(signal[known], signal[known][0])
+        aligned[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = aligned
     run = lowpass_rotations if rotation else lowpass
-    across = run(signal, ACROSS, 1.0, order=3, valid=known)
-    return np.where(known[:, None], signal, across)
+    interpolated = run(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
+    return np.where(is_known[:, None], signal, interpolated)
 
 
 def _spikes(
-    signal: FloatArray, longest: int, least: float, *, rotation: bool
+    signal: FloatArray, max_length: int, min_size: float, *, rotation: bool
 ) -> BoolArray:
     """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
-    bad = np.zeros(len(signal), np.bool_)
-    for _ in range(SEARCHES if longest else 0):
-        spikes = np.zeros_like(bad)
-        rough = SPIKE_FACTOR * _roughness(signal) + least
-        for run, size in _runs(signal, longest, rotation=rotation):
+    is_spike = np.zeros(len(signal), np.bool_)
+    for _ in range(MAX_SEARCHES if max_length else 0):
+        spikes = np.zeros_like(is_spike)
+        threshold = SPIKE_FACTOR * _roughness(signal) + min_size
+        for run, size in _runs(signal, max_length, rotation=rotation):
             # A long spike also looks like a short one in its middle.
-            for first in np.flatnonzero(size > rough[2 : 2 + len(size)]).tolist():
+            for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
                 part = slice(first + 2, first + 2 + run)
                 if not spikes[part.start - 1 : part.stop + 1].any():
                     spikes[part] = True
-        if not spikes.any() or (bad | spikes).mean() > 0.5:
+        if not spikes.any() or (is_spike | spikes).mean() > 0.5:
             break
-        bad |= spikes
-        signal = bridged(signal, ~bad, rotation=rotation)
-    return bad
+        is_spike |= spikes
+        signal = bridged(signal, ~is_spike, rotation=rotation)
+    return is_spike
 
 
 def _runs(
-    signal: FloatArray, longest: int, *, rotation: bool
+    signal: FloatArray, max_length: int, *, rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the deviation of each run of some frames, from frame 2 on."""
-    for run in range(longest, 0, -1):
+    """Yield the deviation of each run of 1 to ``max_length`` frames, from frame 2."""
+    for run in range(max_length, 0, -1):
         count = len(signal) - run - 3
         if count < 1:
             continue
-        at = [signal[k : k + count] for k in range(run + 4)]
-        if rotation:  # sign flips after a spike are no rotation
-            for k, other in (
+        shifted = [signal[k : k + count] for k in range(run + 4)]
+        if rotation:  # sign flips after a spike are not rotation
+            for k, reference in (
                 (run + 2, 1),
                 (run + 3, run + 2),
                 (2, 1),
                 (run + 1, run + 2),
             ):
-                at[k] = _signed(at[k], at[other])
-        before, after = at[1], at[run + 2]
-        forward, backward = 2 * before - at[0], 2 * after - at[run + 3]
+                shifted[k] = _signed(shifted[k], shifted[reference])
+        before, after = shifted[1], shifted[run + 2]
+        forward, backward = 2 * before - shifted[0], 2 * after - shifted[run + 3]
         step = (after - before) / (run + 1)
         sizes = []
-        for away, line in (
-            (at[2] - forward, at[2] - before - step),
-            (at[run + 1] - backward, at[run + 1] - after + step),
+        for difference, deviation in (
+            (shifted[2] - forward, shifted[2] - before - step),
+            (shifted[run + 1] - backward, shifted[run + 1] - after + step),
         ):
-            off = np.linalg.norm(line, axis=-1)
-            along = np.sum(away * line, axis=-1) / np.where(off > 0, off, 1)
-            sizes += [off, along]
+            distance = np.linalg.norm(deviation, axis=-1)
+            projection = np.sum(difference * deviation, axis=-1) / np.where(
+                distance > 0, distance, 1
+            )
+            sizes += [distance, projection]
         yield run, np.min(sizes, axis=0)
 
 
@@ -190,9 +194,9 @@ def _roughness(signal: FloatArray) -> FloatArray:
     """Return the typical change of speed around each frame ``(F,)``."""
     if len(signal) < 3:
         return np.zeros(len(signal))
-    bent = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
-    width = min(2 * AROUND + 1, len(bent))
-    windows = np.lib.stride_tricks.sliding_window_view(bent, width)
+    second_differences = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
+    width = min(2 * ROUGHNESS_FRAMES + 1, len(second_differences))
+    windows = np.lib.stride_tricks.sliding_window_view(second_differences, width)
     middle = np.arange(len(signal)) - 1 - width // 2
     return np.asarray(np.median(windows, axis=-1)[np.clip(middle, 0, len(windows) - 1)])
 
@@ -214,10 +218,10 @@ def clean(
     (CAP101).
 
     Args:
-        take: F frames.
-        spikes: Longest spike that is removed [frames]; 0 leaves them.
-        keep_noise: Whether noise stays.
-        cutoff: Filter every joint at this frequency [Hz]; none chooses one for the
+        take: A take of F frames.
+        spikes: Longest spike that is removed [frames]; 0 keeps all.
+        keep_noise: Whether to skip filtering.
+        cutoff: Filter every joint at this frequency [Hz]; None chooses one for the
             translations and one for the rotations of each joint.
 
     Raises:
@@ -259,7 +263,7 @@ def notices(
         return [Fault("CAP102", message, severity=Severity.WARNING)]
     spiky = sorted({s.joint for s in signals if s.spikes})
     filtered = [s for s in signals if s.cutoff is not None]
-    faults, parts, rate = [], [], float(take.clock.rate)
+    faults, signal_parts, rate = [], [], float(take.clock.rate)
     if beyond_nyquist(options, rate) and not options.keep_noise:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes nothing from a take at "
@@ -272,22 +276,23 @@ def notices(
         faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
     if spiky:
         frames = sum(len(s.spikes) for s in signals)
-        names = listed(spiky, MAX_NAMED)
-        parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
+        names = listed(spiky, MAX_LISTED_JOINTS)
+        signal_parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
     if filtered:
-        parts.append(_filtered(filtered, len(signals)))
-    if parts:
-        faults.append(Fault("CAP101", "; ".join(parts), severity=Severity.NOTE))
+        signal_parts.append(_filtered(filtered, len(signals)))
+    if signal_parts:
+        faults.append(Fault("CAP101", "; ".join(signal_parts), severity=Severity.NOTE))
     return faults
 
 
 def _filtered(signals: list[CleanedSignal], count: int) -> str:
     """Return the chosen cut-offs, and the noise they are based on."""
     order = sorted(signals, key=lambda s: s.cutoff or 0.0)
-    low, high = order[0], order[-1]
+    lowest, highest = order[0], order[-1]
     text = (
         f"{len(signals)} of {counted(count, 'signal')} filtered, at "
-        f"{low.cutoff:.3g} Hz ({low.joint}) to {high.cutoff:.3g} Hz ({high.joint})"
+        f"{lowest.cutoff:.3g} Hz ({lowest.joint}) to "
+        f"{highest.cutoff:.3g} Hz ({highest.joint})"
     )
     shift = max((s.noise for s in signals if not s.rotation), default=0.0)
     noise = max((s.noise for s in signals if s.rotation), default=0.0)
@@ -300,7 +305,7 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
     spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
-    lost = len({frame for s in signals for frame in s.spikes})
+    spike_frames = len({frame for s in signals for frame in s.spikes})
     noises = (s.noise for s in signals if s.rotation)
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
@@ -319,10 +324,13 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
                 TYPICAL_NOISE,
             ),
             Score(
-                "frames with spikes", lost / max(frames, 1), ScoreUnit.FRACTION, 0.01
+                "frames with spikes",
+                spike_frames / max(frames, 1),
+                ScoreUnit.FRACTION,
+                0.01,
             ),
         ),
-        {what: joints for what, joints in names.items() if joints},
+        {score_name: joints for score_name, joints in names.items() if joints},
     )
 
 
@@ -331,8 +339,8 @@ def _refused(message: str) -> OptionError:
 
 
 def _check_spikes(spikes: int) -> None:
-    if not 0 <= spikes <= AROUND // 2:
-        raise _refused(f"spikes is {spikes}; it must be 0 to {AROUND // 2}")
+    if not 0 <= spikes <= ROUGHNESS_FRAMES // 2:
+        raise _refused(f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}")
 
 
 def _check_cutoff(cutoff: float | None) -> None:

@@ -15,9 +15,9 @@ class CleanOptions:
 
     Attributes:
         spikes: Longest spike that is removed [frames]; 0 leaves them.
-        keep_noise: Whether noise stays: nothing is filtered.
-        cutoff: Filter every joint at this frequency [Hz]; None filters each at the
-            one that its noise asks for.
+        keep_noise: Whether to skip filtering.
+        cutoff: Filter every joint at this frequency [Hz]; None chooses a frequency for
+            each from its noise.
     """
 
     spikes: int = option(
@@ -48,8 +48,8 @@ class TriangulateOptions:
     """Options of triangulation.
 
     Attributes:
-        noise: Standard deviation of a pixel's axis [px]; None measures it.
-        keep_moved: Whether cameras that moved or are stale take part all the same.
+        noise: Standard deviation of a pixel coordinate [px]; None measures it.
+        keep_moved: Whether to use cameras even if they moved or are stale.
     """
 
     noise: float | None = option(
@@ -117,7 +117,7 @@ class FillOptions:
         keep_gaps: Whether gaps stay.
         keep_spikes: Whether spikes stay.
         keep_swaps: Whether swapped names stay.
-        longest: Longest gap that is filled [s]; None fills all that can be.
+        longest: Longest gap that is filled [s]; None sets no limit.
     """
 
     keep_gaps: bool = option(

@@ -39,7 +39,7 @@ from animtool.cli.outputs import (
     writing_options,
     written_options_record,
 )
-from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
+from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
 
 FIRST = "first"
 # Options of the command that a match heeds, beside those of its source.
@@ -142,7 +142,7 @@ Examples:
     type=LENGTH,
     metavar="LENGTH",
     help="Report a position as missed if it is farther off than this.  [default: "
-    f"{MISSED}, or --tolerance if that is larger]",
+    f"{REPORTED_MISS}, or --tolerance if that is larger]",
 )
 @click.option(
     "--missed-degrees",
@@ -150,7 +150,7 @@ Examples:
     type=TOLERANCE,
     metavar="DEGREES",
     help="Report an orientation, aim or pole as missed if it is farther off than "
-    f"this.  [default: {MISSED_DEGREES}, or --angle-tolerance]",
+    f"this.  [default: {REPORTED_MISS_DEGREES}, or --angle-tolerance]",
 )
 @bake_option(
     "strict",

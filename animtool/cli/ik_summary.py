@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from animtool.cli.summary import channel_lines
 from animtool.core.errors import counted
 from animtool.core.quantities import angle_text, length_text
-from animtool.ik.report import BEYOND, status_text
+from animtool.ik.report import OVERFLOW_DISTANCE, status_text
 from animtool.report.text import SECONDS, Each, Template
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def _size(miss: Misses, name: str) -> str:
     """Format the size of a miss."""
     value = getattr(miss, name)
     if miss.metric and not math.isfinite(value):
-        return f"over {BEYOND:g} m"
+        return f"over {OVERFLOW_DISTANCE:g} m"
     return length_text(value) if miss.metric else angle_text(math.degrees(value))
 
 

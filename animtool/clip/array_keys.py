@@ -15,7 +15,7 @@ from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER
 from animtool.documents.references import missing_hint, referred, split_reference
 
-# Name of the array where a reference has none.
+# Array name of a reference without a name.
 DEFAULT_ARRAY = "keys"
 
 
@@ -29,8 +29,8 @@ def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
         for i, channel in enumerate(channels):
             keys: object = channel.keys
             if isinstance(keys, str):
-                loaded = _loaded(document, ("channels", i, "keys"), keys, archives)
-                channels[i] = channel.model_copy(update={"keys": loaded})
+                array_keys = _loaded(document, ("channels", i, "keys"), keys, archives)
+                channels[i] = channel.model_copy(update={"keys": array_keys})
     return model.model_copy(update={"channels": channels})
 
 
@@ -43,27 +43,29 @@ def _loaded(
     if path is None:
         return []
     try:
-        rows = archives.load(path, array)
+        key_rows = archives.load(path, array)
     except ValueError as error:
         document.add("CLIP016", at, str(error))
         return []
-    if rows.ndim != 2 or not len(rows) or rows.shape[1] < 2:
-        message = f"{text!r} has shape {rows.shape}, not (K, 1 + D)"
+    if key_rows.ndim != 2 or not len(key_rows) or key_rows.shape[1] < 2:
+        message = f"{text!r} has shape {key_rows.shape}, not (K, 1 + D)"
         hint = "write a row for each key: its time, then its value"
         document.add("CLIP016", at, message, hint)
         return []
-    if not (np.abs(rows) <= MAX_NUMBER).all():
+    if not (np.abs(key_rows) <= MAX_NUMBER).all():
         document.add("CLIP016", at, f"{text!r} has a number beyond {MAX_NUMBER:.0e}")
         return []
-    times, values = (np.ascontiguousarray(part) for part in (rows[:, 0], rows[:, 1:]))
+    times, values = (
+        np.ascontiguousarray(part) for part in (key_rows[:, 0], key_rows[:, 1:])
+    )
     return PlainKeys(times, values, text)
 
 
 def _file(document: Document, at: Location, name: str) -> Path | None:
     """Return the file of an array; None if missing or not allowed."""
     path = referred(document, at, name, project_roots(document.path))
-    wrong = None if path is None else not_a_file_reason(path)
-    if wrong is None:
+    reason = None if path is None else not_a_file_reason(path)
+    if reason is None:
         return path
-    document.add("DOC015", at, f"{name!r} {wrong}", missing_hint(document, name))
+    document.add("DOC015", at, f"{name!r} {reason}", missing_hint(document, name))
     return None

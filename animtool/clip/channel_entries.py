@@ -17,19 +17,22 @@ from animtool.documents.fields import MAX_FRAME
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
-from animtool.rig.joint_entries import UNIT_LENGTH
+from animtool.rig.joint_entries import UNIT_TOLERANCE
+from animtool.rig.suspicions import warn_of_length
 
-_ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
-_SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+_QUATERNION_INTERPS = frozenset(
+    {Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+)
+_NUMBER_INTERPS = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
 # Interpolations with handles.
-_HANDLED = {Interp.BEZIER, Interp.HERMITE}
-# Number of components; of a rotation, its Euler angles.
+_HANDLE_INTERPS = {Interp.BEZIER, Interp.HERMITE}
+# Number of components; for rotations, of Euler angles.
 _WIDTHS = {
     **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
     **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
 # Shorter quaternions are mistakes, not rotations.
-SHORTEST = 1e-9
+MIN_QUATERNION = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,50 +54,58 @@ class ChannelReader:
         Args:
             at: Location of the curve.
             model: The curve.
-            target: Its target, for the channel and messages.
+            target: Target of the channel, also for messages.
             kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
-            unit: What a value of 1 means.
+            unit: Size of a value of 1.
         """
-        turning = kind == "rotation" and model.euler is None
-        width = 4 if turning else _WIDTHS[kind]
+        is_quaternion = kind == "rotation" and model.euler is None
+        components = 4 if is_quaternion else _WIDTHS[kind]
         if model.euler is not None and kind != "rotation":
             message = f"{target!r} is not a rotation"
             self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
-        default_interp = Interp.SPLINE if turning else Interp.BEZIER
+        default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
         if isinstance(model.keys, PlainKeys):
-            plain = self._plain(at, model, target, kind, unit)
-            if plain is not None:
-                return plain
+            plain_channel = self._plain(at, model, target, kind, unit)
+            if plain_channel is not None:
+                return plain_channel
             if model.keys.name:
-                self._refuse_array(at, model, target, turning, width)
+                self._refuse_array(at, model, target, is_quaternion, components)
                 return None
-            each = [KeyModel.model_construct(**one) for one in model.keys.entries()]
-            model = model.model_copy(update={"keys": each})
+            key_models = [
+                KeyModel.model_construct(**entry) for entry in model.keys.entries()
+            ]
+            model = model.model_copy(update={"keys": key_models})
         interps = tuple(
-            Interp(k.interp or model.interp or default_interp) for k in _each(model)
+            Interp(k.interp or model.interp or default_interp)
+            for k in _key_models(model)
         )
-        fits = self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
-        if turning and fits:
-            self._refuse_slopes(at, model, _each(model))
-        if not turning and fits:
+        fits = self._check_interps(
+            at, model, target, _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
+        )
+        if is_quaternion and fits:
+            self._refuse_slopes(at, model, _key_models(model))
+        if not is_quaternion and fits:
             self._warn_of_idle(at, model, interps)
-        values = self._values(at, model, width, kind == "scale")
-        even = kind == "scale"
+        values = self._values(at, model, components, kind == "scale")
+        is_positive = kind == "scale"
         handles = [
-            self._handle((*at, "keys", k), key, model, width, unit, even)
-            for k, key in enumerate(_each(model))
+            self._handle((*at, "keys", k), key, model, components, unit, is_positive)
+            for k, key in enumerate(_key_models(model))
         ]
         if values is None:
             return None
         return ClipChannel(
             target,
-            np.array([key.t for key in _each(model)]),
-            self._quaternions(at, values) if turning else values * unit,
+            np.array([key.t for key in _key_models(model)]),
+            self._quaternions(at, values) if is_quaternion else values * unit,
             interps,
-            tuple((before, behind) for before, _, behind, _ in handles),
+            tuple(
+                (tangent_before, tangent_after)
+                for tangent_before, _, tangent_after, _ in handles
+            ),
             np.array([handle for _, handle, _, _ in handles]),
             np.array([handle for *_, handle in handles]),
-            np.array([key.tcb or [0.0, 0.0, 0.0] for key in _each(model)]),
+            np.array([key.tcb or [0.0, 0.0, 0.0] for key in _key_models(model)]),
             Parametrization(model.parametrization),
             model.euler or "",
             Extrapolation(model.pre),
@@ -107,30 +118,34 @@ class ChannelReader:
         """Return the channel of plain keys; None on a fault."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
-        turning = kind == "rotation" and model.euler is None
-        width = 4 if turning else _WIDTHS[kind]
-        interp = Interp(model.interp or (Interp.SPLINE if turning else Interp.BEZIER))
+        is_quaternion = kind == "rotation" and model.euler is None
+        components = 4 if is_quaternion else _WIDTHS[kind]
+        interp = Interp(
+            model.interp or (Interp.SPLINE if is_quaternion else Interp.BEZIER)
+        )
         values = keys.values
         if kind == "scale" and values.shape[1] == 1:
-            values = np.repeat(values, width, axis=1)
-        if interp not in (_ROTATING if turning else _SCALAR):
+            values = np.repeat(values, components, axis=1)
+        if interp not in (_QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS):
             return None
-        if values.shape[1] != width:
+        if values.shape[1] != components:
             return None
-        if turning:
+        if is_quaternion:
             self._refuse_slopes(at, model, ())
         else:
             self._warn_of_path(at, model, {interp})
         count, tangent = len(keys), Tangent(model.tangents)
-        none = np.zeros((count, 1 + width))
+        no_handles = np.zeros((count, 1 + components))
         return ClipChannel(
             target,
             keys.times,
-            self._quaternions(at, values, keys.name) if turning else values * unit,
+            self._quaternions(at, values, keys.name)
+            if is_quaternion
+            else values * unit,
             (interp,) * count,
             ((tangent, tangent),) * count,
-            none,
-            none,
+            no_handles,
+            no_handles,
             np.zeros((count, 3)),
             Parametrization(model.parametrization),
             model.euler or "",
@@ -139,15 +154,22 @@ class ChannelReader:
         )
 
     def _refuse_array(
-        self, at: Location, model: CurveModel, target: str, turning: bool, width: int
+        self,
+        at: Location,
+        model: CurveModel,
+        target: str,
+        is_quaternion: bool,
+        components: int,
     ) -> None:
         """Record why the keys of an array do not fit their target."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
-        self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
-        if keys.values.shape[1] != width:
+        self._check_interps(
+            at, model, target, _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
+        )
+        if keys.values.shape[1] != components:
             message = f"rows of {keys.name!r} have {keys.values.shape[1] + 1} numbers "
-            message += f"instead of {width + 1}: a time, then the value"
+            message += f"instead of {components + 1}: a time, then the value"
             self.document.add("CLIP007", (*at, "keys"), message)
 
     def _check_interps(
@@ -157,23 +179,25 @@ class ChannelReader:
         target: str,
         allowed: frozenset[Interp],
     ) -> bool:
-        named: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
-        named += [
-            ((*at, "keys", k, "interp"), key.interp)
-            for k, key in enumerate(_each(model))
+        named_interps: list[tuple[Location, str | None]] = [
+            ((*at, "interp"), model.interp)
         ]
-        wrong = [
+        named_interps += [
+            ((*at, "keys", k, "interp"), key.interp)
+            for k, key in enumerate(_key_models(model))
+        ]
+        not_allowed = [
             (location, name)
-            for location, name in named
+            for location, name in named_interps
             if name is not None and Interp(name) not in allowed
         ]
-        for location, name in wrong:
+        for location, name in not_allowed:
             hint = f"allowed: {', '.join(sorted(allowed))}"
             if name == Interp.SPLINE:
                 hint = f"spline is for quaternions; for numbers, {hint}"
             message = f"{name} does not apply to {target!r}"
             self.document.add("CLIP009", location, message, hint)
-        return not wrong
+        return not not_allowed
 
     def _check_times(self, at: Location, model: CurveModel, times: FloatArray) -> None:
         if (np.abs(times) <= MAX_FRAME).all() and (np.diff(times) > 0).all():
@@ -184,40 +208,42 @@ class ChannelReader:
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
-        for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
-            same = times[k] == times[before]
-            what = (
+        for k, previous in self.document.descents((*at, "keys"), times.tolist(), "t"):
+            is_duplicate = times[k] == times[previous]
+            problem = (
                 "appears twice"
-                if same
-                else (f"comes before the key at {times[before]:g}")
+                if is_duplicate
+                else (f"comes before the key at {times[previous]:g}")
             )
             location = (*at, "keys", k, "t")
             hint = "key times must ascend"
-            self.document.add("CLIP004", location, f"frame {times[k]:g} {what}", hint)
+            self.document.add(
+                "CLIP004", location, f"frame {times[k]:g} {problem}", hint
+            )
 
     def _refuse_times(self, at: Location, keys: PlainKeys) -> None:
         """Record the first wrong time of an array."""
         times = keys.times
-        far = np.flatnonzero(np.abs(times) > MAX_FRAME)
-        if len(far):
-            message = f"frame {times[far[0]]:g} in row {far[0]} of {keys.name!r}"
+        beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
+        if len(beyond):
+            message = f"frame {times[beyond[0]]:g} in row {beyond[0]} of {keys.name!r}"
             self.document.add("CLIP004", at, f"{message} is beyond {MAX_FRAME:.0e}")
             return
-        row = int(np.argmax(np.diff(times) <= 0)) + 1
-        message = f"frame {times[row]:g} in row {row} of {keys.name!r} follows frame "
+        k = int(np.argmax(np.diff(times) <= 0)) + 1
+        message = f"frame {times[k]:g} in row {k} of {keys.name!r} follows frame "
         hint = "key times must ascend"
-        self.document.add("CLIP004", at, f"{message}{times[row - 1]:g}", hint)
+        self.document.add("CLIP004", at, f"{message}{times[k - 1]:g}", hint)
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
-        for k, key in enumerate(_each(model)):
+        for k, key in enumerate(_key_models(model)):
             for name, handle, sign in (("in", key.in_, -1), ("out", key.out, 1)):
                 if not isinstance(handle, list) or isinstance(handle[0], list):
                     continue
                 if handle[0] * sign < 0:
-                    where = "before" if sign < 0 else "behind"
+                    side = "before" if sign < 0 else "behind"
                     message = f"the handle's time {handle[0]:g} points the wrong way"
-                    hint = f"'{name}' is {where} its key"
+                    hint = f"'{name}' is {side} its key"
                     location = (*at, "keys", k, name)
                     self.document.add("CLIP005", location, message, hint)
 
@@ -226,17 +252,17 @@ class ChannelReader:
     ) -> None:
         """Refuse handles and tangents on quaternion keys."""
         hint = "write euler: XYZ to key three angles, which have them"
-        spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
-        spots = [(at, model, ("tangents", "parametrization"))]
-        spots += [
+        locations: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
+        locations = [(at, model, ("tangents", "parametrization"))]
+        locations += [
             ((*at, "keys", k), key, ("in_", "out", "tcb")) for k, key in enumerate(keys)
         ]
-        for spot, entry, names in spots:
+        for location, entry, names in locations:
             for name in names:
                 if name in entry.model_fields_set:
                     key = name.rstrip("_")
                     message = f"quaternions have no {key}"
-                    self.document.add("CLIP009", (*spot, key), message, hint)
+                    self.document.add("CLIP009", (*location, key), message, hint)
 
     def _warn_of_idle(
         self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
@@ -245,17 +271,20 @@ class ChannelReader:
 
         Handles before the first and after the last key are allowed.
         """
-        inner = interps[:-1]
-        for k, key in enumerate(_each(model)):
-            before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
+        inner_interps = interps[:-1]
+        for k, key in enumerate(_key_models(model)):
+            interp_before, interp_after = (
+                interps[max(k - 1, 0) : k],
+                inner_interps[k : k + 1],
+            )
             for name, handle, props, expected in (
-                ("in", key.in_, before, _HANDLED),
-                ("out", key.out, behind, _HANDLED),
-                ("tcb", key.tcb, before + behind, {Interp.TCB}),
+                ("in", key.in_, interp_before, _HANDLE_INTERPS),
+                ("out", key.out, interp_after, _HANDLE_INTERPS),
+                ("tcb", key.tcb, interp_before + interp_after, {Interp.TCB}),
             ):
                 if handle is not None and props and not expected & {*props}:
-                    kinds = " and ".join(dict.fromkeys(props))
-                    message = f"'{name}' has no effect with {kinds}"
+                    property_names = " and ".join(dict.fromkeys(props))
+                    message = f"'{name}' has no effect with {property_names}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
                     self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
         self._warn_of_path(at, model, {*(interps[:-1] or interps)})
@@ -264,77 +293,84 @@ class ChannelReader:
         self, at: Location, model: CurveModel, segments: Collection[Interp]
     ) -> None:
         """Warn of a Catmull-Rom parametrization without Catmull-Rom keys."""
-        named = "parametrization" in model.model_fields_set
-        if named and Interp.CATMULL_ROM not in segments:
+        is_set = "parametrization" in model.model_fields_set
+        if is_set and Interp.CATMULL_ROM not in segments:
             message = "'parametrization' has no effect without catmull_rom"
             self.document.warn("CLIP104", (*at, "parametrization"), message)
 
     def _values(
-        self, at: Location, model: CurveModel, width: int, even: bool
+        self, at: Location, model: CurveModel, components: int, is_positive: bool
     ) -> FloatArray | None:
-        rows = []
-        for k, key in enumerate(_each(model)):
-            row = key.v if isinstance(key.v, list) else [key.v]
-            if width == 3 and len(row) == 1 and even:
-                row = row * 3
-            if len(row) != width:
+        value_rows = []
+        for k, key in enumerate(_key_models(model)):
+            value_row = key.v if isinstance(key.v, list) else [key.v]
+            if components == 3 and len(value_row) == 1 and is_positive:
+                value_row = value_row * 3
+            if len(value_row) != components:
                 location = (*at, "keys", k, "v")
-                message = f"{counted(len(row), 'number')} instead of {width}"
+                message = f"{counted(len(value_row), 'number')} instead of {components}"
                 self.document.add("CLIP007", location, message)
                 continue
-            rows.append(row)
-        if len(rows) < len(_each(model)):
+            value_rows.append(value_row)
+        if len(value_rows) < len(_key_models(model)):
             return None
-        return np.array(rows, np.float64)
+        return np.array(value_rows, np.float64)
 
     def _handle(
         self,
         at: Location,
         key: KeyModel,
         model: CurveModel,
-        width: int,
+        components: int,
         unit: float,
-        even: bool,
+        is_positive: bool,
     ) -> tuple[Tangent, list[float], Tangent, list[float]]:
         """Return in-tangent, in-handle, out-tangent and out-handle of a key."""
-        if width == 4:
-            default, none = Tangent(model.tangents), [0.0] * (1 + width)
-            return default, none, default, none
-        sides: list[tuple[Tangent, list[float]]] = []
+        if components == 4:
+            default_tangent, no_handle = (
+                Tangent(model.tangents),
+                [0.0] * (1 + components),
+            )
+            return default_tangent, no_handle, default_tangent, no_handle
+        both_sides: list[tuple[Tangent, list[float]]] = []
         for name, handle in (("in", key.in_), ("out", key.out)):
-            none = [0.0] * (1 + width)
+            no_handle = [0.0] * (1 + components)
             if handle is None or isinstance(handle, str):
-                sides.append((Tangent(handle or model.tangents), none))
+                both_sides.append((Tangent(handle or model.tangents), no_handle))
                 continue
             dt, dv = handle
             values = dv if isinstance(dv, list) else [dv]
-            if width == 3 and len(values) == 1 and even:
+            if components == 3 and len(values) == 1 and is_positive:
                 values = values * 3
-            if isinstance(dt, list) or len(values) != width:
-                message = f"the handle is not a time and {counted(width, 'value')}"
+            if isinstance(dt, list) or len(values) != components:
+                message = f"the handle is not a time and {counted(components, 'value')}"
                 self.document.add("CLIP007", (*at, name), message)
-                sides.append((Tangent.FREE, none))
+                both_sides.append((Tangent.FREE, no_handle))
                 continue
-            sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
-        (before, first), (behind, second) = sides
-        return before, first, behind, second
+            both_sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
+        (in_side, in_tangent), (out_side, out_tangent) = both_sides
+        return in_side, in_tangent, out_side, out_tangent
 
     def _quaternions(
         self, at: Location, values: FloatArray, array: str = ""
     ) -> FloatArray:
         """Return unit (x, y, z, w) of [w, x, y, z]."""
-        rotations, wrong = file_quaternions(values)
-        if array and wrong:
-            message = f"row {wrong[0]} of {array!r} is a quaternion of zero length"
+        rotations, zero_rows = file_quaternions(values)
+        if not zero_rows and len(values):
+            k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
+            location = (*at, "keys") if array else (*at, "keys", k, "v")
+            warn_of_length(self.document, location, values[k].tolist())
+        if array and zero_rows:
+            message = f"row {zero_rows[0]} of {array!r} is a quaternion of zero length"
             self.document.add("RIG006", (*at, "keys"), message)
             return rotations
-        for k in wrong:
+        for k in zero_rows:
             message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
 
 
-def _each(model: CurveModel) -> list[KeyModel]:
+def _key_models(model: CurveModel) -> list[KeyModel]:
     """Return the keys as models."""
     return [] if isinstance(model.keys, PlainKeys) else model.keys
 
@@ -342,14 +378,14 @@ def _each(model: CurveModel) -> list[KeyModel]:
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
     """Return unit (x, y, z, w) of rows [w, x, y, z], and a mask of zero ones.
 
-    Signs continue from row to row.
+    Signs are continuous from row to row.
 
     >>> file_quaternions(np.array([[2.0, 0, 0, 0], [0, 0, 0, 0]]))[1]
     [1]
     """
     lengths = np.linalg.norm(values, axis=1)
     rotations = values[:, [1, 2, 3, 0]]
-    close = np.abs(lengths - 1.0) <= UNIT_LENGTH
-    rotations[~close] = so3.normalize(rotations[~close])
-    wrong = np.flatnonzero(~(lengths > SHORTEST)).tolist()
-    return so3.align_signs(rotations), wrong
+    near_unit = np.abs(lengths - 1.0) <= UNIT_TOLERANCE
+    rotations[~near_unit] = so3.normalize(rotations[~near_unit])
+    zero_rows = np.flatnonzero(~(lengths > MIN_QUATERNION)).tolist()
+    return so3.align_signs(rotations), zero_rows

@@ -32,21 +32,21 @@ class ClipChannel:
 
     target: str  # ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``
     times: FloatArray  # ascending [frames] ``(K,)``
-    # ``(K, D)``; quaternions (x, y, z, w), Euler angles [rad] in the order's own
-    # sequence.
+    # ``(K, D)``; quaternions (x, y, z, w), or Euler angles [rad] in the sequence of
+    # their order.
     values: FloatArray
-    interps: tuple[Interp, ...]  # of the segment after each key, K long
-    # Of each key, before and behind it, K long.
+    interps: tuple[Interp, ...]  # interpolation of the segment after each key, K long
+    # Tangent types before and after each key, K long.
     tangents: tuple[tuple[Tangent, Tangent], ...]
-    # Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``; meant
+    # Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``; used
     # where the tangent is free.
     ins: FloatArray
-    outs: FloatArray  # handles behind the keys
+    outs: FloatArray  # handles after the keys, likewise
     tcb: FloatArray  # tension, continuity, bias ``(K, 3)``
     parametrization: Parametrization = Parametrization.UNIFORM  # for Catmull-Rom
-    euler: str = ""  # order of the angles; empty for other channels
+    euler: str = ""  # order of the Euler angles; empty for other channels
     pre: Extrapolation = Extrapolation.HOLD  # before the first key
-    post: Extrapolation = Extrapolation.HOLD  # behind the last
+    post: Extrapolation = Extrapolation.HOLD  # after the last key
 
     def __repr__(self) -> str:
         """Return the target and the number of keys."""
@@ -111,17 +111,19 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
     if not joint or rig is None or joint not in rig.names or name in rig.names:
         return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
     kind = rig.joints[rig.index(joint)].type
-    fitting = [each for each, types in KEYED_PARTS.items() if kind in types]
-    meant = _OTHER_PARTS.get(part.lower())
-    if meant in fitting:
-        hint = f"the part is .{meant}"
+    fitting = [
+        kinds_of_part for kinds_of_part, types in KEYED_PARTS.items() if kind in types
+    ]
+    intended = _OTHER_PARTS.get(part.lower())
+    if intended in fitting:
+        hint = f"the part is .{intended}"
     else:
         hint = nearest_part(name, fitting) or ""
         hint = hint or f"a {kind} joint has .{', .'.join(fitting)}"
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
 
 
-# Parts of a joint in other tools.
+# Names of joint parts in other applications.
 _OTHER_PARTS = {
     "position": "translation",
     "translate": "translation",
@@ -136,9 +138,9 @@ _OTHER_PARTS = {
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Refuse targets that the rig does not have."""
+    """Refuse targets that the rig lacks."""
     kinds = [target_kind(target, rig) for target in targets]
-    faults = [fault for fault in kinds if isinstance(fault, Fault)]
+    faults = [result for result in kinds if isinstance(result, Fault)]
     if faults:
         raise OptionError(faults)
 
@@ -167,7 +169,7 @@ class ClipUnits:
         """Return the unit of a target's values: [m], [rad] or [1].
 
         Args:
-            target: Of the channel.
+            target: Target of the channel.
             euler: Euler order; empty for other values.
 
         >>> ClipUnits(0.01, 1.0).of("joint/hips.translation", "")
@@ -197,22 +199,26 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
     """Return the components of channels as C = ΣD scalar curves, in order.
 
     Computed handles lie at thirds of their segments, so that time is linear; free
-    ones are kept. Uniform Catmull-Rom takes the secant through the
-    neighbours over time, which keeps the velocity continuous for keys at any times;
-    centripetal and chordal trace the path of Barry and Goldman's pyramid.
+    handles are kept. Uniform Catmull-Rom uses the secant through the neighbours over
+    time, which keeps the velocity continuous for any key times; centripetal and chordal
+    follow Barry and Goldman's pyramid.
     """
-    parts = [_channel_curves(channel) for channel in channels]
-    first = [0]
+    channel_curves = [_channel_curves(channel) for channel in channels]
+    first_key = [0]
     for channel in channels:
         keys = len(channel.times)
-        first += [first[-1] + keys * (i + 1) for i in range(channel.values.shape[1])]
+        first_key += [
+            first_key[-1] + keys * (i + 1) for i in range(channel.values.shape[1])
+        ]
     return Curves(
-        np.array(first, np.int64),
-        _joined([times for times, *_ in parts]),
-        _joined([values for _, values, *_ in parts]),
-        np.concatenate([np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in parts]]),
-        np.concatenate([np.zeros((0, 2)), *[ins for *_, ins, _ in parts]]),
-        np.concatenate([np.zeros((0, 2)), *[outs for *_, outs in parts]]),
+        np.array(first_key, np.int64),
+        _joined([times for times, *_ in channel_curves]),
+        _joined([values for _, values, *_ in channel_curves]),
+        np.concatenate(
+            [np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in channel_curves]]
+        ),
+        np.concatenate([np.zeros((0, 2)), *[ins for *_, ins, _ in channel_curves]]),
+        np.concatenate([np.zeros((0, 2)), *[outs for *_, outs in channel_curves]]),
         tuple(c.pre for c in channels for _ in range(c.values.shape[1])),
         tuple(c.post for c in channels for _ in range(c.values.shape[1])),
     )
@@ -226,7 +232,7 @@ def _channel_curves(
     channel: ClipChannel,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
     """Return times, values, interpolations and handles by component."""
-    keys, width = channel.values.shape
+    keys, components = channel.values.shape
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
     )
@@ -234,20 +240,20 @@ def _channel_curves(
         slopes, channel.interps, channel.tangents, channel.ins, channel.outs
     )
     return (
-        np.tile(channel.times, width),
+        np.tile(channel.times, components),
         channel.values.T.ravel(),
-        np.tile(kinds, width),
-        np.stack([np.repeat(ins[None, :, 0], width, 0), ins[:, 1:].T], -1).reshape(
-            keys * width, 2
+        np.tile(kinds, components),
+        np.stack([np.repeat(ins[None, :, 0], components, 0), ins[:, 1:].T], -1).reshape(
+            keys * components, 2
         ),
-        np.stack([np.repeat(outs[None, :, 0], width, 0), outs[:, 1:].T], -1).reshape(
-            keys * width, 2
-        ),
+        np.stack(
+            [np.repeat(outs[None, :, 0], components, 0), outs[:, 1:].T], -1
+        ).reshape(keys * components, 2),
     )
 
 
-# Rotations per batch: few calls, at most 1 MB.
-ROTATIONS_AT_ONCE = 2**15
+# Rotations per batch: few calls, at most 1 MB each.
+ROTATION_BATCH = 2**15
 
 
 def evaluate_channels(
@@ -259,26 +265,26 @@ def evaluate_channels(
 
     Args:
         channels: One per target.
-        times: Any [frame] ``(F,)``; ascending ones are fastest.
+        times: Times in any order [frame] ``(F,)``; ascending times are fastest.
     """
     values: dict[str, FloatArray] = {}
     curves: list[ClipChannel] = []
-    turning: list[ClipChannel] = []
+    quaternion_channels: list[ClipChannel] = []
     for channel in channels:
-        if _is_static(channel):
-            values[channel.target] = _turned(channel, channel.values[:1])
+        if is_static(channel):
+            values[channel.target] = _as_quaternions(channel, channel.values[:1])
         elif channel.values.shape[1] == 4:
-            turning.append(channel)
+            quaternion_channels.append(channel)
         else:
             curves.append(channel)
-    values |= _rotations(turning, times)
+    values |= _rotations(quaternion_channels, times)
     if curves:
-        rows = evaluate(curves_of(curves), times)
-        begin = 0
+        curve_values = evaluate(curves_of(curves), times)
+        start = 0
         for channel in curves:
-            end = begin + channel.values.shape[1]
-            values[channel.target] = _turned(channel, rows[begin:end].T)
-            begin = end
+            end = start + channel.values.shape[1]
+            values[channel.target] = _as_quaternions(channel, curve_values[start:end].T)
+            start = end
     return {channel.target: values[channel.target] for channel in channels}
 
 
@@ -286,37 +292,44 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
     """Return the rotations ``(F, 4)`` of every target; equal key times are batched."""
     by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
     for channel in channels:
-        how = channel.interps, channel.pre, channel.post
-        by_timing.setdefault((channel.times.tobytes(), *how), []).append(channel)
-    size = max(1, ROTATIONS_AT_ONCE // max(len(times), 1))
+        timing = channel.interps, channel.pre, channel.post
+        by_timing.setdefault((channel.times.tobytes(), *timing), []).append(channel)
+    batch_size = max(1, ROTATION_BATCH // max(len(times), 1))
     values: dict[str, FloatArray] = {}
     groups = (
-        same[begin : begin + size]
-        for same in by_timing.values()
-        for begin in range(0, len(same), size)
+        indices[start : start + batch_size]
+        for indices in by_timing.values()
+        for start in range(0, len(indices), batch_size)
     )
     for group in groups:
-        first = group[0]
+        first_channel = group[0]
         rotations = evaluate_rotations(
-            first.times,
+            first_channel.times,
             np.stack([channel.values for channel in group], axis=1),
-            rotation_kinds(first),
+            rotation_kinds(first_channel),
             times,
-            first.pre,
-            first.post,
+            first_channel.pre,
+            first_channel.post,
         )
-        rows = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: row for c, row in zip(group, rows, strict=True)}
+        batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
+        values |= {
+            c.target: channel_rotations
+            for c, channel_rotations in zip(group, batch_rotations, strict=True)
+        }
     return values
 
 
-def _is_static(channel: ClipChannel) -> bool:
+def is_static(channel: ClipChannel) -> bool:
     """Return whether all keys and handles have the first key's value."""
-    constant = bool((channel.values == channel.values[0]).all())
-    return constant and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
+    has_equal_values = bool((channel.values == channel.values[0]).all())
+    return (
+        has_equal_values
+        and not channel.ins[:, 1:].any()
+        and not channel.outs[:, 1:].any()
+    )
 
 
-def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:
+def _as_quaternions(channel: ClipChannel, values: FloatArray) -> FloatArray:
     """Convert Euler angles to quaternions; return other values unchanged."""
     if not channel.euler:
         return values

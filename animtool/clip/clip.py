@@ -26,7 +26,7 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
-# Default of a channel.
+# Default tangent rule of a channel.
 DEFAULT_TANGENT = Tangent.AUTO_CLAMPED
 
 
@@ -39,8 +39,8 @@ class Clip:
         fps: Frame rate of the key times [1/s].
         first: First frame of the range.
         last: Last frame of the range, not before the first.
-        channels: One per target.
-        notices: Warnings on the file that it was read from; not compared.
+        channels: Channels, one per target.
+        notices: Warnings about the file that it was read from; not compared.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Clip:
 
         Args:
             path: The file.
-            rig: Its rig or rig file; None for the one that the clip names.
+            rig: Its rig or rig file; None uses the rig named by the clip.
 
         Raises:
             FormatError: The clip or its rig is malformed; has every fault.
@@ -71,7 +71,7 @@ class Clip:
         """Return the number of frames in the range.
 
         Args:
-            fps: Frame rate; None for the clip's.
+            fps: Frame rate; None uses the clip's.
             step: Time codes per frame.
 
         Raises:
@@ -81,8 +81,8 @@ class Clip:
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
         """
-        each = step * self.fps / _rate(fps, self.fps)
-        count = (self.last - self.first) // each + 1
+        codes_per_frame = step * self.fps / _rate(fps, self.fps)
+        count = (self.last - self.first) // codes_per_frame + 1
         if not 0 < count <= MAX_FRAMES:
             message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
             if count <= 0:
@@ -105,11 +105,10 @@ class Clip:
 
         Args:
             rig: The rig of its targets.
-            fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000,
-                1001)``; None is the clip's.
-            step: Time codes from one frame to the next, such as 0.25 for four
-                samples a frame.
-            clamp: Bring controls into their ranges and joints into their limits.
+            fps: Frames per second, such as 24, ``"23.976"`` or ``Fraction(24000,
+                1001)``; None uses the clip's.
+            step: Time codes per frame, such as 0.25 for four samples per frame.
+            clamp: Clamp controls to their ranges and joints to their limits.
 
         Raises:
             OptionError: A target is not in the rig (CLIP001 to CLIP003), or
@@ -126,22 +125,22 @@ class Clip:
         from animtool.clip.keyed_curve import KeyedCurve
         from animtool.clip.sample import sample_channels
 
-        rate, each = _rate(fps, self.fps), _step(step)
+        rate, codes_per_frame = _rate(fps, self.fps), _step(step)
         check_targets((channel.target for channel in self.channels), rig)
-        count = self.frame_count(rate, each)
-        times = time_codes(self.first, each * self.fps / rate, count)
-        sampled = sample_channels(self.channels, rig, times, clamp=clamp)
-        first, ratio = float(self.first), float(self.fps / rate)
+        count = self.frame_count(rate, codes_per_frame)
+        times = time_codes(self.first, codes_per_frame * self.fps / rate, count)
+        sampled_motion = sample_channels(self.channels, rig, times, clamp=clamp)
+        first_code, frames_per_code = float(self.first), float(self.fps / rate)
 
         def curve(codes: FloatArray) -> Motion:
-            at = first + (codes - first) * ratio
-            return sample_channels(self.channels, rig, at, clamp=clamp).motion
+            clip_times = first_code + (codes - first_code) * frames_per_code
+            return sample_channels(self.channels, rig, clip_times, clamp=clamp).motion
 
-        clock = Clock(rate, self.first, each, count)
-        notices = tuple(sampled.notices)
-        keeps_curve = not clamp and rate == self.fps
-        keyed = KeyedCurve(curve, lambda: self if keeps_curve else None)
-        return Take(rig, clock, sampled.motion, notices, curve=keyed)
+        clock = Clock(rate, self.first, codes_per_frame, count)
+        notices = tuple(sampled_motion.notices)
+        is_exact = not clamp and rate == self.fps
+        keyed_curve = KeyedCurve(curve, lambda: self if is_exact else None)
+        return Take(rig, clock, sampled_motion.motion, notices, curve=keyed_curve)
 
     def __repr__(self) -> str:
         """Return the name and counts."""
@@ -160,13 +159,13 @@ def _rate(fps: FractionLike | None, default: Fraction) -> Fraction:
 def _step(step: Fraction | float) -> Fraction:
     try:
         # The decimal as written, not the nearest float.
-        each = Fraction(str(step))
+        codes_per_frame = Fraction(str(step))
     except ValueError:
-        each = Fraction(0)
-    if each <= 0:
+        codes_per_frame = Fraction(0)
+    if codes_per_frame <= 0:
         message = f"step is {step}; it must be a positive number"
         raise OptionError(Fault("CLIP021", message))
-    return each
+    return codes_per_frame
 
 
 Choice = TypeVar("Choice", bound=Hashable)
@@ -179,14 +178,14 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     metres or radians instead; the file says which.
 
     Args:
-        clip: Quaternions of its keys at unit length, of signs that continue, and
-            handles where tangents are free, as `animtool.clip.file.load_clip` has it.
-        rig: Whose units it is written in.
+        clip: The clip; quaternions of its keys have unit length and continuous signs,
+            and free tangents have handles, as after `animtool.clip.file.load_clip`.
+        rig: Rig whose units are used.
         rig_file: The rig file as named in the clip.
     """
     units = _units(clip, rig)
     angle = "rad" if units.angle == 1.0 else "deg"
-    lines = [
+    text_lines = [
         "clip: animtool/1",
         f"name: {text(clip.name)}",
         f"rig: {text(rig_file)}",
@@ -197,9 +196,9 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     ]
     for channel in clip.channels:
         unit = units.of(channel.target, channel.euler)
-        lines.append(f"- target: {text(channel.target)}")
-        lines += [f"  {line}" for line in curve_lines(channel, unit)]
-    return "\n".join(lines) + "\n"
+        text_lines.append(f"- target: {text(channel.target)}")
+        text_lines += [f"  {line}" for line in curve_lines(channel, unit)]
+    return "\n".join(text_lines) + "\n"
 
 
 def _units(clip: Clip, rig: Rig) -> ClipUnits:
@@ -231,11 +230,11 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
 
     Args:
         channel: The curve.
-        unit: What a value of 1 means: [m], [rad] or [1].
+        unit: Size of a value of 1: [m], [rad] or [1].
     """
     interp = _commonest(channel.interps, Interp.LINEAR)
-    ruled = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
-    tangent = _commonest(ruled, DEFAULT_TANGENT)
+    tangent_rules = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
+    tangent = _commonest(tangent_rules, DEFAULT_TANGENT)
     yield f"interp: {interp}"
     for key, value, default in (
         ("tangents", tangent, DEFAULT_TANGENT),
@@ -248,8 +247,8 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
             yield f"{key}: {value}"
     yield "keys:"
     for k in range(len(channel.times)):
-        shown = ", ".join(_key(channel, k, interp, tangent, unit))
-        yield f"- {{{shown}}}"
+        entries = ", ".join(_key(channel, k, interp, tangent, unit))
+        yield f"- {{{entries}}}"
 
 
 def _key(
@@ -277,8 +276,8 @@ def _key(
 
 
 def _value(row: Sequence[float], unit: float) -> str:
-    shown = [scaled(value, unit) for value in row]
-    return shown[0] if len(shown) == 1 else flow(shown)
+    numbers = [scaled(value, unit) for value in row]
+    return numbers[0] if len(numbers) == 1 else flow(numbers)
 
 
 def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.clip.coordinates import JointMotion, Same, requested_of_joints
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
-from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points, point_errors
 from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
@@ -24,12 +24,12 @@ from animtool.rig.skeleton import Rig
 
 # Fraction of the tolerance for control keys [1].
 CONTROL_FRACTION = 0.5
-# Frames at which a control's effect is probed.
-TRIED_FRAMES = 8
-# Refinements of control keys before every frame is keyed.
-FITS = 12
-# Relative difference of control values that is rounding.
-ROUNDING = 1e-11
+# Number of frames at which a control's effect is probed.
+PROBED_FRAMES = 8
+# Number of refinements before a control gets a key at every frame.
+MAX_REFINEMENTS = 12
+# Relative difference of control values that counts as rounding.
+RELATIVE_ROUNDING = 1e-11
 
 
 def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
@@ -48,24 +48,26 @@ def solved_controls(
 ) -> SolvedControls:
     """Return control values that reproduce a take.
 
-    The search starts at the take's control values, or without any at the
-    defaults.
+    The search starts at the take's control values, or at the defaults if there are
+    none.
     """
     frames, controls = take.motion.frames, keyable_controls(rig)
-    baked = take.motion.controls
+    take_controls = take.motion.controls
     start = {c.name: np.full(frames, c.default) for c in controls}
-    if baked is not None:
-        columns = baked.dense()[..., 0].T
-        reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
-        start |= keyed_values(controls, reached)
+    if take_controls is not None:
+        columns = take_controls.dense()[..., 0].T
+        control_values = {c.name: v for c, v in zip(controls, columns, strict=True)}
+        start |= keyed_values(controls, control_values)
     if rig.is_driven:
-        resting = {c.name: np.full(frames, c.default) for c in controls}
-        start |= {name: resting[name] for name in plan_of(rig).controls}
-    near = evaluate_controls(controls, start).targets
-    goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
+        without_drives = {c.name: np.full(frames, c.default) for c in controls}
+        start |= {name: without_drives[name] for name in plan_of(rig).controls}
+    start_values = evaluate_controls(controls, start).targets
+    goals, keyed = requested_of_joints(
+        rig, joints, set(start_values), start_values, same
+    )
     shapes = uncombined_weights_of(take, rig)
     for shape, value in shapes.items():
-        if f"shape/{shape}" in near:
+        if f"shape/{shape}" in start_values:
             goals[f"shape/{shape}"] = value
     goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
     tolerances = {target: same.of(target) for target in goals}
@@ -77,8 +79,8 @@ def solved_controls(
             )
             for control in controls
         },
-        solved.kept,
-        () if baked is not None else solved.released,
+        solved.solved_names,
+        () if take_controls is not None else solved.released,
     )
 
 
@@ -90,7 +92,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     if not rig.is_driven:
         return rig.controls
     plan = plan_of(rig)
-    taken = {
+    unkeyable = {
         *(f"shape/{n}" for n in plan.shapes),
         *(f"control/{n}" for n in plan.controls),
     }
@@ -99,7 +101,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
             control,
             drives=()
             if control.name in plan.controls
-            else tuple(d for d in control.drives if d.target not in taken),
+            else tuple(d for d in control.drives if d.target not in unkeyable),
         )
         for control in rig.controls
     ]
@@ -107,20 +109,20 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
 
 def _without_rounding(values: FloatArray, default: float) -> FloatArray:
     """Remove rounding noise: snap values to the default or to a constant."""
-    small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
-    values = np.where(np.abs(values - default) <= small, default, values)
-    constant = np.ptp(values) <= small
-    return np.full_like(values, values[0]) if constant else values
+    tolerance = RELATIVE_ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
+    values = np.where(np.abs(values - default) <= tolerance, default, values)
+    is_constant = np.ptp(values) <= tolerance
+    return np.full_like(values, values[0]) if is_constant else values
 
 
 @dataclass(frozen=True, slots=True)
 class FittedControls:
     """Keys of the controls that leave their defaults."""
 
-    channels: list[ReducedChannel]  # one each, in the rig's order
-    # What the keys give, of every control ``(F or 1, 1)``, by target.
+    channels: list[ReducedChannel]  # one channel each, in the rig's order
+    # Values of every control from its keys, by target ``(F or 1, 1)``.
     values: dict[str, FloatArray]
-    moving: int  # samples of the channels that move
+    moving: int  # number of samples of the moving channels
 
     @property
     def named(self) -> dict[str, FloatArray]:
@@ -141,36 +143,40 @@ def fit_controls(
     ``solved`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
-    changed = [name for name in defaults if (solved[name] != defaults[name]).any()]
-    moving = [name for name in changed if (solved[name] != solved[name][0]).any()]
+    changed_names = [
+        name for name in defaults if (solved[name] != defaults[name]).any()
+    ]
+    moving_count = [
+        name for name in changed_names if (solved[name] != solved[name][0]).any()
+    ]
     effect = _Effect(take, rig, solved, keyed_tracks, bounds, weight_tolerance)
-    tolerances = {name: effect.tolerance(name) for name in moving}
+    tolerances = {name: effect.tolerance(name) for name in moving_count}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
-    for fit in range(FITS):
-        for name in changed:
+    for fit in range(MAX_REFINEMENTS):
+        for name in changed_names:
             column = solved[name][:, None]
             if name not in tolerances:
                 keys[name] = fit_keys(column[:1], 1.0)
                 continue
             keys[name] = fit_keys(column, tolerances[name])
         values = {
-            f"control/{name}": evaluate_keys(fitted, np.arange(take.motion.frames))
-            for name, fitted in keys.items()
+            f"control/{name}": evaluate_keys(keys_fitted, np.arange(take.motion.frames))
+            for name, keys_fitted in keys.items()
         }
-        ratio = effect.ratio(values) if moving else 0.0
+        ratio = effect.ratio(values) if moving_count else 0.0
         if ratio <= CONTROL_FRACTION:
             break
-        factor = 0.8 * CONTROL_FRACTION / ratio if fit < FITS - 2 else 1e-9
+        factor = 0.8 * CONTROL_FRACTION / ratio if fit < MAX_REFINEMENTS - 2 else 1e-9
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
     order = {control.name: i for i, control in enumerate(rig.controls)}
     channels = [
         ReducedChannel(
             f"control/{name}", ChannelKind.CONTROL, order[name], None, None, keys[name]
         )
-        for name in changed
+        for name in changed_names
     ]
-    return FittedControls(channels, values, take.motion.frames * len(moving))
+    return FittedControls(channels, values, take.motion.frames * len(moving_count))
 
 
 class _Effect:
@@ -188,65 +194,79 @@ class _Effect:
         self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
         self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
-        self.points = attached_points(rig, SHELL)
+        self.points = attached_points(rig, SHELL_DISTANCE)
 
     def ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
         """Return the largest error of control values, in units of the tolerance."""
         take, rig = self.take, self.rig
-        at = np.arange(take.motion.frames) if frames is None else frames
-        exact = {
-            name: value[at] if len(value) > 1 else value
+        frame_indices = np.arange(take.motion.frames) if frames is None else frames
+        exact_values = {
+            name: value[frame_indices] if len(value) > 1 else value
             for name, value in self.exact.items()
         }
-        trial = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
-        times = take.clock.times[at]
-        exact_motion = sample_values(exact, rig, times).motion
-        sampled = sample_values({**exact, **trial}, rig, times).motion
-        truth = take.motion.select(at)
-        posed = driven_pose(truth, sampled, exact_motion, self.keyed_tracks)
-        worlds = [motion.world(take.rig) for motion in (truth, posed)]
+        trial_values = {
+            name: v[frame_indices] if len(v) > 1 else v for name, v in values.items()
+        }
+        times = take.clock.times[frame_indices]
+        exact_motion = sample_values(exact_values, rig, times).motion
+        trial_motion = sample_values(
+            {**exact_values, **trial_values}, rig, times
+        ).motion
+        exact_pose = take.motion.select(frame_indices)
+        driven_motion = driven_pose(
+            exact_pose, trial_motion, exact_motion, self.keyed_tracks
+        )
+        worlds = [motion.world(take.rig) for motion in (exact_pose, driven_motion)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
         weights = [
             np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
-            for m in (exact_motion, sampled)
+            for m in (exact_motion, trial_motion)
         ]
-        off = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
-        return max(ratio, off / self.weight_tolerance)
+        weight_error = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
+        return max(ratio, weight_error / self.weight_tolerance)
 
     def tolerance(self, name: str) -> float:
         """Return the initial tolerance of a control's keys."""
         values = self.exact[f"control/{name}"]
-        step = 1e-3 * float(np.ptp(values))
+        increment = 1e-3 * float(np.ptp(values))
         frames = np.unique(
-            np.linspace(0, len(values) - 1, TRIED_FRAMES).astype(np.int64)
+            np.linspace(0, len(values) - 1, PROBED_FRAMES).astype(np.int64)
         )
-        ratio = self.ratio({f"control/{name}": values + step}, frames)
-        return CONTROL_FRACTION * step / ratio if ratio > 0 else 1e-3 * step
+        ratio = self.ratio({f"control/{name}": values + increment}, frames)
+        return CONTROL_FRACTION * increment / ratio if ratio > 0 else 1e-3 * increment
 
 
 def driven_pose(
     motion: Motion,
     controls: Motion,
-    exact: Motion,
+    exact_controls: Motion,
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
     """Return a motion whose control-driven joints follow other values."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
-        of_take: Channel = getattr(motion, name)
-        now: Channel = getattr(controls, name)
-        before: Channel = getattr(exact, name)
-        moved = set(now.animated.tolist()) | set(before.animated.tolist())
-        joints = [j for j in sorted(moved) if (kind, j) not in keyed_tracks]
+        take_channel: Channel = getattr(motion, name)
+        new_channel: Channel = getattr(controls, name)
+        exact_channel: Channel = getattr(exact_controls, name)
+        moved_joints = set(new_channel.animated.tolist()) | set(
+            exact_channel.animated.tolist()
+        )
+        joints = [j for j in sorted(moved_joints) if (kind, j) not in keyed_tracks]
         if not joints:
-            return of_take
-        at = np.array(joints)
-        same = (now.gather(at) == before.gather(at)).all(axis=(0, 2))
-        at = at[~same]
-        return of_take.put(at, now.gather(at)) if len(at) else of_take
+            return take_channel
+        joint_indices = np.array(joints)
+        is_unchanged = (
+            new_channel.gather(joint_indices) == exact_channel.gather(joint_indices)
+        ).all(axis=(0, 2))
+        joint_indices = joint_indices[~is_unchanged]
+        return (
+            take_channel.put(joint_indices, new_channel.gather(joint_indices))
+            if len(joint_indices)
+            else take_channel
+        )
 
     return Motion(
         mixed(ChannelKind.TRANSLATION, "translations"),

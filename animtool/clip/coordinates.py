@@ -1,4 +1,4 @@
-"""Joint motion relative to rest, less what controls drive."""
+"""Joint motion relative to rest, without the contributions of controls."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Revolutions to try for a pin's first angle.
+# Number of revolutions tried for a pin's first angle.
 MAX_REVOLUTIONS = 3
 _COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
-_TURNING = {JointType.FREE, JointType.BALL}
+_ROTATING_TYPES = {JointType.FREE, JointType.BALL}
 
 
 @dataclass(frozen=True, slots=True)
 class Same:
-    """Differences below which no keys are needed [rad], [m], [1]."""
+    """Differences below which values count as equal [rad], [m], [1]."""
 
     angle: float
     length: float
@@ -50,13 +50,14 @@ class JointMotion:
 
     rotation: FloatArray  # ``(n, 4)``, signs continuous
     shift: FloatArray  # ``(n, 3)`` [m]
-    # Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``, else 0.
+    # Angle of a pin [rad], continuous, or offset of a prismatic joint [m] ``(n,)``,
+    # else 0.
     coordinate: FloatArray
     # Largest rotation that the joint's type does not allow [rad].
     rotation_error: float
-    shift_error: float  # likewise of the shift [m]
-    rotation_rests: bool  # the local rotation is that of rest, to the last digit
-    shift_rests: bool  # the local translation is
+    shift_error: float  # largest translation that the joint's type does not allow [m]
+    rotation_rests: bool  # whether the local rotation is exactly that of the rest pose
+    shift_rests: bool  # whether the local translation is
 
 
 def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
@@ -68,9 +69,11 @@ def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
     moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
     motions = []
     for j, joint in enumerate(rig.joints):
-        at = np.array([j])
+        joint_index = np.array([j])
         local = [
-            channel.gather(at)[:, 0] if j in moving else channel.rest[at]
+            channel.gather(joint_index)[:, 0]
+            if j in moving
+            else channel.rest[joint_index]
             for channel, moving in zip(
                 (motion.translations, motion.rotations), moves, strict=True
             )
@@ -78,32 +81,32 @@ def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
         motions.append(_joint_motion(joint, local[0], local[1]))
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            motions[j] = _on_nearest_revolution(rig, motions, j, same)
+            motions[j] = _with_best_revolution(rig, motions, j, same)
     return motions
 
 
 def _joint_motion(
     joint: Joint, translation: FloatArray, rotation: FloatArray
 ) -> JointMotion:
-    undo = so3.conjugate(joint.rotation)
-    relative = so3.align_signs(so3.multiply(undo, rotation))
-    shift = so3.rotate(undo, translation - np.array(joint.translation))
+    inverse_rest = so3.conjugate(joint.rotation)
+    relative = so3.align_signs(so3.multiply(inverse_rest, rotation))
+    shift = so3.rotate(inverse_rest, translation - np.array(joint.translation))
     axis = np.array(joint.axis)
     coordinate = np.zeros(1)
     rotation_error, shift_error = 0.0, float(np.abs(shift).max(initial=0.0))
     if joint.type is JointType.PIN:
         coordinate = np.unwrap(2.0 * np.arctan2(relative[:, :3] @ axis, relative[:, 3]))
         coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
-        left = so3.angle_between(relative, so3.from_axis_angle(axis, coordinate))
-        rotation_error = float(left.max(initial=0.0))
-    elif joint.type not in _TURNING:
+        residual = so3.angle_between(relative, so3.from_axis_angle(axis, coordinate))
+        rotation_error = float(residual.max(initial=0.0))
+    elif joint.type not in _ROTATING_TYPES:
         rotation_error = float(
             so3.angle_between(relative, so3.IDENTITY).max(initial=0.0)
         )
     if joint.type is JointType.PRISMATIC:
         coordinate = shift @ axis
-        left = shift - coordinate[:, None] * axis
-        shift_error = float(np.abs(left).max(initial=0.0))
+        residual = shift - coordinate[:, None] * axis
+        shift_error = float(np.abs(residual).max(initial=0.0))
     elif joint.type is JointType.FREE:
         shift_error = 0.0
     return JointMotion(
@@ -117,12 +120,12 @@ def _joint_motion(
     )
 
 
-def _on_nearest_revolution(
+def _with_best_revolution(
     rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
 ) -> JointMotion:
-    """Return a pin's motion with its angle on the likeliest revolution."""
+    """Return a pin's motion with its angle on the most likely revolution."""
     joint, joint_motion = rig.joints[j], motions[j]
-    led = [
+    followers = [
         (motions[i], follower.mimic, follower.type)
         for i, follower in enumerate(rig.joints)
         if follower.mimic is not None and follower.mimic.joint == joint.name
@@ -130,17 +133,19 @@ def _on_nearest_revolution(
 
     def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
-        astray = False
-        for motion, mimic, kind in led:
-            off = motion.coordinate - (mimic.gain * angle + mimic.offset)
-            pin = kind is JointType.PIN
-            off = _wrapped(off) if pin else off
-            most = same.angle if pin else same.length
-            astray = astray or bool(np.abs(off).max(initial=0.0) > most)
+        excess_sum = False
+        for motion, mimic, follower_type in followers:
+            differences = motion.coordinate - (mimic.gain * angle + mimic.offset)
+            is_pin = follower_type is JointType.PIN
+            differences = _wrapped(differences) if is_pin else differences
+            tolerance = same.angle if is_pin else same.length
+            excess_sum = excess_sum or bool(
+                np.abs(differences).max(initial=0.0) > tolerance
+            )
         excess = 0.0
         if isinstance(joint.limits, RangeLimit):
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
-        return astray, round(excess, 9), abs(revolutions)
+        return excess_sum, round(excess, 9), abs(revolutions)
 
     revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=misfit_cost)
     return replace(
@@ -152,13 +157,13 @@ def requested_of_joints(
     rig: Rig,
     motions: Sequence[JointMotion],
     targets: Set[str],
-    near: Mapping[str, FloatArray],
+    guesses: Mapping[str, FloatArray],
     same: Same,
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Return what controls must add to joints, and the unreachable targets.
 
-    Returns target values ``(F or 1,)``, and the targets of joints that also
-    move along axes that no control drives.
+    Returns target values ``(F or 1,)``, and the targets of joints that also move along
+    axes that no control drives.
     """
     requested: dict[str, FloatArray] = {}
     keyed: set[str] = set()
@@ -170,35 +175,39 @@ def requested_of_joints(
         motion = motions[rig.index(joint)]
         kind, _, axis = part.partition(".")
         if kind == "rotation":
-            parts = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
-            thought = [near.get(part, np.zeros(1)) for part in parts]
-            vector = _near(motion.rotation, np.stack(np.broadcast_arrays(*thought), -1))
+            axis_targets = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
+            guess = [guesses.get(part, np.zeros(1)) for part in axis_targets]
+            vector = _near(motion.rotation, np.stack(np.broadcast_arrays(*guess), -1))
             requested[target] = vector[:, "xyz".index(axis)]
-            spare = [i for i in range(3) if parts[i] not in targets]
-            if np.abs(vector[:, spare]).max(initial=0.0) > same.angle:
+            other_axes = [i for i in range(3) if axis_targets[i] not in targets]
+            if np.abs(vector[:, other_axes]).max(initial=0.0) > same.angle:
                 keyed.add(target)
         elif kind == "translation":
             requested[target] = motion.shift[:, "xyz".index(axis)]
         else:
             requested[target] = motion.coordinate
-            off = motion.rotation_error > same.angle if kind == "angle" else False
-            if off or (kind == "slide" and motion.shift_error > same.length):
+            is_unreachable = (
+                motion.rotation_error > same.angle if kind == "angle" else False
+            )
+            if is_unreachable or (kind == "slide" and motion.shift_error > same.length):
                 keyed.add(target)
     return requested, keyed
 
 
-def _near(rotation: FloatArray, thought: FloatArray) -> FloatArray:
+def _near(rotation: FloatArray, guess: FloatArray) -> FloatArray:
     """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
     vector = so3.log(rotation)
-    vector, thought = np.broadcast_arrays(vector, thought)
+    vector, guess = np.broadcast_arrays(vector, guess)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
-    size = np.linalg.norm(thought, axis=1, keepdims=True)
-    axis = np.where(length > 1e-9, vector, thought)
+    lengths = np.linalg.norm(guess, axis=1, keepdims=True)
+    axis = np.where(length > 1e-9, vector, guess)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    along = (thought * axis).sum(axis=1, keepdims=True)
-    start = (vector * axis).sum(axis=1, keepdims=True)
-    revolutions = np.round((along - start) / (2 * np.pi))
-    return np.where(size > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector)
+    guess_on_axis = (guess * axis).sum(axis=1, keepdims=True)
+    vector_on_axis = (vector * axis).sum(axis=1, keepdims=True)
+    revolutions = np.round((guess_on_axis - vector_on_axis) / (2 * np.pi))
+    return np.where(
+        lengths > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector
+    )
 
 
 def joint_tracks(
@@ -211,32 +220,32 @@ def joint_tracks(
     """Return tracks of joint motion beyond controls and mimics."""
     tracks: dict[int, list[KeyTrack]] = {}
     coordinates: dict[str, FloatArray] = {}
-    last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
-    first = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
-    for j in (*first, *last):
+    mimic_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
+    leader_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
+    for j in (*leader_indices, *mimic_indices):
         joint = rig.joints[j]
-        one = _OneJoint(joint, j, motions[j], driven, fitted, same)
-        expected = one.driven(_COORDINATE.get(joint.type, ""))
+        joint_to_key = _OneJoint(joint, j, motions[j], driven, fitted, same)
+        mimic_value = joint_to_key.driven(_COORDINATE.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
             leader = coordinates.get(mimic.joint, np.zeros(1))
-            followed = mimic.gain * leader + mimic.offset
-            expected = followed if followed.any() else expected
-        tracks[j] = list(one.tracks(expected))
-        parts = {track.part for track in tracks[j]}
+            followed_value = mimic.gain * leader + mimic.offset
+            mimic_value = followed_value if followed_value.any() else mimic_value
+        tracks[j] = list(joint_to_key.tracks(mimic_value))
+        keyed_parts = {track.part for track in tracks[j]}
         coordinates[joint.name] = (
             np.zeros(1)
-            if "local_rotation" in parts or "local_translation" in parts
+            if "local_rotation" in keyed_parts or "local_translation" in keyed_parts
             else motions[j].coordinate
-            if parts & {"angle", "slide"}
-            else expected
+            if keyed_parts & {"angle", "slide"}
+            else mimic_value
         )
     return [track for j in range(len(rig.joints)) for track in tracks[j]]
 
 
 @dataclass(frozen=True, slots=True)
 class _OneJoint:
-    """A joint to key."""
+    """A joint to be keyed."""
 
     joint: Joint
     index: int
@@ -256,71 +265,76 @@ class _OneJoint:
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        """Yield the tracks, translation first: ``expected`` ``(F or 1,)``."""
+        """Yield the tracks, translation first; ``expected`` ``(F or 1,)``."""
         yield from self._shift(expected)
         yield from self._rotation_tracks(expected)
 
     def _shift(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        motion, joint, same = self.motion, self.joint, self.same
+        motion, joint, tolerances = self.motion, self.joint, self.same
         rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
-        if motion.shift_error > same.length and not motion.shift_rests:
+        if motion.shift_error > tolerances.length and not motion.shift_rests:
             local = rest_t + so3.rotate(rest_r, motion.shift)
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
-            off = motion.coordinate - expected
-            if self._differs(off, same.length, rests=motion.shift_rests):
-                before = self.driven("slide", fitted=True)
+            difference = motion.coordinate - expected
+            if self._differs(difference, tolerances.length, rests=motion.shift_rests):
+                driven_part = self.driven("slide", fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "slide",
-                    (motion.coordinate - before)[:, None],
-                    rest_t + so3.rotate(rest_r, before[:, None] * np.array(joint.axis)),
+                    (motion.coordinate - driven_part)[:, None],
+                    rest_t
+                    + so3.rotate(rest_r, driven_part[:, None] * np.array(joint.axis)),
                 )
         elif joint.type is JointType.FREE:
-            added = self.vector("translation")
-            off = motion.shift - added
-            if self._differs(off, same.length, rests=motion.shift_rests):
-                before = self.vector("translation", fitted=True)
+            driven_vector = self.vector("translation")
+            difference = motion.shift - driven_vector
+            if self._differs(difference, tolerances.length, rests=motion.shift_rests):
+                driven_part = self.vector("translation", fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "translation",
-                    motion.shift - before,
-                    rest_t + so3.rotate(rest_r, before),
+                    motion.shift - driven_part,
+                    rest_t + so3.rotate(rest_r, driven_part),
                 )
 
     def _rotation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        motion, joint, same = self.motion, self.joint, self.same
-        rest = np.array(joint.rotation)
-        if motion.rotation_error > same.angle and not motion.rotation_rests:
-            local = so3.align_signs(so3.multiply(rest, motion.rotation))
+        motion, joint, tolerances = self.motion, self.joint, self.same
+        rest_rotation = np.array(joint.rotation)
+        if motion.rotation_error > tolerances.angle and not motion.rotation_rests:
+            local = so3.align_signs(so3.multiply(rest_rotation, motion.rotation))
             yield self._euler("local_rotation", local, None)
         elif joint.type is JointType.PIN:
-            off = _wrapped(motion.coordinate - expected)
-            if self._differs(off, same.angle, rests=motion.rotation_rests):
-                before = self.driven("angle", fitted=True)
+            difference = _wrapped(motion.coordinate - expected)
+            if self._differs(difference, tolerances.angle, rests=motion.rotation_rests):
+                driven_part = self.driven("angle", fitted=True)
                 yield self._track(
                     ChannelKind.ROTATION,
                     "angle",
-                    np.degrees(motion.coordinate - before)[:, None],
-                    so3.multiply(rest, so3.from_axis_angle(joint.axis, before)),
+                    np.degrees(motion.coordinate - driven_part)[:, None],
+                    so3.multiply(
+                        rest_rotation, so3.from_axis_angle(joint.axis, driven_part)
+                    ),
                 )
-        elif joint.type in _TURNING:
-            added = so3.exp(self.vector("rotation"))
-            off = so3.angle_between(added, motion.rotation)
-            if self._differs(off, same.angle, rests=motion.rotation_rests):
-                before = so3.exp(self.vector("rotation", fitted=True))
-                keyed = so3.align_signs(
-                    so3.multiply(so3.conjugate(before), motion.rotation)
+        elif joint.type in _ROTATING_TYPES:
+            driven_rotation = so3.exp(self.vector("rotation"))
+            difference = so3.angle_between(driven_rotation, motion.rotation)
+            if self._differs(difference, tolerances.angle, rests=motion.rotation_rests):
+                driven_part = so3.exp(self.vector("rotation", fitted=True))
+                keyed_rotation = so3.align_signs(
+                    so3.multiply(so3.conjugate(driven_part), motion.rotation)
                 )
-                yield self._euler("rotation", keyed, so3.multiply(rest, before))
+                yield self._euler(
+                    "rotation", keyed_rotation, so3.multiply(rest_rotation, driven_part)
+                )
 
-    def _differs(self, off: FloatArray, same: float, *, rests: bool) -> bool:
+    def _differs(self, difference: FloatArray, same: float, *, rests: bool) -> bool:
         """Return whether a coordinate needs keys."""
         name = f"joint/{self.joint.name}."
-        driven = any(target.startswith(name) for target in self.stated)
-        if not driven and self.joint.mimic is None:
+        is_driven = any(target.startswith(name) for target in self.stated)
+        if not is_driven and self.joint.mimic is None:
             return not rests
-        return bool(np.abs(off).max(initial=0.0) > same)
+        return bool(np.abs(difference).max(initial=0.0) > same)
 
     def _euler(
         self, part: str, rotations: FloatArray, before: FloatArray | None
@@ -338,19 +352,19 @@ class _OneJoint:
         order: str | None = None,
     ) -> KeyTrack:
         joint = self.joint
-        constant: BoolArray = (samples == samples[:1]).all()
+        is_constant: BoolArray = (samples == samples[:1]).all()
         name = f"joint/{joint.name}."
-        alone = not any(target.startswith(name) for target in self.stated)
+        is_undriven = not any(target.startswith(name) for target in self.stated)
         return KeyTrack(
             kind,
             self.index,
             order,
-            np.ascontiguousarray(samples[:1] if constant else samples),
+            np.ascontiguousarray(samples[:1] if is_constant else samples),
             part,
             before,
             joint.rotation,
             joint.axis,
-            joint.limits if alone else None,
+            joint.limits if is_undriven else None,
         )
 
 

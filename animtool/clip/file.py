@@ -14,6 +14,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.suspicions import warn_of_numbers
+from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
@@ -28,8 +29,8 @@ from animtool.documents.references import missing_hint, referred
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
-# Motion parts and the local parts that replace them; a joint has one of them.
-_REPLACED = {
+# Motion parts and the local parts that replace them; a joint has only one of them.
+_REPLACED_BY = {
     "translation": "local_translation",
     "slide": "local_translation",
     "rotation": "local_rotation",
@@ -41,10 +42,12 @@ _REPLACED = {
 class ClipFile:
     """An unchecked clip file."""
 
-    # Its text, with places and with the faults of its keys and types.
+    # Its text, with locations and with the faults of its keys and types.
     document: Document
     model: ClipModel  # its content
-    rig: Path | None  # the rig file that it names, resolved; None where it names none
+    rig: (
+        Path | None
+    )  # resolved path of the rig file that it names; None if it names none
 
     def needed_rig(self) -> Path:
         """Return the rig that the clip names.
@@ -89,18 +92,18 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
     Args:
         file: The clip.
-        path: The rig file; None for the one that the clip names.
+        path: The rig file; None uses the rig named by the clip.
 
     Raises:
         FormatError: Has every fault of the rig, and those of the clip that do not
             depend on it.
         OptionError: The clip names no rig (CLIP011).
     """
-    named = file.needed_rig() if path is None else path
-    if path is None and not exists(named):
+    rig_path = file.needed_rig() if path is None else path
+    if path is None and not exists(rig_path):
         _note_missing(file)
     try:
-        return Rig.load(named)
+        return Rig.load(rig_path)
     except FormatError as error:
         try:
             check_clip(file)
@@ -112,9 +115,9 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 def _note_missing(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
-    near = missing_hint(file.document, file.model.rig or "")
+    suggestion = missing_hint(file.document, file.model.rig or "")
     hint = "; ".join(
-        filter(None, [near, f"pass another rig with {argument('source.rig')}"])
+        filter(None, [suggestion, f"pass another rig with {argument('source.rig')}"])
     )
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
@@ -125,8 +128,8 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
     """Check a clip file against a rig and return the clip.
 
     Args:
-        file: Its content.
-        rig: Whose controls, shapes and joints its targets are.
+        file: Content of the file.
+        rig: Rig whose controls, shapes and joints are the targets.
 
     Raises:
         FormatError: Has every fault: unknown keys, values of the wrong type or width,
@@ -174,12 +177,12 @@ class _ClipReader:
 
     def clip(self) -> Clip:
         fps = self._fps()
-        claimed: dict[str, int] = {}
+        channel_of_target: dict[str, int] = {}
         channels = []
         for i, model in enumerate(self.model.channels):
-            at = ("channels", i)
-            self._once((*at, "target"), model.target, claimed, i)
-            channel = self._channel(at, model)
+            location = ("channels", i)
+            self._once((*location, "target"), model.target, channel_of_target, i)
+            channel = self._channel(location, model)
             if channel is not None:
                 channels.append(channel)
         if not self.model.channels and self.model.range is None:
@@ -188,6 +191,7 @@ class _ClipReader:
             self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
         self.document.check()
+        warn_of_times(self.document, channels, fps, first, last)
         warn_of_numbers(self.document, channels, fps, self.units, self.rig)
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
@@ -202,26 +206,32 @@ class _ClipReader:
 
     def _range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:
         if self.model.range is None:
-            ends = [t for c in channels for t in (c.times[0], c.times[-1])] or [1.0]
-            return Fraction(min(ends)), Fraction(max(ends))
+            key_times = [
+                t
+                for clip_channel in channels
+                for t in (clip_channel.times[0], clip_channel.times[-1])
+            ] or [1.0]
+            return Fraction(min(key_times)), Fraction(max(key_times))
         first, last = self.model.range
         return checked_range(self.document, first, last)
 
-    def _once(self, at: Location, target: str, claimed: dict[str, int], i: int) -> None:
-        """Refuse duplicate targets, and both motion and local motion of one joint."""
-        name, part = split_part(target, _REPLACED)
-        claim = f"{name}.{_REPLACED[part]}" if part else target
-        if claim in claimed:
-            other = self.model.channels[claimed[claim]].target
-            line = self.document.position(("channels", claimed[claim]))[0]
-            what = (
+    def _once(
+        self, at: Location, target: str, channel_of_target: dict[str, int], i: int
+    ) -> None:
+        """Refuse duplicate targets, and both motion and local motion of a joint."""
+        name, part = split_part(target, _REPLACED_BY)
+        claim = f"{name}.{_REPLACED_BY[part]}" if part else target
+        if claim in channel_of_target:
+            other_target = self.model.channels[channel_of_target[claim]].target
+            line = self.document.position(("channels", channel_of_target[claim]))[0]
+            problem = (
                 "appears twice"
-                if other == target
-                else (f"and {other!r} are the same target")
+                if other_target == target
+                else (f"and {other_target!r} are the same target")
             )
             hint = f"the other is on line {line}"
-            self.document.add("CLIP010", at, f"target {target!r} {what}", hint)
-        claimed.setdefault(claim, i)
+            self.document.add("CLIP010", at, f"target {target!r} {problem}", hint)
+        channel_of_target.setdefault(claim, i)
 
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
         if not len(model.keys):
@@ -244,7 +254,7 @@ class _ClipReader:
 def checked_range(
     document: Document, first: float, last: float
 ) -> tuple[Fraction, Fraction]:
-    """Return the ends of a document's range; record its faults."""
+    """Return first and last frame of a document's range; record its faults."""
     if first > last:
         message = f"the range from {first:g} to {last:g} is reversed"
         hint = f"write [{last:g}, {first:g}]"

@@ -30,11 +30,11 @@ MAX_NAMES = 6
 class ChannelError:
     """Largest error of a clip's channel."""
 
-    target: str  # of the channel
-    error: float  # the largest, in ``unit``
-    # Of the clip's file: ``deg``, ``rad`` or a length; None where it has none.
+    target: str  # target of the channel
+    error: float  # the largest error, in ``unit``
+    # Unit in the clip's file: ``deg``, ``rad`` or a length; None if it has no unit.
     unit: str | None
-    frame: float  # time code where that is
+    frame: float  # time code of the largest error
     json_keys: ClassVar[str] = "target error unit frame"
 
 
@@ -47,42 +47,58 @@ def channel_errors(
 ) -> tuple[ChannelError, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
-    sampled = {}
+    values_of_target = {}
     if keyed.controls is not None:
         columns = keyed.controls.dense()[..., 0].T
-        reached = {c.name: v for c, v in zip(rig.controls, columns, strict=True)}
-        sampled = keyed_values(rig.controls, reached)
+        control_values = {
+            control.name: v for control, v in zip(rig.controls, columns, strict=True)
+        }
+        values_of_target = keyed_values(rig.controls, control_values)
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def errors(target: str) -> tuple[FloatArray, str | None]:
         group, _, name = target.partition("/")
         if group == "control":
-            return np.abs(sampled[name] - controls[name]), None
+            return np.abs(values_of_target[name] - controls[name]), None
         if group == "shape":
-            at = np.array([shapes[name]])
-            pair = take.motion.weights, keyed.weights
-            a, b = (_gathered(c, at, take.motion.frames) for c in pair)
+            shape_index = np.array([shapes[name]])
+            weights_pair = take.motion.weights, keyed.weights
+            a, b = (
+                _gathered(control, shape_index, take.motion.frames)
+                for control in weights_pair
+            )
             return np.abs(a - b)[:, 0, 0], None
         joint, part = split_part(name, KEYED_PARTS)
-        at = np.array([rig.index(joint)])
+        shape_index = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
-            rotations = [m.rotations.gather(at)[:, 0] for m in (take.motion, keyed)]
+            rotations = [
+                motion_of_joints.rotations.gather(shape_index)[:, 0]
+                for motion_of_joints in (take.motion, keyed)
+            ]
             unit = "rad" if units.angle == 1.0 else "deg"
             return so3.angle_between(*rotations) / units.angle, unit
         if part == "scale":
-            pair = take.motion.scales, keyed.scales
-            a, b = (_gathered(c, at, take.motion.frames, 1.0) for c in pair)
+            weights_pair = take.motion.scales, keyed.scales
+            a, b = (
+                _gathered(control, shape_index, take.motion.frames, 1.0)
+                for control in weights_pair
+            )
             return np.abs(a - b).max(axis=(1, 2)), None
-        positions = [m.translations.gather(at)[:, 0] for m in (take.motion, keyed)]
-        off = np.linalg.norm(positions[0] - positions[1], axis=1)
-        return off / units.length, unit_name(units.length)
+        positions = [
+            motion_of_joints.translations.gather(shape_index)[:, 0]
+            for motion_of_joints in (take.motion, keyed)
+        ]
+        channel_error = np.linalg.norm(positions[0] - positions[1], axis=1)
+        return channel_error / units.length, unit_name(units.length)
 
     reports = []
     for channel in clip.channels:
-        off, unit = errors(channel.target)
-        frame = int(np.argmax(off))
+        channel_error, unit = errors(channel.target)
+        frame = int(np.argmax(channel_error))
         code = float(take.clock.times[frame])
-        reports.append(ChannelError(channel.target, float(off[frame]), unit, code))
+        reports.append(
+            ChannelError(channel.target, float(channel_error[frame]), unit, code)
+        )
     return tuple(reports)
 
 
@@ -99,12 +115,12 @@ def key_notices(
     joints: Sequence[JointMotion],
     solved: SolvedControls,
     tracks: Sequence[KeyTrack],
-    driven: Mapping[str, FloatArray],
+    driven_targets: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
     """Return notes on motion that the rig's controls and mimics cannot produce."""
     notices = [
         *_released(solved),
-        *_on_top(rig, tracks, driven),
+        *_on_top(rig, tracks, driven_targets),
         *_off_type(rig, joints, tracks),
         *_unreachable_notes(rig, tracks),
     ]
@@ -126,7 +142,7 @@ def _released(solved: SolvedControls) -> Iterator[_Note]:
 
 
 def _on_top(
-    rig: Rig, tracks: Sequence[KeyTrack], driven: Mapping[str, FloatArray]
+    rig: Rig, tracks: Sequence[KeyTrack], driven_targets: Mapping[str, FloatArray]
 ) -> Iterator[_Note]:
     """Yield notes on joints that move in addition to their keyed controls."""
     units = ClipUnits.of_rig(rig)
@@ -135,18 +151,20 @@ def _on_top(
         if not track.part:
             continue
         name = f"joint/{rig.joints[track.index].name}."
-        parts = [target for target in driven if target.startswith(name)]
-        if not any(np.ptp(driven[target]) > 0 for target in parts):
+        driven_parts = [target for target in driven_targets if target.startswith(name)]
+        if not any(np.ptp(driven_targets[target]) > 0 for target in driven_parts):
             continue
         if track.part in {"angle", "rotation"}:
             rotations = track.local(track.samples)
-            before = track.before
-            assert before is not None
-            most = so3.angle_between(rotations, before).max() / units.angle
-            amount = f"{plain(most)} {angle}"
+            driven_rotation = track.before
+            assert driven_rotation is not None
+            largest_angle = (
+                so3.angle_between(rotations, driven_rotation).max() / units.angle
+            )
+            amount = f"{plain(largest_angle)} {angle}"
         elif track.part in {"slide", "translation"}:
-            most = np.linalg.norm(track.samples, axis=1).max() / units.length
-            amount = f"{plain(most)} {unit_name(units.length)}"
+            largest_angle = np.linalg.norm(track.samples, axis=1).max() / units.length
+            amount = f"{plain(largest_angle)} {unit_name(units.length)}"
         else:
             continue
         joint = rig.joints[track.index].name
@@ -164,12 +182,12 @@ def _off_type(
             continue
         joint, motion = rig.joints[track.index], joints[track.index]
         if track.part == "local_rotation":
-            does = (
+            verb = (
                 "turns" if joint.type is not JointType.PIN else ("rotates off its axis")
             )
             amount = f"{plain(motion.rotation_error / units.angle)} {angle}"
         elif track.part == "local_translation":
-            does = (
+            verb = (
                 "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
             )
             amount = (
@@ -177,14 +195,14 @@ def _off_type(
             )
         else:
             continue
-        message = f"joint {joint.name!r} of type {joint.type} {does}, by up to {amount}"
+        message = f"joint {joint.name!r} of type {joint.type} {verb}, by up to {amount}"
         hint = f"it has keys for {track.part} instead of its own coordinates"
         yield "CLIP117", message, hint
 
 
 def _unreachable_notes(rig: Rig, tracks: Sequence[KeyTrack]) -> Iterator[_Note]:
-    keyed = {t.index for t in tracks if t.part not in {"", "scale"}}
-    for j in sorted(keyed):
+    keyed_joints = {t.index for t in tracks if t.part not in {"", "scale"}}
+    for j in sorted(keyed_joints):
         joint = rig.joints[j]
         if joint.mimic is not None:
             message = f"joint {joint.name!r} does not follow {joint.mimic.joint!r}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 
-# Values of a take and of its curve that differ by less are the same [m], [1].
-SAME = 1e-9
+# Values of a take and of its curve that differ by less are equal [m], [1].
+EQUAL_VALUES = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,16 +26,26 @@ class KeyedCurve:
             None if there is none.
         foreign: Whether the keys are from a file of another format.
         native: The keys in that format, for its writer.
+        sample_blocks: Yields the motion at times block by block; None samples them at
+            once.
     """
 
     sample: Callable[[FloatArray], Motion]
     clip: Callable[[], Any]
     foreign: bool = False
     native: object = None
+    sample_blocks: Callable[[FloatArray], Iterator[Motion]] | None = None
 
     def __call__(self, times: FloatArray) -> Motion:
         """Return the motion at times."""
         return self.sample(times)
+
+    def blocks(self, times: FloatArray) -> Iterator[Motion]:
+        """Yield the motion at times, in blocks with the same animated joints."""
+        if self.sample_blocks is None:
+            yield self.sample(times)
+        else:
+            yield from self.sample_blocks(times)
 
 
 def clip_of(take: Take) -> Any:
@@ -56,24 +66,28 @@ def is_of_curve(take: Take) -> bool:
         return False
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
-        mine: Channel | None = getattr(take.motion, name)
+        take_channel: Channel | None = getattr(take.motion, name)
         channel: Channel | None = getattr(motion, name)
-        if (mine is None) != (channel is None):
+        if (take_channel is None) != (channel is None):
             return False
         if (
-            mine is not None
+            take_channel is not None
             and channel is not None
-            and not _equal_channels(mine, channel)
+            and not _equal_channels(take_channel, channel)
         ):
             return False
     return True
 
 
-def _equal_channels(one: Channel, other: Channel) -> bool:
-    if one.rest.shape != other.rest.shape or len(one.values) != len(other.values):
+def _equal_channels(channel_a: Channel, channel_b: Channel) -> bool:
+    if channel_a.rest.shape != channel_b.rest.shape or len(channel_a.values) != len(
+        channel_b.values
+    ):
         return False
-    a, b = one.dense(), other.dense()
-    same = np.abs(a - b)
+    a, b = channel_a.dense(), channel_b.dense()
+    is_equal = np.abs(a - b)
     if a.shape[-1] == 4:
-        same = np.minimum(same, np.abs(a + b))
-    return float(same.max(initial=0.0)) <= SAME * max(1.0, float(np.abs(a).max()))
+        is_equal = np.minimum(is_equal, np.abs(a + b))
+    return float(is_equal.max(initial=0.0)) <= EQUAL_VALUES * max(
+        1.0, float(np.abs(a).max())
+    )

@@ -1,4 +1,4 @@
-"""Fit sparse keys to a take."""
+"""Fits sparse keys to a take."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from animtool.clip.coordinates import (
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
 from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
 from animtool.clip.reduction.points import (
-    SHELL,
+    SHELL_DISTANCE,
     attached_points,
     joint_bounds,
     point_errors,
@@ -47,13 +47,13 @@ from animtool.rig.skeleton import JointType, Rig
 
 # Rounding of float32 samples between joints and drivers [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
-# Fraction of a tolerance for such rounding [1].
+# Largest fraction of a tolerance for such rounding [1].
 SAME_FRACTION = 0.05
-# Rounding to ten digits may exceed a tolerance by this [1].
-ROUNDING = 1e-6
-# Refinements of all keys, and their factor, until within the tolerance.
-TRIES = 4
-FINER = 0.5
+# Rounding to ten digits may exceed a tolerance by this fraction [1].
+DIGIT_ROUNDING = 1e-6
+# Maximum number of refinements of all keys, and the factor on their tolerance.
+MAX_REFINEMENTS = 4
+REFINEMENT_FACTOR = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class KeyedTake:
     """A clip of sparse keys and its error."""
 
     clip: Clip  # for the rig
-    # Its keys; the errors are those of the clip sampled on the rig.
+    # Keys of the clip; their errors are those of the clip sampled on the rig.
     reduction: Reduction
     controls: tuple[str, ...]  # names of the rig's controls that have keys
     errors: tuple[ChannelError, ...]  # largest error of each channel
@@ -80,46 +80,56 @@ def keyed_take(
 ) -> KeyedTake:
     """Return a clip of sparse keys that reproduces a take.
 
-    Controls are keyed if their values follow from their targets. Keys of joints
-    and shapes hold what controls, mimics and combination shapes leave: an angle, slide,
-    a translation or rotation relative to rest, or the local transform where a joint
+    Controls are keyed if their values follow from their targets. Keys of joints and
+    shapes hold what controls, mimics and combination shapes do not produce: an angle,
+    slide, translation or rotation relative to rest, or the local transform if a joint
     moves beyond its type.
 
     Args:
-        take: At least one frame.
+        take: A take of at least one frame.
         rig: Its rig as read with the clip.
-        name: What the clip is called.
+        name: Name of the clip.
         tolerance: Largest error of any joint > 0 [m].
         joint_tolerances: Tolerances by joint name or pattern > 0 [m].
-        base: Base of an additive take. Its controls stay at their
-            defaults.
+        base: Base of an additive take; its controls stay at their defaults.
 
     Raises:
         OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
         FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
-    others = joint_tolerances or {}
-    bounds = joint_bounds(rig, tolerance, others)
-    same = _same(rig, float(bounds.min()) if len(bounds) else tolerance)
-    joints = joint_motions(rig, take.motion, same)
-    solved = _solved(take, rig, joints, same, additive=base is not None)
+    other_tolerances = joint_tolerances or {}
+    bounds = joint_bounds(rig, tolerance, other_tolerances)
+    tolerances = _same(rig, float(bounds.min()) if len(bounds) else tolerance)
+    joints = joint_motions(rig, take.motion, tolerances)
+    solved = _solved(take, rig, joints, tolerances, additive=base is not None)
     weights = uncombined_weights_of(take, rig)
-    job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
+    job = _Job(
+        take,
+        rig,
+        name,
+        joints,
+        weights,
+        solved,
+        tolerances,
+        tolerance,
+        other_tolerances,
+        base,
+    )
     result = job.reduced(1.0)
-    for i in range(TRIES):
+    for i in range(MAX_REFINEMENTS):
         if result.reduction.held:
             break
-        finer = job.reduced(FINER ** (i + 1))
-        result = min(result, finer, key=lambda keyed: keyed.reduction.error)
+        factor = job.reduced(REFINEMENT_FACTOR ** (i + 1))
+        result = min(result, factor, key=lambda keyed: keyed.reduction.error)
     return result
 
 
 def _same(rig: Rig, tolerance: float) -> Same:
     """Return the differences that count as rounding for a tolerance [m]."""
-    least = SAME_FRACTION * tolerance
+    rounding = SAME_FRACTION * tolerance
     return Same(
-        min(SAME_ANGLE, least / max(rest_size(rig), SHELL)),
-        min(SAME_LENGTH, least),
+        min(SAME_ANGLE, rounding / max(rest_size(rig), SHELL_DISTANCE)),
+        min(SAME_LENGTH, rounding),
         SAME_WEIGHT,
     )
 
@@ -159,19 +169,26 @@ class _Job:
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, others)
-        driven = self._driven()
-        exact = evaluate_controls(rig.controls, self.solved.values).targets | driven
-        weights = self._weights(exact, exact)
+        unkeyable_values = self._driven()
+        exact_targets = (
+            evaluate_controls(rig.controls, self.solved.values).targets
+            | unkeyable_values
+        )
+        weights = self._weights(exact_targets, exact_targets)
         finest = WEIGHT_TOLERANCE * factor / _growth(rig, weights)
         keyed_tracks = self._keyed_tracks(
-            joint_tracks(rig, self.joints, exact, exact, self.same)
+            joint_tracks(rig, self.joints, exact_targets, exact_targets, self.same)
         )
         controls = fit_controls(
             take, rig, self.solved.values, keyed_tracks, bounds, finest
         )
-        fitted = evaluate_controls(rig.controls, controls.named).targets | driven
-        tracks = joint_tracks(rig, self.joints, exact, fitted, self.same)
-        tracks += self._scales() + self._weights(exact, fitted)
+        fitted_targets = (
+            evaluate_controls(rig.controls, controls.named).targets | unkeyable_values
+        )
+        tracks = joint_tracks(
+            rig, self.joints, exact_targets, fitted_targets, self.same
+        )
+        tracks += self._scales() + self._weights(exact_targets, fitted_targets)
         reduction = reduce_motion(
             take,
             factor * self.tolerance,
@@ -187,14 +204,14 @@ class _Job:
             samples=controls.moving + reduction.samples,
         )
         clip = clip_of_reduction(reduction, rig, self.name)
-        sampled = sample_channels(clip.channels, rig, take.clock.times).motion
+        sampled_motion = sample_channels(clip.channels, rig, take.clock.times).motion
         bounds_of_all = joint_bounds(rig, self.tolerance, self.others)
         return KeyedTake(
             clip,
-            _measured(reduction, take, sampled, self.base, bounds_of_all),
+            _measured(reduction, take, sampled_motion, self.base, bounds_of_all),
             tuple(controls.named),
-            channel_errors(clip, rig, take, sampled, self.solved.values),
-            key_notices(rig, self.joints, self.solved, tracks, exact),
+            channel_errors(clip, rig, take, sampled_motion, self.solved.values),
+            key_notices(rig, self.joints, self.solved, tracks, exact_targets),
         )
 
     def _driven(self) -> dict[str, FloatArray]:
@@ -203,9 +220,9 @@ class _Job:
         if not rig.is_driven:
             return {}
         plan = plan_of(rig)
-        parts = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
+        coordinate_parts = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
         return {
-            f"joint/{rig.names[j]}.{parts[rig.joints[j].type]}": self.joints[
+            f"joint/{rig.names[j]}.{coordinate_parts[rig.joints[j].type]}": self.joints[
                 j
             ].coordinate
             for j in plan.joints
@@ -215,30 +232,37 @@ class _Job:
         self, tracks: list[KeyTrack]
     ) -> frozenset[tuple[ChannelKind, int]]:
         """Return the keyed channels, and those of mimic joints of keyed joints."""
-        keyed = {(track.kind, track.index) for track in tracks}
-        leading = {self.rig.joints[index].name for _, index in keyed}
+        keyed_channels = {(track.kind, track.index) for track in tracks}
+        leading = {self.rig.joints[index].name for _, index in keyed_channels}
         for j, joint in enumerate(self.rig.joints):
             if joint.mimic is not None and joint.mimic.joint in leading:
-                keyed |= {(ChannelKind.TRANSLATION, j), (ChannelKind.ROTATION, j)}
-        return frozenset(keyed)
+                keyed_channels |= {
+                    (ChannelKind.TRANSLATION, j),
+                    (ChannelKind.ROTATION, j),
+                }
+        return frozenset(keyed_channels)
 
     def _start(
         self, controls: FittedControls, keyed_tracks: frozenset[tuple[ChannelKind, int]]
     ) -> Motion:
         """Return the take with joints driven by the fitted control keys."""
         times = self.take.clock.times
-        exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
-        exact_motion = sample_values(exact, self.rig, times).motion
-        fitted = sample_values(controls.values, self.rig, times).motion
-        return driven_pose(self.take.motion, fitted, exact_motion, keyed_tracks)
+        exact_values = {
+            f"control/{n}": v[:, None] for n, v in self.solved.values.items()
+        }
+        exact_motion = sample_values(exact_values, self.rig, times).motion
+        fitted_motion = sample_values(controls.values, self.rig, times).motion
+        return driven_pose(self.take.motion, fitted_motion, exact_motion, keyed_tracks)
 
     def _scales(self) -> list[KeyTrack]:
         motion = self.take.motion
         if motion.scales is None:
             return []
-        bare = replace(motion, weights=None)
+        without_weights = replace(motion, weights=None)
         unscaled = Channel.static(np.ones_like(motion.scales.rest))
-        tracks = tracks_of(self.rig, bare, replace(bare, scales=unscaled))
+        tracks = tracks_of(
+            self.rig, without_weights, replace(without_weights, scales=unscaled)
+        )
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 
     def _weights(
@@ -246,19 +270,21 @@ class _Job:
     ) -> list[KeyTrack]:
         """Return tracks of weights less controls and combination shapes."""
         tracks = []
-        nothing = np.zeros(1)
+        zero = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):
-            total = self.weights[shape.name]
+            take_weight = self.weights[shape.name]
             target = f"shape/{shape.name}"
-            left = total - exact.get(target, nothing)
-            comes = bool(shape.combine) or target in exact
-            if np.abs(left).max(initial=0.0) <= (self.same.weight if comes else 0.0):
+            remaining = take_weight - exact.get(target, zero)
+            is_derived = bool(shape.combine) or target in exact
+            if np.abs(remaining).max(initial=0.0) <= (
+                self.same.weight if is_derived else 0.0
+            ):
                 continue
-            samples = np.array(total - fitted.get(target, nothing))[:, None]
-            constant = (samples == samples[:1]).all()
+            samples = np.array(take_weight - fitted.get(target, zero))[:, None]
+            is_constant = (samples == samples[:1]).all()
             tracks.append(
                 KeyTrack(
-                    ChannelKind.WEIGHT, i, None, samples[:1] if constant else samples
+                    ChannelKind.WEIGHT, i, None, samples[:1] if is_constant else samples
                 )
             )
         return tracks
@@ -266,11 +292,11 @@ class _Job:
 
 def _growth(rig: Rig, tracks: list[KeyTrack]) -> float:
     """Return the error growth of combination shapes [1], at least 1."""
-    keyed = {track.index for track in tracks}
-    parts = {s.name: float(i in keyed) for i, s in enumerate(rig.shapes)}
+    keyed_shapes = {track.index for track in tracks}
+    shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}
     for shape in combination_order(rig.shapes):
-        parts[shape.name] += sum(parts[name] for name in shape.combine)
-    return max(1.0, *parts.values()) if parts else 1.0
+        shape_weights[shape.name] += sum(shape_weights[name] for name in shape.combine)
+    return max(1.0, *shape_weights.values()) if shape_weights else 1.0
 
 
 def _measured(
@@ -284,18 +310,21 @@ def _measured(
     weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
-    below = None if base is None else base.motion
-    truth, evaluated = (
-        pose_of(take.rig, motion, below).world() for motion in (take.motion, keyed)
+    base_motion = None if base is None else base.motion
+    true_world, reduced_world = (
+        pose_of(take.rig, motion, base_motion).world()
+        for motion in (take.motion, keyed)
     )
-    errors = point_errors(attached_points(take.rig, SHELL), truth, evaluated)
+    errors = point_errors(
+        attached_points(take.rig, SHELL_DISTANCE), true_world, reduced_world
+    )
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
     return replace(
         reduction,
         error=float(errors[frame, joint]),
         joint=take.rig.joints[joint].name,
         frame=frame,
-        held=bool((errors / bounds).max() <= 1 + ROUNDING),
+        held=bool((errors / bounds).max() <= 1 + DIGIT_ROUNDING),
         weight_error=weight_error,
     )
 

@@ -20,11 +20,11 @@ class PlainKeys:
     """K keys of D components without interpolation settings."""
 
     times: FloatArray  # ``(K,)`` [frames]
-    values: FloatArray  # ``(K, D)``, as the file has them
-    name: str = ""  # reference to the array that they are from; empty for key lists
+    values: FloatArray  # ``(K, D)``, as in the file
+    name: str = ""  # reference to their array; empty for key lists
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of keys."""
         return len(self.times)
 
     @staticmethod
@@ -37,44 +37,50 @@ class PlainKeys:
         >>> PlainKeys.of_entries([{"t": 1, "v": 0.5, "out": "flat"}]) is None
         True
         """
-        plain = entries.__class__ is list and bool(entries)
-        plain = plain and all(
+        is_plain = entries.__class__ is list and bool(entries)
+        is_plain = is_plain and all(
             entry.__class__ is dict
             and len(entry) == 2
             and "t" in entry
             and "v" in entry
             for entry in entries
         )
-        if not plain:
+        if not is_plain:
             return None
         times = [entry["t"] for entry in entries]
         values = [entry["v"] for entry in entries]
-        width = 1
+        components = 1
         if all(value.__class__ is list for value in values):
-            width = len(values[0])
-            values = list(chain.from_iterable(values)) if _even(values) else [None]
+            components = len(values[0])
+            values = (
+                list(chain.from_iterable(values))
+                if _have_equal_lengths(values)
+                else [None]
+            )
         if not {number.__class__ for number in (*times, *values)} <= _NUMBERS:
             return None
         try:
-            rows = np.array(values, np.float64).reshape(len(times), width)
-            return PlainKeys.of_arrays(np.array(times, np.float64), rows)
+            value_rows = np.array(values, np.float64).reshape(len(times), components)
+            return PlainKeys.of_arrays(np.array(times, np.float64), value_rows)
         except OverflowError:
             return None
 
     @staticmethod
     def of_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
         """Return keys from arrays; None if a number exceeds the file limits."""
-        good = all((np.abs(part) <= MAX_NUMBER).all() for part in (times, values))
-        return PlainKeys(times, values) if good else None
+        is_valid = all(
+            (np.abs(numbers) <= MAX_NUMBER).all() for numbers in (times, values)
+        )
+        return PlainKeys(times, values) if is_valid else None
 
     def entries(self) -> list[dict[str, Any]]:
         """Yield the keys as mappings of a file."""
         values = self.values[:, 0] if self.values.shape[1] == 1 else self.values
-        pairs = zip(self.times.tolist(), values.tolist(), strict=True)
-        return [{"t": time, "v": value} for time, value in pairs]
+        time_value_pairs = zip(self.times.tolist(), values.tolist(), strict=True)
+        return [{"t": time, "v": value} for time, value in time_value_pairs]
 
 
-def _even(rows: list[list[Any]]) -> bool:
+def _have_equal_lengths(rows: list[list[Any]]) -> bool:
     """Return whether all rows have the same positive length."""
     return {len(row) for row in rows} == {len(rows[0])} != {0}
 

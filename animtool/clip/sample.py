@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +21,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Excess below this is rounding [rad], [m], [1].
+if TYPE_CHECKING:
+    from animtool.motion.driver_run import DriverRun
+
+# A smaller excess is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
+# Joint values gathered in a call: few calls, at most 8 MB.
+ROWS_AT_ONCE = 2**18
 
 
 Parts = dict[str, FloatArray]
@@ -31,19 +37,19 @@ Parts = dict[str, FloatArray]
 class ClipNotice:
     """A notice on a control or a joint."""
 
-    fault: Fault  # it, without a place
+    fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
-    frame: float | None = None  # where it is worst; None where it is of all frames
+    frame: float | None = None  # the worst frame; None if it concerns all frames
+    amount: float = 0.0  # the excess there [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)
 class SampledMotion:
     """The sampled motion of a clip, with notices."""
 
-    motion: Motion  # joints, shapes and controls; what does not move is stored once
-    # Controls out of range and limits exceeded, with frame and by how much, the worst
-    # of each; joints that keys keep from following another, or from what a moving
-    # control adds.
+    motion: Motion  # joints, shapes and controls; static values are stored once
+    # Controls out of range and exceeded limits, with the worst frame and amount of
+    # each; joints whose keys override a mimic or the contribution of a moving control.
     targeted: list[ClipNotice]
 
     @property
@@ -61,41 +67,45 @@ def sample_channels(
 ) -> SampledMotion:
     """Sample a clip's channels on a rig at times ``(F,)`` [frame of the clip].
 
-    Channels with equal keys are not sampled; joints that neither a
-    channel nor a moving control reaches are left at rest. What channels and controls
-    say of one joint is added: turns of controls are rotation vectors, applied before
-    the channel's rotation. A channel of ``local_translation`` or ``local_rotation``
-    takes the place of rest and of all that would be added to it. A combined shape's
-    weight is the product of its drivers', and what keys and controls add to it. What
-    the rig drives by coordinates of joints is as it says, whatever keys say.
+    Channels with equal keys are not sampled; joints that neither a channel nor a moving
+    control affects stay at rest. Contributions of channels and controls to one joint
+    are added: rotations of controls are rotation vectors, applied before the channel's
+    rotation. A channel of ``local_translation`` or ``local_rotation`` replaces the rest
+    transform and everything that would be added to it. A combined shape's weight is the
+    product of its drivers, plus the values of keys and controls. Drivers of the rig
+    that read joint coordinates override keys.
 
     Args:
-        channels: The clip's.
-        rig: Its rig.
-        times: Any, in any order; ascending ones are quickest.
-        clamp: Bring controls into their ranges and joints into their limits.
+        channels: Channels of the clip.
+        rig: Rig of the clip.
+        times: Times in any order; ascending times are fastest.
+        clamp: Clamp controls to their ranges and joints to their limits.
 
     Raises:
         FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     values = evaluate_channels(channels, times)
-    sampled = sample_values(values, rig, times, clamp=clamp)
-    named = [_with_keys(notice, channels, rig, times) for notice in sampled.targeted]
-    return replace(sampled, targeted=named)
+    sampled_motion = sample_values(values, rig, times, clamp=clamp)
+    notices_with_keys = [
+        with_keys(notice, channels, rig, times) for notice in sampled_motion.targeted
+    ]
+    return replace(sampled_motion, targeted=notices_with_keys)
 
 
-# Frames of keys that a message names.
-MAX_NAMED = 8
+# Number of key frames listed in a message.
+MAX_LISTED_FRAMES = 8
 
 
-def _with_keys(
+def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
     """Return a notice with the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
-    control = next(one for one in rig.controls if one.name == name)
+    control = next(
+        rig_control for rig_control in rig.controls if rig_control.name == name
+    )
     assert control.low is not None
     assert control.high is not None
     limits = RangeLimit(control.low, control.high)
@@ -111,11 +121,11 @@ def _with_keys(
     if not keys or keys == [notice.frame]:
         return notice
     message = notice.fault.message.removesuffix(_CLAMPED)
-    clamped = _CLAMPED if message != notice.fault.message else ""
-    many = f"{len(keys)} keys are" if len(keys) > 1 else "a key is"
+    suffix = _CLAMPED if message != notice.fault.message else ""
+    subject = f"{len(keys)} keys are" if len(keys) > 1 else "a key is"
     word = "frames" if len(keys) > 1 else "frame"
-    frames = listed([f"{frame:g}" for frame in keys], MAX_NAMED)
-    message += f"; {many} outside, at {word} {frames}{clamped}"
+    frames = listed([f"{frame:g}" for frame in keys], MAX_LISTED_FRAMES)
+    message += f"; {subject} outside, at {word} {frames}{suffix}"
     return replace(notice, fault=replace(notice.fault, message=message))
 
 
@@ -125,11 +135,18 @@ def sample_values(
     times: FloatArray,
     *,
     clamp: bool = False,
+    run: DriverRun | None = None,
 ) -> SampledMotion:
     """Return the motion of a rig from target values; see `sample_channels`.
 
-    ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
-    rotations as quaternions.
+    Args:
+        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
+            rotations as quaternions.
+        rig: Its rig.
+        times: Of the values ``(F,)``.
+        clamp: Bring controls into their ranges and joints into their limits.
+        run: Evaluates the rig's drivers and keeps their notices, where the times go on
+            from earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []
@@ -138,32 +155,36 @@ def sample_values(
         for name, value in keyed.items()
         if name.startswith("control/")
     }
-    driven = evaluate_controls(rig.controls, controls, clamp=clamp)
-    _refuse_undefined(driven, times)
-    notices += _range_notices(rig, driven, times, clamp=clamp)
-    parts = _parts_by_joint(keyed, driven)
-    notices += _replace(parts)
-    notices += _follow(rig, parts, clamp=clamp)
+    driven_values = evaluate_controls(rig.controls, controls, clamp=clamp)
+    _refuse_undefined(driven_values, times)
+    notices += _range_notices(rig, driven_values, times, clamp=clamp)
+    parts_by_joint = _parts_by_joint(keyed, driven_values)
+    notices += _replace(parts_by_joint)
+    notices += _follow(rig, parts_by_joint, clamp=clamp)
     joints = _Joints(rig, times, clamp, notices)
-    for name, part in parts.items():
+    for name, part in parts_by_joint.items():
         joints.add(rig.index(name), part)
-    moving_controls = _control_channel(rig, driven, count) if controls else None
-    coordinates = _coordinates(rig, parts, clamp=clamp) if rig.is_driven else {}
+    moving_controls = _control_channel(rig, driven_values, count) if controls else None
+    coordinates = (
+        _coordinates(rig, parts_by_joint, clamp=clamp) if rig.is_driven else {}
+    )
     motion = Motion(
         joints.channel("translations", rig.rest_translations),
         joints.channel("rotations", rig.rest_rotations),
         joints.channel("scales", np.ones((len(rig.joints), 3)))
         if joints.values["scales"]
         else None,
-        _weights(rig, keyed, driven, count),
+        _weights(rig, keyed, driven_values, count),
         moving_controls,
     )
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
-        run = DriverRun(rig, report_replaced=True)
-        motion = run.drive(motion, times, coordinates)
-        notices += [ClipNotice(*notice) for notice in run.located_notices()]
+        driver_run = run or DriverRun(rig, report_replaced=True)
+        motion = driver_run.drive(motion, times, coordinates)
+        if run is None:
+            located = driver_run.located_notices()
+            notices += [ClipNotice(*notice) for notice in located]
     return SampledMotion(motion, notices)
 
 
@@ -172,11 +193,11 @@ def _coordinates(
 ) -> dict[str, FloatArray]:
     """Return joint angles and slides from keys and controls, by name."""
     coordinates = {}
-    for name, keyed in parts.items():
+    for name, joint_parts in parts.items():
         joint = rig.joints[rig.index(name)]
-        part, full_part = _FOLLOWING.get(joint.type, ("", ""))
-        value = _sum(keyed.get(part), keyed.get(f"+{part}"))
-        if value is None or full_part in keyed:
+        part, full_part = _MIMIC_PARTS.get(joint.type, ("", ""))
+        value = _sum(joint_parts.get(part), joint_parts.get(f"+{part}"))
+        if value is None or full_part in joint_parts:
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
@@ -184,38 +205,42 @@ def _coordinates(
     return coordinates
 
 
-def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
-    for name, values in [*driven.reached.items(), *driven.targets.items()]:
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size:
-            frame = times[wrong[0]] if len(values) > 1 else times[0]
+def _refuse_undefined(driven_values: DrivenValues, times: FloatArray) -> None:
+    for name, values in [
+        *driven_values.unclamped.items(),
+        *driven_values.targets.items(),
+    ]:
+        undefined_frames = np.flatnonzero(~np.isfinite(values))
+        if undefined_frames.size:
+            frame = times[undefined_frames[0]] if len(values) > 1 else times[0]
             message = f"{name} has no value at frame {frame:g}"
             hint = "an expression divides by zero or overflows"
             raise FormatError(Fault("CLIP015", message, None, (), hint))
 
 
 def _range_notices(
-    rig: Rig, driven: DrivenValues, times: FloatArray, *, clamp: bool
+    rig: Rig, driven_values: DrivenValues, times: FloatArray, *, clamp: bool
 ) -> list[ClipNotice]:
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = driven.reached[control.name]
+        values = driven_values.unclamped[control.name]
         excess = values - np.clip(values, control.low, control.high)
-        worst = int(np.argmax(np.abs(excess)))
-        if abs(excess[worst]) > LIMIT_TOLERANCE:
-            frame = times[worst]
-            done = "would be" if clamp else "is"
+        worst_frame = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst_frame]) > LIMIT_TOLERANCE:
+            frame = times[worst_frame]
+            verb = "would be" if clamp else "is"
             message = (
-                f"control {control.name!r} {done} {values[worst]:.6g} at frame "
+                f"control {control.name!r} {verb} {values[worst_frame]:.6g} at frame "
                 f"{frame:g}, outside {control.low:g} to {control.high:g}"
             )
             message += _CLAMPED if clamp else ""
             hint = None if clamp else _CLAMP
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
-            notices.append(ClipNotice(fault, target, float(frame)))
+            amount = float(abs(excess[worst_frame]))
+            notices.append(ClipNotice(fault, target, float(frame), amount))
     return notices
 
 
@@ -224,30 +249,30 @@ _CLAMPED = ": clamped"
 
 
 def _parts_by_joint(
-    keyed: Mapping[str, FloatArray], driven: DrivenValues
+    keyed: Mapping[str, FloatArray], driven_values: DrivenValues
 ) -> dict[str, Parts]:
     """Return the values of each joint, by part; driven parts begin with ``+``."""
-    parts: dict[str, Parts] = {}
+    result: dict[str, Parts] = {}
     for target, value in keyed.items():
         if target.startswith("joint/"):
             name, part = split_part(target.removeprefix("joint/"), KEYED_PARTS)
-            parts.setdefault(name, {})[part] = value
-    for target, value in driven.targets.items():
+            result.setdefault(name, {})[part] = value
+    for target, value in driven_values.targets.items():
         if target.startswith("joint/") and value.any():
             name, part = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)
-            parts.setdefault(name, {})[f"+{part}"] = value
-    return parts
+            result.setdefault(name, {})[f"+{part}"] = value
+    return result
 
 
 def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     """Drop control contributions where a local channel replaces the joint's motion."""
     notices = []
     for name, part in parts.items():
-        for local, added in _ADDED.items():
+        for local, replaced_parts in _ADDED.items():
             if local not in part:
                 continue
-            gone = [part.pop(key) for key in added if key in part]
-            if any((values != values[0]).any() for values in gone):
+            dropped = [part.pop(key) for key in replaced_parts if key in part]
+            if any((values != values[0]).any() for values in dropped):
                 message = f"joint {name!r} has keys for {local}, so no control moves it"
                 fault = Fault("CLIP105", message, severity=Severity.NOTE)
                 notices.append(ClipNotice(fault, f"joint/{name}"))
@@ -261,8 +286,8 @@ _ADDED = {
 }
 
 
-# The coordinate of a joint that may follow another, and what holds it as a whole.
-_FOLLOWING = {
+# Coordinate of a joint that may be a mimic, and the part that replaces it.
+_MIMIC_PARTS = {
     JointType.PIN: ("angle", "local_rotation"),
     JointType.PRISMATIC: ("slide", "local_translation"),
 }
@@ -277,7 +302,7 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
     for joint in rig.joints:
         if joint.mimic is None:
             continue
-        part, full_part = _FOLLOWING[joint.type]
+        part, full_part = _MIMIC_PARTS[joint.type]
         if parts.get(joint.name, {}).keys() & {part, full_part}:
             message = (
                 f"joint {joint.name!r} has keys, so it does not follow "
@@ -288,11 +313,11 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
             continue
         leader = parts.get(joint.mimic.joint, {})
         coordinate = np.zeros(1)
-        for led in ("angle", "slide"):
-            if led in leader:
-                coordinate = coordinate + leader[led][:, 0]
-            if f"+{led}" in leader:
-                coordinate = coordinate + leader[f"+{led}"]
+        for leader_part in ("angle", "slide"):
+            if leader_part in leader:
+                coordinate = coordinate + leader[leader_part][:, 0]
+            if f"+{leader_part}" in leader:
+                coordinate = coordinate + leader[f"+{leader_part}"]
         limits = rig.joints[rig.index(joint.mimic.joint)].limits
         if clamp and isinstance(limits, RangeLimit):
             coordinate = limits.clamped(coordinate)
@@ -304,7 +329,7 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
 
 @dataclass(slots=True)
 class _Joints:
-    """Local transforms of the joints that are moved."""
+    """Local transforms of the moving joints."""
 
     rig: Rig
     times: FloatArray
@@ -335,18 +360,22 @@ class _Joints:
 
     def channel(self, name: str, rest: FloatArray) -> Channel:
         """Return the channel of a part: animated values and constants."""
-        constant, count = rest.copy(), len(self.times)
-        animated: list[int] = []
+        constant_values, count = rest.copy(), len(self.times)
+        animated_joints: list[int] = []
         columns: list[FloatArray] = []
         for j, values in sorted(self.values[name].items()):
             if len(values) == 1 or (values == values[0]).all():
-                constant[j] = values[0]
+                constant_values[j] = values[0]
                 continue
-            animated.append(j)
-            columns.append(so3.align_signs(values) if name == "rotations" else values)
-        shape = (count, 0, rest.shape[1])
-        moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
-        return Channel(constant, np.array(animated, np.int64), moving)
+            animated_joints.append(j)
+            columns.append(values)
+        moving = np.zeros((count, len(columns), rest.shape[1]))
+        size = max(1, ROWS_AT_ONCE // max(count, 1))
+        for begin in range(0, len(columns), size):
+            rows = np.stack(columns[begin : begin + size], axis=1)
+            rows = so3.align_signs(rows) if name == "rotations" else rows
+            moving[:, begin : begin + size] = rows
+        return Channel(constant_values, np.array(animated_joints, np.int64), moving)
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
@@ -354,12 +383,14 @@ class _Joints:
         if slide is not None:
             slide = self._limited(joint, slide)
             return np.asarray(slide * np.array(joint.axis))
-        total = parts.get("translation")
+        translation = parts.get("translation")
         for i, axis in enumerate("xyz"):
             if f"+translation.{axis}" in parts:
-                moved = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
-                total = moved if total is None else total + moved
-        return total
+                contribution = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
+                translation = (
+                    contribution if translation is None else translation + contribution
+                )
+        return translation
 
     def _rotation(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
@@ -367,42 +398,46 @@ class _Joints:
         if angle is not None:
             angle = self._limited(joint, angle)
             return so3.from_axis_angle(joint.axis, angle[:, 0])
-        total = parts.get("rotation")
-        driven = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
-        if any(value is not None for value in driven):
-            columns = [np.zeros(1) if v is None else v for v in driven]
-            turned = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
-            total = turned if total is None else so3.multiply(turned, total)
-        if total is not None and isinstance(joint.limits, BallLimit):
-            inside = joint.limits.clamped(total)
-            excess = so3.angle_between(total, inside)
+        rotation = parts.get("rotation")
+        driven_axes = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
+        if any(value is not None for value in driven_axes):
+            columns = [np.zeros(1) if v is None else v for v in driven_axes]
+            driven_rotation = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
+            rotation = (
+                driven_rotation
+                if rotation is None
+                else so3.multiply(driven_rotation, rotation)
+            )
+        if rotation is not None and isinstance(joint.limits, BallLimit):
+            clamped_rotation = joint.limits.clamped(rotation)
+            excess = so3.angle_between(rotation, clamped_rotation)
             self._notice(joint, excess, "its cone or twist")
-            total = inside if self.clamp else total
-        return total
+            rotation = clamped_rotation if self.clamp else rotation
+        return rotation
 
     def _limited(self, joint: Joint, values: FloatArray) -> FloatArray:
         if not isinstance(joint.limits, RangeLimit):
             return values
-        inside = joint.limits.clamped(values)
-        self._notice(joint, np.abs(values - inside)[:, 0], "its limits")
-        return inside if self.clamp else values
+        clamped_values = joint.limits.clamped(values)
+        self._notice(joint, np.abs(values - clamped_values)[:, 0], "its limits")
+        return clamped_values if self.clamp else values
 
-    def _notice(self, joint: Joint, excess: FloatArray, what: str) -> None:
-        worst = int(np.argmax(excess))
-        if not excess[worst] > LIMIT_TOLERANCE:
+    def _notice(self, joint: Joint, excess: FloatArray, limit_name: str) -> None:
+        worst_frame = int(np.argmax(excess))
+        if not excess[worst_frame] > LIMIT_TOLERANCE:
             return
-        amount = f"{np.degrees(excess[worst]):.4g}°"
+        amount = f"{np.degrees(excess[worst_frame]):.4g}°"
         if joint.type is JointType.PRISMATIC:
-            amount = f"{excess[worst]:.4g} m"
-        said = f"exceeds {what} by {amount}"
+            amount = f"{excess[worst_frame]:.4g} m"
+        excess_text = f"exceeds {limit_name} by {amount}"
         if self.clamp:
-            said = f"was clamped to {what}, by {amount},"
-        message = f"joint {joint.name!r} {said} at frame "
-        message += f"{self.times[worst]:g}"
+            excess_text = f"was clamped to {limit_name}, by {amount},"
+        message = f"joint {joint.name!r} {excess_text} at frame "
+        message += f"{self.times[worst_frame]:g}"
         hint = None if self.clamp else _CLAMP
         fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
-        frame = float(self.times[worst])
-        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame))
+        frame, largest = float(self.times[worst_frame]), float(excess[worst_frame])
+        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
@@ -414,16 +449,20 @@ def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | No
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:
     """Return a channel from columns ``(F,)`` or ``(1,)``."""
-    rest = np.array([column[0] for column in columns])[:, None]
-    animated = [i for i, column in enumerate(columns) if (column != column[0]).any()]
-    values = np.zeros((count, len(animated), 1))
-    for at, i in enumerate(animated):
-        values[:, at, 0] = columns[i]
-    return Channel(rest, np.array(animated, np.int64), values)
+    rest_values = np.array([column[0] for column in columns])[:, None]
+    animated_columns = [
+        i for i, column in enumerate(columns) if (column != column[0]).any()
+    ]
+    values = np.zeros((count, len(animated_columns), 1))
+    for column_index, i in enumerate(animated_columns):
+        values[:, column_index, 0] = columns[i]
+    return Channel(rest_values, np.array(animated_columns, np.int64), values)
 
 
 def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
-    return _column_channel([driven.controls[c.name] for c in rig.controls], count)
+    return _column_channel(
+        [driven.controls[control.name] for control in rig.controls], count
+    )
 
 
 def _weights(

@@ -1,6 +1,6 @@
 """The keys of a clip file, as models; ``animtool schema clip`` prints them.
 
-The tables of ``docs/reference`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are generated from their descriptions and examples.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from animtool.maths.euler import ORDERS
 if TYPE_CHECKING:
     Tangent = str
     Interp = str
-    Extrapolated = str
-    Parametrized = str
+    ExtrapolationName = str
+    ParametrizationName = str
     Order = str
 else:
     # A free tangent has a handle.
     Tangent = Literal[tuple(str(one) for one in tangents.Tangent if one != "free")]
     Interp = Literal[tuple(map(str, curves.Interp))]
-    Extrapolated = Literal[tuple(map(str, curves.Extrapolation))]
-    Parametrized = Literal[tuple(map(str, tangents.Parametrization))]
+    ExtrapolationName = Literal[tuple(map(str, curves.Extrapolation))]
+    ParametrizationName = Literal[tuple(map(str, tangents.Parametrization))]
     Order = Literal[ORDERS]
 Handle = Annotated[list[Real | list[Real]], Len(2, 2)]
 
@@ -83,9 +83,9 @@ class KeyModel(FileModel):
 
 if TYPE_CHECKING:
     Keys = list[KeyModel] | PlainKeys
-    ChannelKeys = Keys  # references to arrays are replaced at once
+    ChannelKeys = Keys  # references to arrays are resolved first
 else:
-    # Those that are plain have no models: these would take most of the time.
+    # Plain keys have no models, which would take most of the time.
     Keys = Annotated[list[KeyModel], WrapValidator(plain_or_each)]
     ChannelKeys = Annotated[list[KeyModel] | str, WrapValidator(plain_or_each)]
 
@@ -108,7 +108,7 @@ class JoinModel(FileModel):
     tangents: Tangent = key(
         "Tangent rule for keys without handles.", "flat", default="auto_clamped"
     )
-    parametrization: Parametrized = key(
+    parametrization: ParametrizationName = key(
         "Type of Catmull-Rom curve, for `interp: catmull_rom`.",
         "centripetal",
         default="uniform",
@@ -119,8 +119,10 @@ class JoinModel(FileModel):
         "ZXY",
         default=None,
     )
-    pre: Extrapolated = key("Behaviour before the first key.", "cycle", default="hold")
-    post: Extrapolated = key(
+    pre: ExtrapolationName = key(
+        "Behaviour before the first key.", "cycle", default="hold"
+    )
+    post: ExtrapolationName = key(
         "Behaviour after the last key.", "cycle_offset", default="hold"
     )
 

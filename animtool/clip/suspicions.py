@@ -1,18 +1,19 @@
-"""Warnings about clip files whose numbers look like another unit or order."""
+"""Warnings about clip files whose numbers suggest another unit or order."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import counted
+from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
+from animtool.rig.controls import evaluate_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
@@ -20,31 +21,42 @@ from animtool.rig.suspicions import (
     FULL_CIRCLE,
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
-    HINGES,
     MAX_DEGREES,
     is_multiple,
     warn_of_quaternion,
 )
+from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
-# A character with this many of them moves by more than `HALF_CIRCLE` degrees somewhere.
+# In degrees, a character with this many rotating channels exceeds `HALF_CIRCLE`
+# somewhere.
 MIN_CHANNELS = 5
-# Largest angle of some joint, if a character moves in radians [rad].
+# In radians, some joint of a moving character exceeds this angle [rad].
 MIN_LARGEST = 1.0
-# Fraction of keys at multiples of 15 degrees in radians: others are there by chance.
+# Fraction of keys at multiples of 15 degrees in radians that is more than chance.
 MIN_EXACT = 0.2
-# A root that travels less than this fraction of the rig does not leave its spot.
+# A root that travels less than this fraction of the rig's size does not leave its spot.
 MAX_TRAVEL = 0.05
-# Travel in metres that is plausible, in sizes of the rig.
-TRAVEL = (0.2, 20.0)
-# Rotation of a limb when a character travels [rad].
+# Plausible range of travel in metres, relative to the rig's size.
+TRAVEL_RANGE = (0.2, 20.0)
+# Minimum rotation of a limb when a character travels [rad].
 MIN_STRIDE = math.radians(15)
-# Sizes of characters [m], and a speed that not even their falls reach [m/s].
-SIZES, MAX_SPEED = (0.3, 4.0), 50.0
-# Time over which a speed is measured; faster is a teleport [s].
-MIN_TIME = 0.25
-SMALLER = {1.0: "cm", 0.01: "mm"}
+# Sizes of characters [m], and a speed that even falls do not reach [m/s].
+CHARACTER_SIZES, MAX_SPEED = (0.3, 4.0), 50.0
+# Interval for measuring a speed; a faster move is a teleport [s].
+SPEED_INTERVAL = 0.25
+SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
+# Fraction of a rig by which a joint rests away from its parent, or else is at it.
+MIN_REST = 0.05
+# Keys on average this near to the rest position, and never farther, are written from
+# the parent; a move of that length from rest and back passes 0. In rest lengths.
+NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
+# Keys on a driven joint that are smaller than this fraction of what a control adds
+# adjust it.
+MIN_LAYER = 0.25
+# Frames at which controls are evaluated.
+MAX_TIMES = 64
 
 
 def warn_of_numbers(
@@ -60,6 +72,8 @@ def warn_of_numbers(
     if rig is not None:
         _warn_of_metres(document, channels, units, rig)
         _warn_of_speed(document, channels, fps, units, rig)
+        _warn_of_rest(document, channels, rig)
+        _warn_of_controls(document, channels, rig)
 
 
 def _warn_of_speed(
@@ -70,22 +84,24 @@ def _warn_of_speed(
     rig: Rig,
 ) -> None:
     """Warn of characters that are faster than any fall (CLIP109)."""
-    size = rest_size(rig)
-    body = any(HINGES.search(name) for name in rig.names)
-    if not (body and SIZES[0] <= size <= SIZES[1]):
+    rig_size = rest_size(rig)
+    has_limbs = any(HINGE_NAMES.search(name) for name in rig.names)
+    if not (has_limbs and CHARACTER_SIZES[0] <= rig_size <= CHARACTER_SIZES[1]):
         return
     for i, channel in _translations(channels, rig):
         steps = np.diff(channel.times) / float(fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
-        speeds = np.where(steps >= MIN_TIME, lengths / np.maximum(steps, 1e-9), 0.0)
+        speeds = np.where(
+            steps >= SPEED_INTERVAL, lengths / np.maximum(steps, 1e-9), 0.0
+        )
         if not len(speeds) or speeds.max() <= MAX_SPEED:
             continue
         k = int(speeds.argmax())
         message = (
             f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
-            f"({speeds[k]:.3g} m/s), and the rig is {length_text(size)} tall"
+            f"({speeds[k]:.3g} m/s), and the rig is {length_text(rig_size)} tall"
         )
-        unit = SMALLER.get(units.length)
+        unit = SMALLER_UNITS.get(units.length)
         hint = "check the keys and fps"
         if unit is not None:
             hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
@@ -98,11 +114,18 @@ def _at(channel: int, key: int) -> Location:
 
 
 def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
-    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (CLIP106)."""
-    rows = [(i, c.values) for i, c in enumerate(channels) if c.values.shape[1] == 4]
-    if any((abs(values[:, 3]) > abs(values[:, 2])).any() for _, values in rows):
+    """Warn of [0, 0, 0, 1], which is the identity only if w is last (CLIP106)."""
+    quaternion_channels = [
+        (i, clip_channel.values)
+        for i, clip_channel in enumerate(channels)
+        if clip_channel.values.shape[1] == 4
+    ]
+    if any(
+        (abs(values[:, 3]) > abs(values[:, 2])).any()
+        for _, values in quaternion_channels
+    ):
         return
-    for i, values in rows:
+    for i, values in quaternion_channels:
         keys = document.value["channels"][i]["keys"]
         for k in np.flatnonzero(abs(values[:, 2]) == 1.0):
             if keys[k]["v"] == HALF_CIRCLE_Z:
@@ -129,18 +152,19 @@ def _warn_of_angles(
     check = _in_radians if in_degrees else _in_degrees
     if not check([(channels[i].target, values) for i, values in angles]):
         return
-    i, values = max(angles, key=lambda pair: np.abs(pair[1]).max())
+    i, values = max(angles, key=lambda angle_channel: np.abs(angle_channel[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
-    declared, meant = ("deg", "rad") if in_degrees else ("rad", "deg")
+    declared, intended = ("deg", "rad") if in_degrees else ("rad", "deg")
     words = {"deg": "degrees", "rad": "radians"}
     factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
     message = (
-        f"rotation keys of {counted(len(angles), 'channel')} look like {words[meant]}, "
+        f"rotation keys of {counted(len(angles), 'channel')} look like "
+        f"{words[intended]}, "
         f"but the angle unit is {declared}: the largest is {largest:.4g}"
     )
     hint = (
-        f"write 'units: {{angle: {meant}}}', or this key in {words[declared]}: "
+        f"write 'units: {{angle: {intended}}}', or this key in {words[declared]}: "
         f"{largest * factor:.4g}"
     )
     document.warn("CLIP107", (*_at(i, k), "v"), message, hint)
@@ -150,13 +174,17 @@ def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     largest = np.abs(values).max()
-    exact = sum(is_multiple(float(value)) for value in values)
-    if largest <= FULL_CIRCLE and exact >= MIN_EXACT * len(values):
+    multiples = sum(is_multiple(float(value)) for value in values)
+    if largest <= FULL_CIRCLE and multiples >= MIN_EXACT * len(values):
         return True
     if not MIN_LARGEST <= largest <= HALF_CIRCLE:
         return False
-    moving = [name for name, rows in angles if np.ptp(rows, axis=0).max() > MIN_SPAN]
-    return len(moving) >= MIN_CHANNELS and any(map(HINGES.search, moving))
+    moving = [
+        name
+        for name, channel_values in angles
+        if np.ptp(channel_values, axis=0).max() > MIN_SPAN
+    ]
+    return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
 
 
 def _in_degrees(angles: list[tuple[str, FloatArray]]) -> bool:
@@ -182,17 +210,21 @@ def _warn_of_metres(
 ) -> None:
     """Warn of a root that seems to travel in metres in a cm or mm clip (CLIP108)."""
     size = rest_size(rig)
-    if units.length >= 1.0 or size < SIZES[0]:
+    if units.length >= 1.0 or size < CHARACTER_SIZES[0]:
         return
     strides = [np.ptp(v, axis=0).max() for _, v in _angles(channels)]
     if max(strides, default=0.0) < MIN_STRIDE:
         return
     for i, channel in _translations(channels, rig):
-        reach = float(np.linalg.norm(channel.values, axis=1).max())
+        largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
         net = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
-        in_metres = reach / units.length
-        low, high = (factor * size for factor in TRAVEL)
-        if reach > MAX_TRAVEL * size or not low <= in_metres <= high or net < reach / 2:
+        in_metres = largest_distance / units.length
+        shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
+        if (
+            largest_distance > MAX_TRAVEL * size
+            or not shortest_travel <= in_metres <= longest_travel
+            or net < largest_distance / 2
+        ):
             continue
         message = (
             f"{channel.target!r} moves by {length_text(net)} while limbs rotate by "
@@ -201,3 +233,92 @@ def _warn_of_metres(
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
         document.warn("CLIP108", (*_at(i, len(channel.times) - 1), "v"), message, hint)
         return
+
+
+def _warn_of_rest(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of translations from the parent, which rest is added to again (CLIP112)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part != "translation" or not channel.target.startswith("joint/"):
+            continue
+        rest = np.array(rig.joints[rig.index(name)].translation)
+        length = float(np.linalg.norm(rest))
+        if length <= MIN_REST * size or not _from_parent(channel.values, rest):
+            continue
+        shown, both = (
+            length_text(float(np.linalg.norm(place)))
+            for place in (rest, rest + channel.values[0])
+        )
+        message = (
+            f"{channel.target!r} is keyed near its rest position, {shown} from its "
+            f"parent; keys are added to rest, so it is at {both}"
+        )
+        hint = f"write the move from rest, or key joint/{name}.local_translation"
+        document.warn("CLIP112", (*_at(i, 0), "v"), message, hint)
+        return
+
+
+def _from_parent(values: FloatArray, rest: FloatArray) -> bool:
+    """Return whether translations stay near a rest position."""
+    length = float(np.linalg.norm(rest))
+    if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
+        return True
+    along = values @ rest / length**2
+    near = abs(float(along.mean()) - 1) <= NEAR_REST
+    return len(values) > 1 and near and bool((abs(along - 1) <= ABOUT_REST).all())
+
+
+def _warn_of_controls(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of keys on a joint that a keyed control moves as well (CLIP111)."""
+    controls = [c for c in channels if c.target.startswith("control/")]
+    controls = [c for c in controls if np.ptp(c.values) > 0]
+    joints = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
+    if not controls or not joints:
+        return
+    times = np.unique(np.concatenate([channel.times for channel in channels]))
+    picked = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES)).astype(int)
+    times = times[picked]
+    keyed = {
+        target.removeprefix("control/"): values[:, 0]
+        for target, values in evaluate_channels(controls, times).items()
+    }
+    driven = evaluate_controls(rig.controls, keyed).targets
+    for i in joints:
+        target = channels[i].target
+        spans = [
+            float(np.ptp(values))
+            for name, values in driven.items()
+            if name == target or name.startswith(f"{target}.")
+        ]
+        own = float(np.ptp(channels[i].values, axis=0).max())
+        added = max(spans, default=0.0)
+        if not added > 0 or own < MIN_LAYER * added:
+            continue
+        names = listed([repr(name) for name in _drivers(rig, target, keyed)], 3)
+        is_length = target.endswith(("translation", "slide"))
+        shown = [
+            length_text(span) if is_length else f"{math.degrees(span):.4g}°"
+            for span in (own, added)
+        ]
+        message = (
+            f"{target!r} is keyed over {shown[0]}, and control {names} moves it over "
+            f"{shown[1]}: both are added"
+        )
+        document.warn("CLIP111", (*_at(i, 0), "v"), message, "remove one of them")
+        return
+
+
+def _drivers(rig: Rig, target: str, keyed: Mapping[str, FloatArray]) -> list[str]:
+    """Return the keyed controls that drive a target, or all that are keyed."""
+    names = [
+        control.name
+        for control in rig.controls
+        if control.name in keyed
+        and any(f"{drive.target}.".startswith(f"{target}.") for drive in control.drives)
+    ]
+    return names or list(keyed)

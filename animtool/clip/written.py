@@ -1,4 +1,4 @@
-"""Write a take as a clip file of sparse keys with its rig file."""
+"""Writes a take as a clip file of sparse keys with its rig file."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     """Return a take as files: a clip within a tolerance, its rig, the rig's arrays.
 
     Args:
-        take: The take; the deltas of an additive one.
+        take: The take; deltas for an additive take.
         path: The clip file.
         options: ``tolerance`` defaults to half a millimetre.
     """
     left_out = _left_out(take)
-    below = options.base
-    if below is not None:
+    base_take = options.base
+    if base_take is not None:
         take = replace(take, rig=without_rest(take.rig))
     stem = output_stem(path)
     rig_path = options.rig_file or CLIP.files(path)[0]
@@ -42,16 +42,16 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if options.rig_file is None:
         arrays_path = path.with_name(f"{stem}.npz")
         arrays: StoredArrays
-        rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
+        rig, arrays = with_file(typed_by_motion(take), arrays_path, copy_all=True)
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
-    kept = _kept_keys(take, options)
-    if kept is not None:
-        text = clip_text(kept, rig, path_from_folder(rig_path, path.parent))
+    kept_clip = _kept_keys(take, options)
+    if kept_clip is not None:
+        text = clip_text(kept_clip, rig, path_from_folder(rig_path, path.parent))
         contents[path] = [text.encode()]
-        span = FrameSpan(kept.first, kept.last, kept.fps)
-        notices = [*left_out, *kept.notices]
-        return TakeFiles(contents, span, len(rig.joints), notices)
+        frame_span = FrameSpan(kept_clip.first, kept_clip.last, kept_clip.fps)
+        notices = [*left_out, *kept_clip.notices]
+        return TakeFiles(contents, frame_span, len(rig.joints), notices)
     tolerance = options.tolerance
     keyed = keyed_take(
         take,
@@ -59,7 +59,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         stem,
         parse_length(KEY_TOLERANCE) if tolerance is None else tolerance,
         joint_tolerances=options.joint_tolerances,
-        base=below,
+        base=base_take,
     )
     text = clip_text(keyed.clip, rig, path_from_folder(rig_path, path.parent))
     contents[path] = [text.encode()]
@@ -74,12 +74,12 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
 
 def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
     """Return a take's keys from a file of another format, if still valid."""
-    asked = options.tolerance is not None or options.joint_tolerances
+    has_tolerance = options.tolerance is not None or options.joint_tolerances
     foreign = isinstance(take.curve, KeyedCurve) and take.curve.foreign
-    if not foreign or asked or options.base is not None:
+    if not foreign or has_tolerance or options.base is not None:
         return None
-    kept: Clip | None = clip_of(take)
-    return kept
+    clip_of_take: Clip | None = clip_of(take)
+    return clip_of_take
 
 
 def _left_out(take: Take) -> list[Fault]:
@@ -104,19 +104,19 @@ def without_rest(rig: Rig) -> Rig:
 def typed_by_motion(take: Take) -> Rig:
     """Return a take's rig with joint types that allow its motion.
 
-    A joint whose translation moves or differs from rest is free; the others are
-    balls. A rig with controls, pins, slides or fixed joints keeps its own types.
+    A joint whose translation moves or differs from rest becomes free, the others balls.
+    A rig with controls, pins, slides or fixed joints keeps its types.
     """
-    free = {JointType.FREE, JointType.BALL}
-    if take.rig.controls or any(j.type not in free for j in take.rig.joints):
+    free_types = {JointType.FREE, JointType.BALL}
+    if take.rig.controls or any(j.type not in free_types for j in take.rig.joints):
         return take.rig
     channel = take.motion.translations
-    moved = (channel.rest != take.rig.rest_translations).any(axis=1)
-    moved[channel.animated] = True
+    translated = (channel.rest != take.rig.rest_translations).any(axis=1)
+    translated[channel.animated] = True
     joints = tuple(
         replace(joint, type=JointType.FREE if moves else JointType.BALL)
         if joint.type is JointType.FREE
         else joint
-        for joint, moves in zip(take.rig.joints, moved.tolist(), strict=True)
+        for joint, moves in zip(take.rig.joints, translated.tolist(), strict=True)
     )
     return replace(take.rig, joints=joints)

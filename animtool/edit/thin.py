@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from animtool.clip.reduction.points import (
-    SHELL,
+    SHELL_DISTANCE,
     attached_points,
     joint_bounds,
     point_errors,
@@ -33,7 +33,7 @@ class Thinned:
     samples: int  # number of samples before
     kept: IntArray  # indices of those that stay, ascending ``(N,)``
     error: float  # largest distance of a point from where it was [m]
-    joint: int  # index of the joint that carries it
+    joint_index: int  # of the joint that carries it
     code: float  # time code of that
     weight_error: float  # largest error of a shape's weight [1]
 
@@ -120,7 +120,7 @@ class _Measure:
     ) -> None:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds = bounds
-        self.points = attached_points(rig, SHELL)
+        self.points = attached_points(rig, SHELL_DISTANCE)
         self.truth = motion.world(rig)
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
+from animtool.ik.chain import BALL, PIN, REVOLUTION_TOLERANCE, SLIDE, Chain
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM, CoordinateSource, Programs
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
@@ -34,8 +34,9 @@ class _Frame:
     rotation: FloatArray
 
     def carry(self, translation: FloatArray, rotation: FloatArray) -> _Frame:
-        moved = self.translation + so3.rotate(self.rotation, translation)
-        return _Frame(self.node, moved, so3.multiply(self.rotation, rotation))
+        """Return a child frame's pose, transformed by this frame."""
+        transformed = self.translation + so3.rotate(self.rotation, translation)
+        return _Frame(self.node, transformed, so3.multiply(self.rotation, rotation))
 
 
 class _ChainBuilder:
@@ -127,15 +128,19 @@ class _ChainBuilder:
                 kind, frame, rotation, column, follows=1, gain=(gain, shift)
             )
         low, high = self.ranges.get(leader, (-np.inf, np.inf))
-        lead = self.rig.joints[leader]
-        length = lead.type is JointType.PRISMATIC
+        leader_range = self.rig.joints[leader]
+        length = leader_range.type is JointType.PRISMATIC
         column = self.leader_columns[leader] = len(self.columns)
         self.columns.append(self.slices[leader].start)
         self.lengths.append(length)
-        free = not length and high - low >= 2 * np.pi - GAP and gain == 1.0
-        bounded = free and math.isfinite(high - low)
-        self.periods.append((low, high) if bounded else (-np.inf, np.inf))
-        limit = (-np.inf, np.inf) if free else (low, high)
+        is_unlimited = (
+            not length
+            and high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
+            and gain == 1.0
+        )
+        has_period = is_unlimited and math.isfinite(high - low)
+        self.periods.append((low, high) if has_period else (-np.inf, np.inf))
+        limit = (-np.inf, np.inf) if is_unlimited else (low, high)
         return self._node(
             kind, frame, rotation, column, gain=(gain, shift), limit=(*limit, 0.0, 0.0)
         )
@@ -148,7 +153,7 @@ class _ChainBuilder:
             rotation = so3.from_matrix(basis)
             swing = spec.limits.swing or (np.inf, np.inf)
             twist = spec.limits.twist or (-np.inf, np.inf)
-            if twist[1] - twist[0] >= 2 * np.pi - GAP:
+            if twist[1] - twist[0] >= 2 * np.pi - REVOLUTION_TOLERANCE:
                 twist = (-np.inf, np.inf)
             limit = (*swing, *twist)
         first_column = len(self.columns)
@@ -189,11 +194,11 @@ def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
         leader, gain, shift = _leader(rig, j)
         if gain == 0:
             continue
-        ends = sorted(
+        limits_of_leader = sorted(
             [(joint.limits.low - shift) / gain, (joint.limits.high - shift) / gain]
         )
         low, high = ranges.get(leader, (-np.inf, np.inf))
-        ranges[leader] = max(low, ends[0]), min(high, ends[1])
+        ranges[leader] = max(low, limits_of_leader[0]), min(high, limits_of_leader[1])
     return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
 
 
@@ -207,18 +212,21 @@ def assemble(
     local = local_from_coordinates(rig, pose[None])
     builder = _ChainBuilder(rig, pose)
     frames: dict[int, _Frame] = {}
-    above = {j for goal in goals for j in rig.upwards(rig.index(goal.joint))}
-    for j in sorted(above):
+    joints_above_goals = {
+        j for goal in goals for j in rig.upwards(rig.index(goal.joint))
+    }
+    for j in sorted(joints_above_goals):
         joint = rig.joints[j]
         at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
         parent = frames[joint.parent] if joint.parent >= 0 else at_root
         if j in moving:
-            rest = parent.carry(rig.rest_translations[j], rig.rest_rotations[j])
-            frames[j] = builder.add(j, rest)
+            rest_frame = parent.carry(rig.rest_translations[j], rig.rest_rotations[j])
+            frames[j] = builder.add(j, rest_frame)
         else:
             frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
-    for j in sorted(moving - above):
-        # Joints that act only through mimic joints: their position is irrelevant.
+    for j in sorted(moving - joints_above_goals):
+        # Joints that move goals only through mimic joints: their position is
+        # irrelevant.
         builder.add(j, _Frame(-1, np.zeros(3), so3.IDENTITY))
     limbs, faults = _limbs(rig, goals, moving, frames, local)
     return _finish(builder, rig, goals, frames, limbs), faults
@@ -263,15 +271,54 @@ def _finish(
     frames: dict[int, _Frame],
     limbs: list[tuple[int, int]],
 ) -> Chain:
-    ends = [frames[rig.index(goal.joint)] for goal in goals]
+    goal_frames = [frames[rig.index(goal.joint)] for goal in goals]
     tools = [
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
-        for goal, end in zip(goals, ends, strict=True)
+        for goal, end in zip(goals, goal_frames, strict=True)
     ]
-    points = [end.translation + tool for end, tool in zip(ends, tools, strict=True)]
-    length = _length(builder, ends, points)
-    nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
+    points = [
+        end.translation + tool for end, tool in zip(goal_frames, tools, strict=True)
+    ]
+    length = _length(builder, goal_frames, points)
     scales = np.where(builder.lengths, length, 1.0)
+    nodes, numbers = _node_rows(builder, scales, length)
+    goal_numbers = [
+        [
+            *(end.translation / length),
+            *(tool / length),
+            *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
+            *goal.weights,
+        ]
+        for goal, end, tool in zip(goals, goal_frames, tools, strict=True)
+    ]
+    goal_nodes = [
+        [end.node, *limb, level]
+        for end, limb, level in zip(goal_frames, limbs, _levels(goals), strict=True)
+    ]
+    widths = {PIN: 1, SLIDE: 1, BALL: 3}
+    return Chain(
+        nodes,
+        numbers,
+        np.array(goal_nodes, np.int64),
+        np.array(goal_numbers, np.float64),
+        np.array([end.rotation for end in goal_frames]),
+        np.array(builder.columns, np.int64),
+        scales,
+        np.array(builder.periods, np.float64),
+        tuple(builder.ball_rotations),
+        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
+        length,
+    )
+
+
+def _node_rows(
+    builder: _ChainBuilder, scales: FloatArray, length: float
+) -> tuple[IntArray, FloatArray]:
+    """Return the nodes of a chain ``(N, 4)`` and their numbers, in chain lengths.
+
+    scales: Of the coordinates ``(D,)`` [m] or 1.
+    """
+    nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
     programs = nodes[:, 3] == FOLLOWS_PROGRAM
     # Programs return metres and radians.
@@ -280,8 +327,8 @@ def _finish(
     )
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
-    single = nodes[:, 0] != BALL
-    limits[single, :2] /= coordinate_scales[single, None]
+    single_columns = nodes[:, 0] != BALL
+    limits[single_columns, :2] /= coordinate_scales[single_columns, None]
     numbers = np.concatenate(
         [
             np.array(builder.rests).reshape(-1, 9),
@@ -293,41 +340,15 @@ def _finish(
         axis=1,
     )
     if builder.programs is not None:
-        asked, rows, values = builder.programs.rows(builder.sources(), scales)
-        nodes[programs, 2] = np.array(asked, np.int64)[nodes[programs, 2]]
-        more = np.zeros((len(rows), numbers.shape[1]))
-        more[:, :6] = np.array(values).reshape(-1, 6)
-        nodes = np.concatenate([nodes, np.array(rows, np.int64).reshape(-1, 4)])
-        numbers = np.concatenate([numbers, more])
-    goal_numbers = [
-        [
-            *(end.translation / length),
-            *(tool / length),
-            *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
-            *goal.weights,
-        ]
-        for goal, end, tool in zip(goals, ends, tools, strict=True)
-    ]
-    widths = {PIN: 1, SLIDE: 1, BALL: 3}
-    return Chain(
-        nodes,
-        np.ascontiguousarray(numbers),
-        np.array(
-            [
-                [end.node, *limb, level]
-                for end, limb, level in zip(ends, limbs, _levels(goals), strict=True)
-            ],
-            np.int64,
-        ),
-        np.array(goal_numbers, np.float64),
-        np.array([end.rotation for end in ends]),
-        np.array(builder.columns, np.int64),
-        scales,
-        np.array(builder.periods, np.float64),
-        tuple(builder.ball_rotations),
-        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
-        length,
-    )
+        requested, program_rows, values = builder.programs.rows(
+            builder.sources(), scales
+        )
+        nodes[programs, 2] = np.array(requested, np.int64)[nodes[programs, 2]]
+        padding = np.zeros((len(program_rows), numbers.shape[1]))
+        padding[:, :6] = np.array(values).reshape(-1, 6)
+        nodes = np.concatenate([nodes, np.array(program_rows, np.int64).reshape(-1, 4)])
+        numbers = np.concatenate([numbers, padding])
+    return nodes, np.ascontiguousarray(numbers)
 
 
 def _levels(goals: Sequence[Goal]) -> list[int]:
@@ -337,7 +358,7 @@ def _levels(goals: Sequence[Goal]) -> list[int]:
 
 
 def _length(
-    builder: _ChainBuilder, ends: list[_Frame], points: list[FloatArray]
+    builder: _ChainBuilder, goal_frames: list[_Frame], points: list[FloatArray]
 ) -> float:
     """Return the longest bone path to a goal, else the longest slide, else 1 [m]."""
     distances = np.zeros(len(builder.nodes))
@@ -346,15 +367,15 @@ def _length(
             distances[n] = distances[parent] + np.linalg.norm(builder.offsets[n])
     longest = max(
         float(distances[end.node] + np.linalg.norm(point))
-        for end, point in zip(ends, points, strict=True)
+        for end, point in zip(goal_frames, points, strict=True)
     )
     if longest > 0:
         return longest
-    spans = [
+    slide_ranges = [
         high - low
         for (kind, *_), (low, high, *_) in zip(
             builder.nodes, builder.limits, strict=True
         )
         if kind == SLIDE and 0 < high - low < np.inf
     ]
-    return float(max(spans, default=1.0))
+    return float(max(slide_ranges, default=1.0))

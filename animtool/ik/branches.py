@@ -18,22 +18,24 @@ from animtool.ik.result import IkResult
 from animtool.ik.solving import solve
 
 # Cost of a frame that misses its goals, in squared radians: more than any jump.
-MISSED = 1e4
-# Weight of goals of the next priority number [1].
+MISSED_COST = 1e4
+# Weight factor per priority level [1].
 PRIORITY_FACTOR = 1e-2
-# Poses that cost no more than this much more miss their goals by as much, see `price`.
-NO_WORSE = 1e-3
+# Poses whose cost exceeds another's by at most this miss their goals equally, see
+# `price`.
+EQUAL_COST = 1e-3
 # Poses nearer than this belong to one branch [rad], [fraction of the length].
-SAME = 1e-3
-# Iterations from any start, and from the neighbouring frame; a branch that needs
-# more ends there.
-DESCENT, STEPS = 100, 30
-# Solutions searched at each sample of a clip, and branches kept in parallel.
-STRANDS, LAYERS = 12, 8
-# A branch is followed this many frames at a time, as it may end at any of them.
-AT_A_TIME = 48
-# Standard deviations of random rotations of joints without limits [rad], in turn.
-SPREAD = (0.5, 1.5, 3.0)
+SAME_BRANCH = 1e-3
+# Maximum iterations from any start, and from the neighbouring frame; a branch that
+# needs more ends there.
+START_ITERATIONS, TRACK_ITERATIONS = 100, 30
+# Number of solutions searched at each sample of a clip, and of branches tracked in
+# parallel.
+SOLUTIONS_PER_SAMPLE, MAX_LAYERS = 12, 8
+# Number of frames per tracking batch; a branch may end at any of them.
+TRACK_BATCH = 48
+# Standard deviations of random rotations of unlimited joints [rad], used cyclically.
+RANDOM_SPREADS = (0.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
@@ -42,16 +44,16 @@ class Interval:
 
     problem: Problem  # goals and joints
     targets: Targets  # of all F frames of the clip
-    frames: range  # of the interval; paths diverge at the first
-    broken: int  # the frame to reach without a jump
+    frames: range  # of the interval; paths differ from the first on
+    jump_frame: int  # the frame that should be reached without a jump
     poses: FloatArray  # the current path, chain coordinates ``(L, C)``
-    costs: FloatArray  # of its misses, see `price` ``(L,)``
-    # Source motion that the path changes ``(L, C)``; one pose repeated without one.
+    costs: FloatArray  # miss cost of each frame, see `price` ``(L,)``
+    # Source motion that the path modifies ``(L, C)``; a repeated pose if there is none.
     reference: FloatArray
-    # Largest joint step that is not penalised, for each frame pair ``(L - 1,)``.
-    easy: FloatArray
+    # Largest joint step without penalty, for each frame pair ``(L - 1,)``.
+    free_step: FloatArray
     # Preferred poses of all frames, weighted by ``rest_weight`` ``(F, Q)``.
-    wished: FloatArray
+    preferred: FloatArray
     options: IkOptions  # solver options of a frame
 
     @property
@@ -60,28 +62,30 @@ class Interval:
         return self.problem.chain
 
     def solved(
-        self, starts: FloatArray, frames: IntArray, steps: int = DESCENT
+        self, starts: FloatArray, frames: IntArray, steps: int = START_ITERATIONS
     ) -> tuple[FloatArray, FloatArray]:
         """Return poses ``(B, C)`` solved from starts at frames of a clip, and costs."""
         rows = self.problem.chain.into_rig(starts, self._empty_rows(len(starts)))
-        chosen = replace(self.options, warm=False, restarts=0, iterations=steps)
-        result = self._solve(rows, frames, chosen)
+        frame_options = replace(self.options, warm=False, restarts=0, iterations=steps)
+        result = self._solve(rows, frames, frame_options)
         poses = self.chain.from_rig(result.coordinates)
         misses = weighed(self.problem, result.misses, rows_of(self.targets, frames))
         return poses, price(misses, result.converged)
 
     def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
         """Return poses tracked from one pose through rows, and how many reach goals."""
-        chosen = replace(self.options, warm=True, restarts=0, iterations=STEPS)
+        frame_options = replace(
+            self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
+        )
         start = self.problem.chain.into_rig(pose[None], self._empty_rows(1))[0]
         poses = np.zeros((len(rows), len(pose)))
-        for first in range(0, len(rows), AT_A_TIME):
-            some = slice(first, min(first + AT_A_TIME, len(rows)))
-            result = self._solve(start, self.frames.start + rows[some], chosen)
-            poses[some] = self.chain.from_rig(result.coordinates)
-            lost = np.flatnonzero(~result.converged)
-            if len(lost):
-                return poses, first + int(lost[0])
+        for first in range(0, len(rows), TRACK_BATCH):
+            batch = slice(first, min(first + TRACK_BATCH, len(rows)))
+            result = self._solve(start, self.frames.start + rows[batch], frame_options)
+            poses[batch] = self.chain.from_rig(result.coordinates)
+            missed = np.flatnonzero(~result.converged)
+            if len(missed):
+                return poses, first + int(missed[0])
             start = result.coordinates[-1]
         return poses, len(rows)
 
@@ -89,8 +93,8 @@ class Interval:
         self, starts: FloatArray, frames: IntArray, options: IkOptions
     ) -> IkResult:
         targets = rows_of(self.targets, frames)
-        wished = self.wished[frames]
-        return solve(self.problem, starts, targets, options, prefer=wished)
+        preferred = self.preferred[frames]
+        return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _empty_rows(self, count: int) -> FloatArray:
         return np.zeros((count, self.problem.coordinates))
@@ -111,8 +115,8 @@ def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArra
     counts = counts * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
     if targets.weights is not None:
         counts = counts * np.asarray(targets.weights, np.float64)
-    most = counts.max(axis=(-2, -1), keepdims=True)
-    counts = np.divide(counts, most, out=np.zeros_like(counts), where=most > 0)
+    largest = counts.max(axis=(-2, -1), keepdims=True)
+    counts = np.divide(counts, largest, out=np.zeros_like(counts), where=largest > 0)
     relative_misses = misses / by_unit(problem.length, 1.0)
     # Misses of weight 0 may be infinite.
     return np.asarray(np.where(counts > 0, relative_misses, 0.0) * counts, np.float64)
@@ -120,7 +124,7 @@ def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArra
 
 def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
     """Return the cost of weighted misses, 0 where goals are reached ``(F,)``."""
-    cost = MISSED * (1.0 + (misses**2).sum(axis=(1, 2)))
+    cost = MISSED_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
     return np.where(reached, 0.0, cost)
 
 
@@ -130,14 +134,16 @@ def forgiving(costs: FloatArray, slack: float) -> FloatArray:
     In each frame, a path whose miss exceeds the smallest by at most ``slack``
     [fraction of the length] costs as little as that one.
     """
-    least = costs.min(axis=0)
-    limit = np.where(least > 0, MISSED * (1.0 + (missed_by(least) + slack) ** 2), 0.0)
-    return np.where(costs <= limit, least, costs)
+    smallest = costs.min(axis=0)
+    limit = np.where(
+        smallest > 0, MISSED_COST * (1.0 + (missed_by(smallest) + slack) ** 2), 0.0
+    )
+    return np.where(costs <= limit, smallest, costs)
 
 
 def missed_by(costs: FloatArray) -> FloatArray:
-    """Return the miss that a cost stands for; the inverse of `price`."""
-    return np.sqrt(np.maximum(costs / MISSED - 1.0, 0.0))
+    """Return the weighted miss of a cost; the inverse of `price`."""
+    return np.sqrt(np.maximum(costs / MISSED_COST - 1.0, 0.0))
 
 
 def branches(
@@ -149,19 +155,19 @@ def branches(
     backward in time; and blends from the current path to each of these, projected onto
     the goals. Costs are 0 where goals are reached.
     """
-    at = interval.broken - interval.frames.start
-    starts = [interval.poses[at], interval.poses[at - 1]]
-    starts += list(_scattered(interval, interval.poses[at], count, seed))
-    frames = np.full(len(starts), interval.broken)
+    jump_row = interval.jump_frame - interval.frames.start
+    starts = [interval.poses[jump_row], interval.poses[jump_row - 1]]
+    starts += list(_scattered(interval, interval.poses[jump_row], count, seed))
+    frames = np.full(len(starts), interval.jump_frame)
     solutions, cost = interval.solved(np.array(starts), frames)
-    kept = _distinct(interval.chain, solutions[cost == 0])
-    if not len(kept):
-        kept = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = follow_in_both_directions(interval, kept, at)
-    current = interval.poses[None]
-    paths = [current, tracks]
+    distinct = _distinct(interval.chain, solutions[cost == 0])
+    if not len(distinct):
+        distinct = solutions[np.argsort(cost, kind="stable")[:1]]
+    tracks, costs = follow_in_both_directions(interval, distinct, jump_row)
+    current_path = interval.poses[None]
+    paths = [current_path, tracks]
     prices = [interval.costs[None], costs]
-    for path, cost in _passing(interval, tracks, at):
+    for path, cost in _passing(interval, tracks, jump_row):
         paths.append(path[None])
         prices.append(cost[None])
     return np.concatenate(paths), np.concatenate(prices)
@@ -177,15 +183,19 @@ def branch_tracks(
     """
     paths, prices = [interval.poses[None]], [interval.costs[None]]
     for row in rows.tolist():
-        home = interval.poses[row]
-        starts = [home, interval.poses[max(row - 1, 0)]]
-        starts += list(_scattered(interval, home, count, seed + row))
+        current_pose = interval.poses[row]
+        starts = [current_pose, interval.poses[max(row - 1, 0)]]
+        starts += list(_scattered(interval, current_pose, count, seed + row))
         frames = np.full(len(starts), interval.frames[row])
         solutions, cost = interval.solved(np.array(starts), frames)
-        kept = _distinct(interval.chain, solutions[cost <= cost.min() + NO_WORSE])
-        away = np.abs(difference(interval.chain, home, kept)).max(axis=1)
-        kept = kept[np.argsort(away, kind="stable")[:STRANDS]]
-        tracks, costs = follow_in_both_directions(interval, kept, row, STEPS)
+        distinct = _distinct(interval.chain, solutions[cost <= cost.min() + EQUAL_COST])
+        distances = np.abs(difference(interval.chain, current_pose, distinct)).max(
+            axis=1
+        )
+        distinct = distinct[np.argsort(distances, kind="stable")[:SOLUTIONS_PER_SAMPLE]]
+        tracks, costs = follow_in_both_directions(
+            interval, distinct, row, TRACK_ITERATIONS
+        )
         paths.append(tracks)
         prices.append(costs)
     return np.concatenate(paths), np.concatenate(prices)
@@ -200,26 +210,31 @@ def search_branches(
     each tracked in both directions until it ends or a later layer replaces it.
     """
     length, width = interval.poses.shape
-    paths = np.zeros((1 + LAYERS * STRANDS, length, width))
-    costs = np.full((len(paths), length), 2 * MISSED)
+    paths = np.zeros((1 + MAX_LAYERS * SOLUTIONS_PER_SAMPLE, length, width))
+    costs = np.full((len(paths), length), 2 * MISSED_COST)
     paths[0] = interval.poses
     costs[0] = interval.costs
-    far = LAYERS * spacing // 2
-    for i, at in enumerate(range(0, length, spacing)):
-        frames = np.full(STRANDS, interval.frames[at])
-        starts = _scattered(interval, interval.poses[at], STRANDS, seed + i)
+    search_reach = MAX_LAYERS * spacing // 2
+    for i, row in enumerate(range(0, length, spacing)):
+        frames = np.full(SOLUTIONS_PER_SAMPLE, interval.frames[row])
+        starts = _scattered(
+            interval, interval.poses[row], SOLUTIONS_PER_SAMPLE, seed + i
+        )
         solutions, cost = interval.solved(np.array(list(starts)), frames)
-        layer = 1 + i % LAYERS * STRANDS
-        paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = solutions[:, None]
+        layer = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
+        paths[
+            layer : layer + SOLUTIONS_PER_SAMPLE,
+            max(row - search_reach, 0) : row + search_reach,
+        ] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
             for direction in (
-                slice(at, min(at + far, length)),
-                slice(at, at - far, -1),
+                slice(row, min(row + search_reach, length)),
+                slice(row, row - search_reach, -1),
             ):
                 rows = np.arange(length)[_clipped(direction)]
-                poses, ok = interval.tracked(solutions[k], rows)
-                paths[layer + k, rows[:ok]] = poses[:ok]
-                costs[layer + k, rows[:ok]] = 0.0
+                poses, is_reached = interval.tracked(solutions[k], rows)
+                paths[layer + k, rows[:is_reached]] = poses[:is_reached]
+                costs[layer + k, rows[:is_reached]] = 0.0
     return paths, costs
 
 
@@ -229,68 +244,72 @@ def _clipped(rows: slice) -> slice:
 
 
 def _scattered(
-    interval: Interval, home: FloatArray, count: int, seed: int
+    interval: Interval, centre: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
     """Return random poses within the limits, or around a pose without limits."""
-    return random_poses(interval.chain, home, count, [seed, interval.broken])
+    return random_poses(interval.chain, centre, count, [seed, interval.jump_frame])
 
 
 def random_poses(
-    chain: Chain, home: FloatArray, count: int, seed: Sequence[int]
+    chain: Chain, centre: FloatArray, count: int, seed: Sequence[int]
 ) -> Iterator[FloatArray]:
     """Yield random poses within the limits, or around a pose without limits."""
     rng = np.random.default_rng(seed)
     for i in range(count):
-        step = rng.normal(size=chain.degrees) * SPREAD[i % len(SPREAD)]
-        pose = moved(chain, home, step)
+        step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
+        pose = moved(chain, centre, step)
         for (kind, _, column, follows), numbers in zip(
             chain.nodes[:, :4], with_periods(chain), strict=True
         ):
-            at, (low, high) = rng.uniform(-1, 1), numbers[14:16]
+            fraction, (low, high) = rng.uniform(-1, 1), numbers[14:16]
             if kind != BALL and not follows and np.isfinite([low, high]).all():
-                pose[column] = (low + high) / 2 + at * min((high - low) / 2, np.pi)
+                pose[column] = (low + high) / 2 + fraction * min(
+                    (high - low) / 2, np.pi
+                )
         yield pose
 
 
 def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
-    kept: list[FloatArray] = []
+    """Return poses that differ by more than `SAME_BRANCH` from the earlier ones."""
+    distinct: list[FloatArray] = []
     for pose in poses:
-        if not kept or (
-            np.abs(difference(chain, np.array(kept), pose)).max(axis=1).min() > SAME
+        if not distinct or (
+            np.abs(difference(chain, np.array(distinct), pose)).max(axis=1).min()
+            > SAME_BRANCH
         ):
-            kept.append(pose)
-    return np.array(kept).reshape(-1, poses.shape[-1])
+            distinct.append(pose)
+    return np.array(distinct).reshape(-1, poses.shape[-1])
 
 
 def follow_in_both_directions(
-    interval: Interval, poses: FloatArray, at: int, steps: int = DESCENT
+    interval: Interval, poses: FloatArray, start_row: int, steps: int = START_ITERATIONS
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses ``(K, C)`` of a row tracked to both ends of the interval."""
     length = len(interval.frames)
     tracks = np.zeros((len(poses), length, poses.shape[1]))
     costs = np.zeros((len(poses), length))
     for direction, stop in ((1, length), (-1, -1)):
-        now = poses
-        for row in range(at, stop, direction):
-            if row != at:
-                change = interval.changed(now, row - direction)
-                now = moved(interval.chain, interval.reference[row], change)
-            frames = np.full(len(now), interval.frames[row])
-            now, costs[:, row] = interval.solved(now, frames, steps)
-            tracks[:, row] = now
+        current = poses
+        for row in range(start_row, stop, direction):
+            if row != start_row:
+                change = interval.changed(current, row - direction)
+                current = moved(interval.chain, interval.reference[row], change)
+            frames = np.full(len(current), interval.frames[row])
+            current, costs[:, row] = interval.solved(current, frames, steps)
+            tracks[:, row] = current
     return tracks, costs
 
 
 def _passing(
-    interval: Interval, tracks: FloatArray, at: int
+    interval: Interval, tracks: FloatArray, end_row: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield blends from the current path to others over the rows before ``at``."""
-    progress = np.clip(np.arange(len(interval.frames)) / max(at, 1), 0.0, 1.0)
-    eased = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
+    """Yield blends from the current path to others over the rows before ``end_row``."""
+    progress = np.clip(np.arange(len(interval.frames)) / max(end_row, 1), 0.0, 1.0)
+    weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
         step = difference(interval.chain, interval.poses, track)
-        between = moved(interval.chain, interval.poses, eased * step)
-        yield interval.solved(between, np.array(interval.frames))
+        blended = moved(interval.chain, interval.poses, weights * step)
+        yield interval.solved(blended, np.array(interval.frames))
 
 
 def best_path(
@@ -298,27 +317,27 @@ def best_path(
     paths: FloatArray,
     costs: FloatArray,
     *,
-    closed: bool,
-    opened: bool = False,
+    fixed_end: bool,
+    free_start: bool = False,
 ) -> FloatArray:
     """Return the poses ``(L, C)`` of the cheapest route across candidate paths.
 
     Minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
-    convolutional codes, 1967); steps above ``easy`` are penalised. The route begins on
-    the first path unless ``opened``, and ends there if ``closed``.
+    convolutional codes, 1967); steps above ``free_step`` are penalised. The route
+    begins on the first path unless ``free_start``, and ends there if ``fixed_end``.
 
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
     chain = interval.chain
     drifts = difference(chain, interval.reference[:-1], interval.reference[1:])
-    chosen = _kernels.cheapest_ik_path(
+    choice = _kernels.cheapest_ik_path(
         chain.nodes,
         with_periods(chain),
         paths,
         costs,
         drifts,
-        interval.easy,
-        opened,
-        closed,
+        interval.free_step,
+        free_start,
+        fixed_end,
     )
-    return unwound(chain, paths[chosen, np.arange(costs.shape[1])])
+    return unwound(chain, paths[choice, np.arange(costs.shape[1])])

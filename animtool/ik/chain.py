@@ -1,4 +1,4 @@
-"""The kinematic chain of a rig's active joints, as IK kernels take it."""
+"""The kinematic chain of a rig's active joints, in the layout of the IK kernels."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from animtool.maths import so3
 
 PIN, SLIDE, BALL = 0, 1, 2
 # A limit range within this of a full revolution has no gap [rad].
-GAP = 1e-6
+REVOLUTION_TOLERANCE = 1e-6
 # A limit range exceeding a full revolution by at most this counts as one [rad].
-HAIR = 0.02
+REVOLUTION_EXCESS = 0.02
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Chain:
     # Node_from_joint quaternions ``(E, 4)`` of the goals' joints.
     goal_frames: FloatArray
     columns: IntArray  # rig coordinate of each chain coordinate ``(C,)``
-    scales: FloatArray  # divisor of each ``(C,)``
-    # Limits of each that covers a full revolution, else infinite ``(C, 2)``.
+    scales: FloatArray  # divisor of each chain coordinate ``(C,)``
+    # Limits of each coordinate that covers a full revolution, else infinite ``(C, 2)``.
     periods: FloatArray
     # ``(first column of a ball, ball_from_joint quaternion)``.
     ball_frames: tuple[tuple[int, FloatArray], ...]
@@ -44,7 +44,7 @@ class Chain:
 
     @property
     def arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-        """The leading arguments of IK kernels: chain and goals."""
+        """The first arguments of IK kernels: chain and goals."""
         return self.nodes, self.numbers, self.goals, self.goal_numbers
 
     @cached_property
@@ -75,13 +75,13 @@ class Chain:
             low, high = self.periods[self.turning].T
             angles = q[:, self.turning]
             revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
-            inside = np.clip(angles - 2 * np.pi * revolutions, low, high)
+            wrapped = np.clip(angles - 2 * np.pi * revolutions, low, high)
             q[:, self.turning] = np.where(
-                (angles < low) | (angles > high), inside, angles
+                (angles < low) | (angles > high), wrapped, angles
             )
-        out = coordinates.copy()
-        out[:, self.columns] = q * self.scales
-        return out
+        rig_coordinates = coordinates.copy()
+        rig_coordinates[:, self.columns] = q * self.scales
+        return rig_coordinates
 
 
 def _conjugated(q: FloatArray, frame: FloatArray) -> FloatArray:
@@ -96,30 +96,30 @@ def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     vectors [rad] in their rest frame. Pins without limits take the short direction.
     """
     start, end = np.broadcast_arrays(start, end)
-    out = np.zeros((*start.shape[:-1], chain.degrees))
+    steps = np.zeros((*start.shape[:-1], chain.degrees))
     columns, dofs, balls = _layout(chain)
-    single = end[..., columns[~balls]] - start[..., columns[~balls]]
-    revolutions = 2 * np.pi * np.round(single / (2 * np.pi))
-    single -= np.where(_endless(chain)[~balls], revolutions, 0.0)
-    out[..., dofs[~balls]] = single
+    angles = end[..., columns[~balls]] - start[..., columns[~balls]]
+    revolutions = 2 * np.pi * np.round(angles / (2 * np.pi))
+    angles -= np.where(_endless(chain)[~balls], revolutions, 0.0)
+    steps[..., dofs[~balls]] = angles
     for column, dof in zip(columns[balls], dofs[balls], strict=True):
         ball = slice(column, column + 4)
         rotation = so3.multiply(end[..., ball], so3.conjugate(start[..., ball]))
-        out[..., dof : dof + 3] = so3.log(rotation)
-    return out
+        steps[..., dof : dof + 3] = so3.log(rotation)
+    return steps
 
 
 def moved(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
     """Return poses ``(..., C)`` after steps ``(..., D)``, without limits."""
     shape = np.broadcast_shapes(start.shape[:-1], step.shape[:-1])
-    out = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
+    poses = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
     columns, dofs, balls = _layout(chain)
-    out[..., columns[~balls]] += step[..., dofs[~balls]]
+    poses[..., columns[~balls]] += step[..., dofs[~balls]]
     for column, dof in zip(columns[balls], dofs[balls], strict=True):
         ball = slice(column, column + 4)
         rotation = so3.exp(step[..., dof : dof + 3])
-        out[..., ball] = so3.multiply(rotation, out[..., ball])
-    return out
+        poses[..., ball] = so3.multiply(rotation, poses[..., ball])
+    return poses
 
 
 def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
@@ -133,9 +133,9 @@ def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
     """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
     columns = _layout(chain)[0][_endless(chain)]
-    out = poses.copy()
-    out[:, columns] = np.unwrap(poses[:, columns], axis=0)
-    return out
+    unwrapped = poses.copy()
+    unwrapped[:, columns] = np.unwrap(poses[:, columns], axis=0)
+    return unwrapped
 
 
 def with_periods(chain: Chain) -> FloatArray:
@@ -150,7 +150,7 @@ def with_periods(chain: Chain) -> FloatArray:
         if kind != PIN or follows > 1:
             continue
         low, high = chain.periods[column]
-        if high - low > 2 * np.pi + HAIR and np.isfinite(low):
+        if high - low > 2 * np.pi + REVOLUTION_EXCESS and np.isfinite(low):
             row[14:16] = low, high
     return numbers
 
@@ -158,5 +158,5 @@ def with_periods(chain: Chain) -> FloatArray:
 def _endless(chain: Chain) -> BoolArray:
     """Return a mask of the joints that are pins without limits."""
     independent = chain.nodes[:, 3] == 0
-    free = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)
-    return np.asarray((chain.nodes[independent, 0] == PIN) & free)
+    is_unlimited = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)
+    return np.asarray((chain.nodes[independent, 0] == PIN) & is_unlimited)

@@ -1,9 +1,9 @@
 """Poses of a take as one IK problem over many frames.
 
-A problem has one rig, whose joints above the goals' chains are fixed. In a take they
-move, and joints may move in directions that their types do not allow. So the targets
-of each frame are transformed to the frame that carries the chain, and motion outside
-the joint coordinates goes into the rest pose.
+A problem has one rig in which the joints above the goals' chains are fixed. In a take
+those joints move, and joints may move in directions that their types do not allow.
+Therefore the targets of each frame are transformed to the frame that carries the chain,
+and motion outside the joint coordinates is stored in the rest pose.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# Transforms that differ by less are the same but for rounding [m], [rad].
-SAME = 1e-9
+# Transforms that differ by less are equal up to rounding [m], [rad].
+EQUAL_TRANSFORM = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class SolveSpan:
     frames: slice  # of the take
     coordinates: FloatArray  # of the source poses ``(N, Q)``
     carrier_positions: (
-        FloatArray  # what carries each goal's chain: positions ``(N, E, 3)`` [m]
+        FloatArray  # of the frames that carry the chains ``(N, E, 3)`` [m]
     )
     carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
 
@@ -53,24 +53,26 @@ class SolveSpan:
         )
 
         part_targets = rows_of(targets, self.frames)
-        parts = {}
+        values_by_kind = {}
         for kind in KINDS:
             values = np.asarray(getattr(part_targets, kind.targets))
             if kind.value is TargetValue.ROTATION:
-                parts[kind.targets] = so3.multiply(rotation, values)
+                values_by_kind[kind.targets] = so3.multiply(rotation, values)
             else:
-                away = so3.rotate(rotation, values - self.carrier_positions)
-                parts[kind.targets] = np.asarray(self.carrier_positions[:1] + away)
-        return replace(part_targets, **parts)
+                offsets = so3.rotate(rotation, values - self.carrier_positions)
+                values_by_kind[kind.targets] = np.asarray(
+                    self.carrier_positions[:1] + offsets
+                )
+        return replace(part_targets, **values_by_kind)
 
 
 @dataclass(frozen=True, slots=True)
 class SolveSpans:
     """The frames of a take as spans of one rig each."""
 
-    all: list[SolveSpan]  # one, or one for each frame where no rig fits all
+    spans: list[SolveSpan]  # one span, or one per frame if no rig fits all
     # Names of the joints and driver controls that prevent a single span.
-    between: tuple[str, ...]
+    moving_between: tuple[str, ...]
 
 
 def parts_of(
@@ -91,31 +93,42 @@ def parts_of(
     probe = build(rig, goals, joints=joints, pose=coordinates[0])
     moving = {rig.index(name) for name in probe.joints}
     paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
-    tops = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
-    carriers = [rig.parents[path[top]] for path, top in zip(paths, tops, strict=True)]
-    inside = {j for path, top in zip(paths, tops, strict=True) for j in path[: top + 1]}
+    chain_roots = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
+    carriers = [
+        rig.parents[path[chain_root]]
+        for path, chain_root in zip(paths, chain_roots, strict=True)
+    ]
+    path_joints = {
+        j
+        for path, chain_root in zip(paths, chain_roots, strict=True)
+        for j in path[: chain_root + 1]
+    }
     rests = _rests(rig, local, coordinates)
-    pivots = inside - _turning(goals, paths)
+    pivots = path_joints - _turning(goals, paths)
     changes = _moved(local), _turned(local)
     strays = _moved(rests) | _turned(rests)
-    between = [
+    moving_between = [
         j
-        for j in sorted(inside)
+        for j in sorted(path_joints)
         if (strays[j] if j in moving else changes[0][j])
         or (j not in moving | pivots and changes[1][j])
     ]
-    read = _moving_sources(rig, moving & inside, moving, changes[0] | changes[1])
-    between = sorted({*between, *read})
-    others = [name for name, values in controls.items() if (values != values[0]).any()]
+    read_controls = _moving_sources(
+        rig, moving & path_joints, moving, changes[0] | changes[1]
+    )
+    moving_between = sorted({*moving_between, *read_controls})
+    changing_controls = [
+        name for name, values in controls.items() if (values != values[0]).any()
+    ]
     count = len(coordinates)
     spans = (
         [slice(f, f + 1) for f in range(count)]
-        if between or others
+        if moving_between or changing_controls
         else [slice(0, count)]
     )
     positions, rotations = _carriers(world, carriers)
     of_paths = sorted({j for path in paths for j in path})
-    parts = [
+    spans_of_frames = [
         SolveSpan(
             with_controls(
                 _with_rests(rig, rests, span.start, of_paths), controls, span.start
@@ -127,20 +140,22 @@ def parts_of(
         )
         for span in spans
     ]
-    return SolveSpans(parts, (*(rig.names[j] for j in between), *others))
+    return SolveSpans(
+        spans_of_frames, (*(rig.names[j] for j in moving_between), *changing_controls)
+    )
 
 
 def _moving_sources(
-    rig: Rig, driven: set[int], free: set[int], changed: BoolArray
+    rig: Rig, driven: set[int], solved: set[int], changed: BoolArray
 ) -> list[int]:
     """Return joints that move without being solved and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
-    read = {
+    sources = {
         source for j in driven.intersection(plan.joints) for source in plan.sources(j)
     }
-    return [j for j in read - free if changed[j]]
+    return [j for j in sources - solved if changed[j]]
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
@@ -180,14 +195,14 @@ def _rests(
 
 def _moved(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose translation changes over the frames."""
-    away = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
-    return np.asarray(away > SAME, np.bool_)
+    displacement = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
+    return np.asarray(displacement > EQUAL_TRANSFORM, np.bool_)
 
 
 def _turned(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose rotation changes over the frames."""
-    turned = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
-    return np.asarray(turned > SAME, np.bool_)
+    angles = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
+    return np.asarray(angles > EQUAL_TRANSFORM, np.bool_)
 
 
 def _with_rests(
@@ -197,8 +212,11 @@ def _with_rests(
     joints = list(rig.joints)
     for j in moving:
         translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]
-        differs = np.abs(translation - rig.rest_translations[j]).max() > SAME
-        if differs or so3.angle_between(rotation, rig.rest_rotations[j]) > SAME:
+        differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TRANSFORM
+        if (
+            differs
+            or so3.angle_between(rotation, rig.rest_rotations[j]) > EQUAL_TRANSFORM
+        ):
             x, y, z = translation.tolist()
             a, b, c, w = rotation.tolist()
             joints[j] = replace(joints[j], translation=(x, y, z), rotation=(a, b, c, w))
@@ -226,13 +244,13 @@ def refuse_scales(
     channel = take.motion.scales
     if channel is None:
         return
-    scaled = (channel.rest != 1.0).any(axis=1)
-    scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
+    is_scaled = (channel.rest != 1.0).any(axis=1)
+    is_scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
     faults = {}
     source = None if path is None else str(path)
     for effector, joint in effectors:
         for j in take.rig.upwards(take.rig.index(joint)):
-            if scaled[j]:
+            if is_scaled[j]:
                 name = take.rig.names[j]
                 message = f"{effector!r} is below {name!r}, which is scaled"
                 hint = "inverse kinematics needs joints without scale"

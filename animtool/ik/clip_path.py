@@ -27,14 +27,14 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import pose_rows, solve
 
-# A step below this fraction of the jump threshold is smooth: no steadier path is
+# A step below this fraction of the jump threshold is smooth: no smoother path is
 # searched.
 SMOOTH_ENOUGH = 0.4
-# A goal out of reach may be missed by this much more where that makes a path steadier
-# [m]: a few such changes stay within the millimetre that counts as the nearest.
-SLACK = 2.5e-4
-# A position nearer by more than this counts as different [m].
-NEAR = 1e-3
+# Extra miss allowed for an unreachable goal where that makes a path smoother [m]: a few
+# such changes stay within the millimetre up to which a pose counts as nearest.
+MISS_SLACK = 2.5e-4
+# A pose nearer to the goals by more than this is better [m].
+NEARER_BY = 1e-3
 # Poses nearer than this are equal [rad], [fraction of the length].
 UNCHANGED = 1e-9
 
@@ -48,7 +48,7 @@ class FollowOptions:
         fps: Frames a second.
         smooth: Time over which motion that the goals leave free is smoothed [s], see
             `animtool.ik.smooth`; 0 disables it.
-        branches: Number of other poses tried where a joint jumps.
+        branches: Number of alternative poses tried where a joint jumps.
         back: Longest time before a jump at which the path may switch branches [s].
     """
 
@@ -64,15 +64,15 @@ class ClipPath:
 
     Attributes:
         problem: Goals and joints.
-        targets: Of F frames.
-        options: Rate, and how to solve.
+        targets: Targets of F frames.
+        options: Frame rate and solve options.
         path: Kernel arguments of the frames.
-        start: Poses that the solve starts from ``(F, Q)``.
+        start: Start poses of the solve ``(F, Q)``.
         moving: Whether the starts are a motion whose change is solved.
         prefer: Preferred poses, weighted by ``rest_weight`` ``(F, Q)``.
         reference: Chain coordinates of the start ``(F, C)``.
-        largest: The jump threshold [rad], [fraction of the length].
-        least: Smallest cost found for each frame ``(F,)``, see `price`.
+        largest: Jump threshold [rad], [fraction of the length].
+        least: Smallest known cost of each frame ``(F,)``, see `price`.
     """
 
     def __init__(
@@ -104,8 +104,8 @@ class ClipPath:
 
     @property
     def slack(self) -> float:
-        """Extra miss allowed for a steadier path [fraction of the length]."""
-        return SLACK / self.problem.length
+        """Extra miss allowed for a smoother path [fraction of the length]."""
+        return MISS_SLACK / self.problem.length
 
     def poses(self, result: IkResult) -> FloatArray:
         """Return the chain coordinates of a result ``(F, C)``."""
@@ -113,12 +113,14 @@ class ClipPath:
 
     def solved(self, frames: slice, starts: FloatArray) -> IkResult:
         """Return frames solved in order, or each from its start if the clip moves."""
-        chosen = replace(self.options.solving, ordered=True, warm=not self.moving)
+        frame_options = replace(
+            self.options.solving, ordered=True, warm=not self.moving
+        )
         return solve(
             self.problem,
             starts[frames] if self.moving or not len(starts) else starts[frames.start],
             rows_of(self.targets, frames),
-            chosen,
+            frame_options,
             prefer=self.prefer[frames],
         )
 
@@ -164,56 +166,62 @@ class ClipPath:
         paths: FloatArray,
         costs: FloatArray,
         *,
-        closed: bool = False,
-        opened: bool = False,
-        near: float = 0.0,
+        fixed_end: bool = False,
+        free_start: bool = False,
+        source_weight: float = 0.0,
     ) -> FloatArray:
         """Return the best route across candidate paths; see `best_path`.
 
-        Misses within the slack of the smallest cost as little, and ``near`` is the cost
-        of each squared radian from the source clip.
+        Misses within the slack of the smallest count as equal, and ``source_weight`` is
+        the cost per squared radian of distance from the source clip.
         """
         costs = forgiving(costs, self.slack)
-        if near > 0:
-            away = difference(self.problem.chain, interval.reference, paths)
-            costs = costs + near * (away**2).sum(axis=2)
-        return best_path(interval, paths, costs, closed=closed, opened=opened)
+        if source_weight > 0:
+            source_distances = difference(self.problem.chain, interval.reference, paths)
+            costs = costs + source_weight * (source_distances**2).sum(axis=2)
+        return best_path(
+            interval, paths, costs, fixed_end=fixed_end, free_start=free_start
+        )
 
     def judged(self, result: IkResult) -> IkResult:
         """Return a result with STEADIER status where a nearer pose is known."""
         all_frames = slice(0, len(self))
         costs = self.interval(self.poses(result), all_frames, 0).costs
         path_misses, least_misses = missed_by(costs), missed_by(self.least)
-        # Misses beyond numbers are infinite at the nearest, too.
-        beyond = np.subtract(
+        # Misses that overflow are infinite at the nearest pose, too.
+        excess = np.subtract(
             path_misses,
             least_misses,
             out=np.zeros_like(path_misses),
             where=path_misses > least_misses,
         )
-        beyond = beyond * self.problem.length
+        excess = excess * self.problem.length
         statuses = tuple(
-            IkStatus.STEADIER if status is IkStatus.NEAREST and far else status
-            for status, far in zip(result.statuses, beyond > NEAR, strict=True)
+            IkStatus.STEADIER if status is IkStatus.NEAREST and is_beyond else status
+            for status, is_beyond in zip(
+                result.statuses, excess > NEARER_BY, strict=True
+            )
         )
         return replace(result, statuses=statuses)
 
     def joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
-        """Return a result with a window replaced and the frames after it re-solved."""
+        """Return a result with a window replaced and later frames solved again."""
         chain = self.problem.chain
         current = self.poses(result)
         misses = self.path.frames(window).measured(poses)
         part = at_poses(_frames(result, window), poses, misses, self.path)
-        parts = [_frames(result, slice(0, window.start)), part]
-        rest = slice(window.stop, len(self))
-        if rest.start < len(self):
-            same = np.abs(difference(chain, current[rest.start - 1], poses[-1])).max()
-            if self.moving or same < UNCHANGED:
-                parts.append(_frames(result, rest))
+        results = [_frames(result, slice(0, window.start)), part]
+        later_frames = slice(window.stop, len(self))
+        if later_frames.start < len(self):
+            is_unchanged = np.abs(
+                difference(chain, current[later_frames.start - 1], poses[-1])
+            ).max()
+            if self.moving or is_unchanged < UNCHANGED:
+                results.append(_frames(result, later_frames))
             else:
                 starts = np.broadcast_to(part.coordinates[-1], self.start.shape)
-                parts.append(self.solved(rest, starts))
-        return _concatenated(parts)
+                results.append(self.solved(later_frames, starts))
+        return _concatenated(results)
 
 
 def _frames(result: IkResult, frames: slice) -> IkResult:

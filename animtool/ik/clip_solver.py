@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.ik.branches import (
-    NO_WORSE,
+    EQUAL_COST,
     Interval,
     branch_tracks,
     branches,
@@ -19,23 +19,24 @@ from animtool.ik.branches import (
 )
 from animtool.ik.clip_path import SMOOTH_ENOUGH, ClipPath, FollowOptions
 from animtool.ik.goals import Targets
-from animtool.ik.nearest import frames_out_of_reach, settled
+from animtool.ik.nearest import frames_out_of_reach, with_nearest_poses
 from animtool.ik.path import jumps_of, rate_faults, smooth
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 
-# A searched interval begins this long before a jump [s], then twice that.
-FIRST_BACK = 0.25
-# It ends at most this long after the jump [s].
-MAX_AFTER = 0.5
-# A new path must reduce the jump to below this fraction.
-SMALLER = 0.9
-# Cost of a squared radian from the clip per frame spent on another branch: a flip of
-# 180 degrees costs as much as minutes there.
-NEARNESS = 1e-2
-# Chains with at most this many redundant degrees of freedom are searched from end to
-# end, from new starts at this interval [s], at most this many times.
-MAX_FREE, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
+# The first searched interval begins this long before a jump [s]; each next one is twice
+# as long.
+FIRST_INTERVAL = 0.25
+# A searched interval ends at most this long after the jump [s].
+MAX_INTERVAL_AFTER = 0.5
+# A new path must reduce the jump below this fraction of its size.
+MIN_REDUCTION = 0.9
+# Cost of a squared radian from the source clip for each frame on another branch: a flip
+# of 180 degrees costs as much as minutes on that branch.
+BRANCH_COST = 1e-2
+# Chains with at most this many redundant degrees of freedom are searched over the full
+# clip, from new starts at this interval [s], at most this many times.
+MAX_REDUNDANCY, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
 
 
 def follow(
@@ -62,7 +63,7 @@ def follow(
             from its solution jumps, another solution is taken. Or the poses of a clip
             ``(F, Q)``: then each frame starts from its pose, and the change from it is
             tracked and smoothed.
-        targets: Of F frames.
+        targets: Targets of F frames.
         options: Rate, smoothing, and how to solve.
         prefer: Preferred pose ``(Q,)`` or ``(F, Q)``, weighted by the problem's
             ``rest_weight``; None is the start.
@@ -96,13 +97,13 @@ def follow(
     clip = ClipPath(problem, start, targets, options, prefer)
     result = _followed(clip)
     if options.smooth > 0:
-        kept = start if clip.moving else None
+        source_motion = start if clip.moving else None
         result = smooth(
             result,
             targets,
             options.smooth,
             fps=options.fps,
-            start=kept,
+            start=source_motion,
             options=options.solving,
         )
     return replace(result, jumps=jumps_of(result, targets, start, options.fps))
@@ -125,20 +126,20 @@ def _followed(clip: ClipPath) -> IkResult:
     for attempt in range(MAX_SEARCHES if _is_thin(clip) else 0):
         if not _is_worth_search(clip, clip.poses(result), attempt):
             break
-        before, result = result, _searched(clip, result, attempt)
-        if result is before:
+        previous, result = result, _searched(clip, result, attempt)
+        if result is previous:
             break
     result = _nearest(clip, result)
-    done = 0
+    last_checked = 0
     while True:
         poses = clip.poses(result)
         jumps = clip.jumping(poses)
-        left = jumps[jumps > done]
-        if not len(left):
+        remaining = jumps[jumps > last_checked]
+        if not len(remaining):
             break
-        done = int(left[0])
-        if _can_be_passed(clip, poses, done):
-            result = _with_detour(clip, result, done)
+        last_checked = int(remaining[0])
+        if _can_be_passed(clip, poses, last_checked):
+            result = _with_detour(clip, result, last_checked)
     if clip.moving:
         result = _branch_switched(clip, result)
     return clip.judged(result)
@@ -146,8 +147,8 @@ def _followed(clip: ClipPath) -> IkResult:
 
 def _is_thin(clip: ClipPath) -> bool:
     """Whether the solution set of a frame is small enough to search exhaustively."""
-    free = clip.problem.degrees - clip.problem.rows
-    return not clip.moving and free <= MAX_FREE
+    redundancy = clip.problem.degrees - clip.problem.rows
+    return not clip.moving and redundancy <= MAX_REDUNDANCY
 
 
 def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
@@ -167,11 +168,13 @@ def _can_be_passed(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     window = slice(frame - 1, frame + 1)
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
-    pairs, costs = branches(interval, options.branches, options.solving.seed)
-    current = clip.strain(poses[window], window.start)
+    frame_pairs, costs = branches(interval, options.branches, options.solving.seed)
+    current_strain = clip.strain(poses[window], window.start)
     return any(
-        clip.strain(pair, window.start) < SMALLER * current
-        for pair in pairs[(costs <= interval.costs + NO_WORSE).all(axis=1)]
+        clip.strain(frame_pair, window.start) < MIN_REDUCTION * current_strain
+        for frame_pair in frame_pairs[
+            (costs <= interval.costs + EQUAL_COST).all(axis=1)
+        ]
     )
 
 
@@ -183,8 +186,8 @@ def _searched(clip: ClipPath, result: IkResult, attempt: int) -> IkResult:
     spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
     seed = clip.options.solving.seed + attempt * len(clip)
     paths, costs = search_branches(interval, spacing, seed)
-    path = _best_even_path(clip, interval, paths, costs, closed=False)
-    if clip.strain(path, 0) < SMALLER * clip.strain(poses, 0):
+    path = _best_even_path(clip, interval, paths, costs, fixed_end=False)
+    if clip.strain(path, 0) < MIN_REDUCTION * clip.strain(poses, 0):
         return clip.joined(result, all_frames, path)
     return result
 
@@ -198,58 +201,63 @@ def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
     frames = frames_out_of_reach(result, clip.options.solving)
     if not len(frames):
         return result
-    alone = settled(
+    independent = with_nearest_poses(
         clip.problem, result, clip.targets, clip.options.solving, clip.prefer
     )
-    poses, other = clip.poses(result), clip.poses(alone)
+    poses, independent_poses = clip.poses(result), clip.poses(independent)
     all_frames = slice(0, len(clip))
     interval = clip.interval(poses, all_frames, int(frames[0]))
-    costs = clip.interval(other, all_frames, int(frames[0])).costs
+    costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
     clip.least = np.minimum(interval.costs, costs)
-    least = forgiving(np.stack([interval.costs, costs]), clip.slack)
-    gains = np.where(least[0] > least[1], interval.costs - costs, 0.0)
+    smallest = forgiving(np.stack([interval.costs, costs]), clip.slack)
+    gains = np.where(smallest[0] > smallest[1], interval.costs - costs, 0.0)
     if not gains.any():
         return result
-    paths, prices = [poses[None], other[None]], [interval.costs[None], costs[None]]
+    paths, prices = (
+        [poses[None], independent_poses[None]],
+        [interval.costs[None], costs[None]],
+    )
     for row in np.argsort(-gains, kind="stable")[:MAX_SEARCHES]:
         if gains[row] > 0:
             tracks, cost = follow_in_both_directions(
-                interval, other[row : row + 1], int(row)
+                interval, independent_poses[row : row + 1], int(row)
             )
             paths.append(tracks)
             prices.append(cost)
     candidates = np.concatenate(paths), np.concatenate(prices)
     return clip.joined(
-        result, all_frames, clip.best(interval, *candidates, opened=True)
+        result, all_frames, clip.best(interval, *candidates, free_start=True)
     )
 
 
 def _with_detour(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
     """Return a result with a better path to a frame that jumps."""
     poses = clip.poses(result)
-    least = clip.strain(poses[frame - 1 : frame + 1], frame - 1)
-    best: tuple[slice, FloatArray] | None = None
+    smallest = clip.strain(poses[frame - 1 : frame + 1], frame - 1)
+    best_result: tuple[slice, FloatArray] | None = None
     for first in _beginnings(clip, frame):
-        after = min(frame - first, round(MAX_AFTER * clip.options.fps))
-        window = slice(first, min(frame + after + 1, len(clip)))
+        frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
+        window = slice(first, min(frame + frames_after + 1, len(clip)))
         detour = _detour(clip, poses, window, frame)
         strain = clip.strain(detour, first)
-        if strain < SMALLER * least:
-            least, best = strain, (window, detour)
-        if least <= SMOOTH_ENOUGH:
+        if strain < MIN_REDUCTION * smallest:
+            smallest, best_result = strain, (window, detour)
+        if smallest <= SMOOTH_ENOUGH:
             break
-    return result if best is None else clip.joined(result, *best)
+    return result if best_result is None else clip.joined(result, *best_result)
 
 
 def _beginnings(clip: ClipPath, frame: int) -> list[int]:
     """Return the first frames of the intervals to search, the shortest first."""
     beginnings: list[int] = []
-    back = FIRST_BACK
-    while back <= clip.options.back and (not beginnings or beginnings[-1] > 0):
-        first = max(frame - max(round(back * clip.options.fps), 2), 0)
+    seconds_before = FIRST_INTERVAL
+    while seconds_before <= clip.options.back and (
+        not beginnings or beginnings[-1] > 0
+    ):
+        first = max(frame - max(round(seconds_before * clip.options.fps), 2), 0)
         if first < frame and first not in beginnings:
             beginnings.append(first)
-        back *= 2
+        seconds_before *= 2
     return beginnings
 
 
@@ -258,8 +266,8 @@ def _detour(clip: ClipPath, poses: FloatArray, window: slice, frame: int) -> Flo
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     paths, costs = branches(interval, options.branches, options.solving.seed)
-    closed = (clip.moving or _is_thin(clip)) and window.stop < len(clip)
-    return _best_even_path(clip, interval, paths, costs, closed=closed)
+    fixed_end = (clip.moving or _is_thin(clip)) and window.stop < len(clip)
+    return _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
 
 
 def _best_even_path(
@@ -268,7 +276,7 @@ def _best_even_path(
     paths: FloatArray,
     costs: FloatArray,
     *,
-    closed: bool,
+    fixed_end: bool,
 ) -> FloatArray:
     """Return the best of candidate paths, with its speed evened out.
 
@@ -276,13 +284,17 @@ def _best_even_path(
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.path.frames(window)
-    best = path.evened(clip.best(interval, paths, costs, closed=closed))[0]
-    least = clip.strain(best, window.start)
-    if window.start > 0 or least <= 1:
-        return best
-    other = clip.best(interval, paths, costs, closed=closed, opened=True)
-    other = path.evened(other, opened=True)[0]
-    return other if clip.strain(other, window.start) < SMALLER * least else best
+    smoothest = path.evened(clip.best(interval, paths, costs, fixed_end=fixed_end))[0]
+    smallest = clip.strain(smoothest, window.start)
+    if window.start > 0 or smallest <= 1:
+        return smoothest
+    free_route = clip.best(interval, paths, costs, fixed_end=fixed_end, free_start=True)
+    free_route = path.evened(free_route, free_start=True)[0]
+    return (
+        free_route
+        if clip.strain(free_route, window.start) < MIN_REDUCTION * smallest
+        else smoothest
+    )
 
 
 def _branch_switched(clip: ClipPath, result: IkResult) -> IkResult:
@@ -301,9 +313,11 @@ def _branch_switched(clip: ClipPath, result: IkResult) -> IkResult:
         interval = clip.interval(poses, all_frames, int(rows[0]))
         seed = clip.options.solving.seed + attempt * len(clip)
         paths, costs = branch_tracks(interval, rows, clip.options.branches, seed)
-        path = clip.best(interval, paths, costs, opened=True, near=NEARNESS)
+        path = clip.best(
+            interval, paths, costs, free_start=True, source_weight=BRANCH_COST
+        )
         path = _eased(clip, path)
-        if _jump_strains(clip, path).sum() < SMALLER * strains.sum():
+        if _jump_strains(clip, path).sum() < MIN_REDUCTION * strains.sum():
             result = clip.joined(result, all_frames, path)
     return result
 
@@ -320,17 +334,19 @@ def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
     """Return a path with its speed evened out around each jump, where that helps."""
     poses = poses.copy()
     for frame in clip.jumping(poses).tolist():
-        for seconds in (FIRST_BACK, 2 * FIRST_BACK, 4 * FIRST_BACK):
-            reach = max(round(seconds * clip.options.fps), 2)
-            window = slice(max(frame - reach, 0), min(frame + reach, len(clip)))
+        for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):
+            half_width = max(round(seconds * clip.options.fps), 2)
+            window = slice(
+                max(frame - half_width, 0), min(frame + half_width, len(clip))
+            )
             path = clip.path.frames(window)
-            best = clip.strain(poses[window], window.start)
+            smallest = clip.strain(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.
-            for opened in (False, True)[: 2 if window.start == 0 else 1]:
-                eased = path.evened(poses[window], opened=opened)[0]
-                strain = clip.strain(eased, window.start)
-                if strain < SMALLER * best:
-                    poses[window], best = eased, strain
-            if best <= SMOOTH_ENOUGH:
+            for free_start in (False, True)[: 2 if window.start == 0 else 1]:
+                even_path = path.evened(poses[window], free_start=free_start)[0]
+                strain = clip.strain(even_path, window.start)
+                if strain < MIN_REDUCTION * smallest:
+                    poses[window], smallest = even_path, strain
+            if smallest <= SMOOTH_ENOUGH:
                 break
     return poses

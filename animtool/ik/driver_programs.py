@@ -22,7 +22,7 @@ from animtool.rig.drivers import (
     smooth_slopes,
     split_coordinate,
 )
-from animtool.rig.driving import GAP, ball_part
+from animtool.rig.driving import REVOLUTION_TOLERANCE, ball_part
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -49,28 +49,28 @@ def with_sources(
 
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
-    plan, out = plan_of(rig), set(moving)
-    above = {j for goal in goals for j in _below_root(rig, goal)}
-    for j in sorted(above.intersection(plan.joints)):
+    plan, moving_joints = plan_of(rig), set(moving)
+    joints_above_goals = {j for goal in goals for j in _below_root(rig, goal)}
+    for j in sorted(joints_above_goals.intersection(plan.joints)):
         if joints is None and j not in moving:
             # It moves no goal.
             continue
-        free = {
+        movable_sources = {
             source
             for source in plan.sources(j)
             if (joints is None or rig.names[source] in joints)
             and rig.joints[source].type is not JointType.FIXED
         }
-        out.discard(j)
-        out |= free | {j} if free else set()
-    return out
+        moving_joints.discard(j)
+        moving_joints |= movable_sources | {j} if movable_sources else set()
+    return moving_joints
 
 
 def _below_root(rig: Rig, goal: Goal) -> list[int]:
-    above = rig.upwards(rig.index(goal.joint))
+    joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root not in rig.names:
-        return above
-    return above[: above.index(rig.index(goal.root)) + 1]
+        return joints_above
+    return joints_above[: joints_above.index(rig.index(goal.root)) + 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +87,14 @@ class Programs:
     """The programs of a rig's driven joints, and of the controls that these read.
 
     Attributes:
-        rig: With drivers.
+        rig: A rig with drivers.
         pose: Coordinates ``(Q,)`` of static joints.
-        asked: Targets whose programs the chain uses, in order.
+        requested: Targets whose programs the chain uses, in order.
     """
 
     rig: Rig
     pose: FloatArray
-    asked: dict[str, int] = field(default_factory=dict)
+    requested: dict[str, int] = field(default_factory=dict)
     # Number of each program by target, in evaluation order.
     _numbers: dict[str, int] = field(default_factory=dict, init=False)
 
@@ -106,7 +106,7 @@ class Programs:
     def ask(self, joint: int) -> int:
         """Request a driven joint's program; return its index."""
         target = f"joint/{self.rig.names[joint]}"
-        return self.asked.setdefault(target, len(self.asked))
+        return self.requested.setdefault(target, len(self.requested))
 
     def rows(
         self, sources: Mapping[int, CoordinateSource], scales: FloatArray
@@ -119,7 +119,7 @@ class Programs:
             sources: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
-        needed = set(self.asked)
+        needed = set(self.requested)
         for target in reversed(self.plan.order):
             if target in needed:
                 needed.update(self._reads(target))
@@ -128,11 +128,11 @@ class Programs:
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
         for target, number in self._numbers.items():
-            for name, which, values in self._program(target, sources, scales):
+            for name, reference, values in self._program(target, sources, scales):
                 # The reference is counted from 1: 0 marks joint rows.
-                nodes.append([INSTRUCTION, number, _NUMBER[name], which + 1])
+                nodes.append([INSTRUCTION, number, _NUMBER[name], reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
-        return [self._numbers[target] for target in self.asked], nodes, numbers
+        return [self._numbers[target] for target in self.requested], nodes, numbers
 
     def _reads(self, target: str) -> list[str]:
         """Return the targets whose results a program may read."""
@@ -148,23 +148,25 @@ class Programs:
             if control.driven is not None:
                 names += control.driven.names
             else:
-                names += [read for drive in self._drives(name) for read in drive.names]
+                names += [
+                    source for drive in self._drives(name) for source in drive.names
+                ]
         return [
             f"joint/{joint}"
-            if (joint := split_coordinate(read)[0])
-            else f"control/{read}"
-            for read in names
+            if (joint := split_coordinate(source)[0])
+            else f"control/{source}"
+            for source in names
         ]
 
     def _control_of(self, name: str) -> Control:
-        return next(one for one in self.rig.controls if one.name == name)
+        return next(control for control in self.rig.controls if control.name == name)
 
     def _drives(self, control: str) -> list[Driver]:
         """Return the drives that other controls add to a control."""
         return [
-            Driver(drive.expression, other.name, drive.curve, drive.smooth)
-            for other in self.rig.controls
-            for drive in other.drives
+            Driver(drive.expression, master.name, drive.curve, drive.smooth)
+            for master in self.rig.controls
+            for drive in master.drives
             if drive.target == f"control/{control}"
         ]
 
@@ -183,15 +185,15 @@ class Programs:
         joint = self.rig.index(name)
         driven, spec = self.plan.driver(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
-            lead = self.rig.joints[self.rig.index(driven.joint)]
-            part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
-            rows = self._read(f"{lead.name}.{part}", sources, scales)
+            leader = self.rig.joints[self.rig.index(driven.joint)]
+            part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
+            rows = self._read(f"{leader.name}.{part}", sources, scales)
             rows += [*_times(driven.gain), *_plus(driven.offset)]
         else:
             rows = self._driver(driven, sources, scales)
         if isinstance(spec.limits, RangeLimit):
-            ends = (spec.limits.low, spec.limits.high)
-            rows += [("number", 0, (end,)) for end in ends]
+            limits = (spec.limits.low, spec.limits.high)
+            rows += [("number", 0, (limit,)) for limit in limits]
             rows.append(("clamp", 0, ()))
         return rows
 
@@ -275,8 +277,8 @@ def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)
-    middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+    middle = (low + high) / 2 if high - low < 2 * np.pi - REVOLUTION_TOLERANCE else 0.0
     if part in (TWIST, SWING):
         return (float(part == TWIST), 0.0, 0.0, float(part == SWING), middle)
-    first, second = limits.axes[1:, SWINGS.index(part)].tolist()
-    return (0.0, first, second, 0.0, middle)
+    first_axis, second_axis = limits.axes[1:, SWINGS.index(part)].tolist()
+    return (0.0, first_axis, second_axis, 0.0, middle)

@@ -27,9 +27,10 @@ from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import HALF_CIRCLE_Z, warn_of_quaternion
 
-# A shorter direction is refused as a typing error.
-SHORTEST = 1e-9
+# A shorter direction is a typing error and is refused.
+MIN_DIRECTION = 1e-9
 
 
 def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
@@ -37,8 +38,8 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
 
     Args:
         path: The file.
-        rig: With the joints and chains that effectors name; None checks the rest, in
-            metres, and takes every name for a joint.
+        rig: Rig with the joints and chains of the effectors; None checks everything
+            else, in metres, and takes every name for a joint.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
@@ -82,6 +83,7 @@ class _TargetsReader:
 
     def tracks(self) -> TargetTracks:
         fps = self._fps()
+        self._warn_of_order()
         goals = [
             track
             for i, goal in enumerate(self.model.goals)
@@ -96,6 +98,27 @@ class _TargetsReader:
             tuple(self.document.notices),
             self.document.position(("fps",)),
         )
+
+    def _warn_of_order(self) -> None:
+        """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
+        rows: list[tuple[Location, list[float]]] = []
+        for i, goal in enumerate(self.document.value["goals"]):
+            value = goal.get("orientation")
+            at: Location = ("goals", i, "orientation")
+            if isinstance(value, list):
+                rows.append((at, value))
+            elif isinstance(value, dict) and isinstance(value.get("keys"), list):
+                keys = enumerate(value["keys"])
+                rows += [((*at, "keys", k, "v"), key["v"]) for k, key in keys]
+        rows = [
+            (at, row) for at, row in rows if isinstance(row, list) and len(row) == 4
+        ]
+        if any(abs(row[0]) > abs(row[3]) for _, row in rows):
+            return
+        for at, row in rows:
+            if row == HALF_CIRCLE_Z:
+                warn_of_quaternion(self.document, "TGT108", at)
+                return
 
     def _units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units
@@ -129,12 +152,14 @@ class _TargetsReader:
         during = self._spans((*at, "during"), model.during)
         values = {kind.name: self._value(at, model, kind) for kind in KINDS}
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
-        valued = {part for part in PARTS if getattr(model, part) is not None}
-        if not valued - {"pole"} and not model.hold:
+        value_parts = {part for part in PARTS if getattr(model, part) is not None}
+        if not value_parts - {"pole"} and not model.hold:
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
-        weights = self._weights((*at, "weight"), model.weight, valued | parts_to_hold)
+        weights = self._weights(
+            (*at, "weight"), model.weight, value_parts | parts_to_hold
+        )
         axes = [
             self._axis((*at, kind.name, "axis"), part.axis)
             for kind in KINDS
@@ -152,7 +177,7 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **_asked(valued | parts_to_hold),
+            **_enabling_weights(value_parts | parts_to_hold),
         )
         return GoalTrack(
             model.effector,
@@ -184,9 +209,9 @@ class _TargetsReader:
         if name in self.rig.names:
             return name, None
         if not self.document.is_placeholder(at):
-            known = [*(chain.name for chain in self.rig.chains), *self.rig.names]
+            names = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
-            self.document.add("TGT001", at, message, nearest(name, known))
+            self.document.add("TGT001", at, message, nearest(name, names))
         return None, None
 
     def _root(
@@ -228,16 +253,16 @@ class _TargetsReader:
                 continue
             spans.append((first, last, i))
         spans.sort()
-        for (first, last, _), (then, end, i) in pairwise(spans):
-            if then <= last:
-                message = f"the span from {then:g} to {end:g} overlaps that from "
+        for (first, last, _), (next_first, end, i) in pairwise(spans):
+            if next_first <= last:
+                message = f"the span from {next_first:g} to {end:g} overlaps that from "
                 message += f"{first:g} to {last:g}"
                 self.document.add("TGT005", (*at, i), message, "merge them")
         return [(first, last) for first, last, _ in spans]
 
     def _axis(self, at: Location, axis: list[float]) -> Vector:
         length = math.hypot(*axis)
-        if not length > SHORTEST:
+        if not length > MIN_DIRECTION:
             self.document.add("TGT008", at, f"direction {axis} has zero length")
             return (0.0, 0.0, 1.0)
         x, y, z = (value / length for value in axis)
@@ -247,7 +272,7 @@ class _TargetsReader:
         self,
         at: Location,
         model: float | WeightsModel,
-        asked: AbstractSet[str],
+        active_parts: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
@@ -262,7 +287,7 @@ class _TargetsReader:
             weight = getattr(model, part)
             if weight is None:
                 continue
-            if part not in asked:
+            if part not in active_parts:
                 message = f"the weight of the {part} has no effect: the goal has none"
                 self.document.warn("TGT101", (*at, part), message)
             curve = self._weight((*at, part), weight)
@@ -285,14 +310,14 @@ def _hold_parts(
     values: dict[str, Value | None], chain: IkChain | None
 ) -> frozenset[str]:
     """Return the parts of a goal that its `hold` spans apply to."""
-    valued = {p for p in ("position", "orientation") if values[p] is not None}
-    if valued:
-        return frozenset(valued)
+    parts_with_value = {p for p in ("position", "orientation") if values[p] is not None}
+    if parts_with_value:
+        return frozenset(parts_with_value)
     goal = "pose" if chain is None else chain.goal
-    both = ("position", "orientation")
-    return frozenset(part for part in both if goal in {part, "pose"})
+    pose_parts = ("position", "orientation")
+    return frozenset(part for part in pose_parts if goal in {part, "pose"})
 
 
-def _asked(parts: AbstractSet[str]) -> dict[str, float]:
+def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:
     """Return weights that enable some parts of a goal."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

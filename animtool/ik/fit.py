@@ -11,15 +11,15 @@ from animtool.ik.chain import unwound
 from animtool.ik.goals import Targets
 from animtool.ik.problem import Problem
 from animtool.ik.solving import chain_targets, pose_rows
-from animtool.ik.sub_rig import following
+from animtool.ik.sub_rig import with_mimics
 
-# Weight that draws a path to its per-frame solutions: only what no goal determines
-# responds to it.
-ANCHOR = 1e-3
-# Fraction by which a joint returns to rest in a frame, where no goal determines it.
-HOMING = 0.005
+# Weight that pulls a path to its per-frame solutions: only motion that no goal
+# determines responds to it.
+ANCHOR_WEIGHT = 1e-3
+# Fraction by which a joint returns to rest in each frame if no goal determines it.
+REST_RETURN = 0.005
 # Weight of the extrapolated pose in a single-frame solve, relative to acceleration.
-DRAWN = 0.25
+EXTRAPOLATION_WEIGHT = 0.25
 # Iterations of a single frame, and of all frames together.
 ITERATIONS, ROUNDS = 30, 12
 
@@ -32,9 +32,9 @@ class FitOptions:
         fps: Frames a second.
         acceleration: Typical joint acceleration [rad/s²], of slides in lengths of the
             problem. Less is smoother.
-        robust: Weighted miss above which a goal's influence falls; infinity is least
-            squares.
-        rounds: Most iterations of all frames together.
+        robust: Weighted miss above which a goal's influence falls; infinity is plain
+            least squares.
+        rounds: Maximum number of iterations over all frames together.
     """
 
     fps: float
@@ -48,14 +48,14 @@ class FitResult:
     """Result of a fit.
 
     Attributes:
-        coordinates: Of the rig ``(F, Q)``.
-        misses: Of the goals' positions ``(F, E)`` [m].
+        coordinates: Rig coordinates ``(F, Q)``.
+        misses: Position miss of each goal ``(F, E)`` [m].
         searched: Frames solved from a start instead of the previous frames ``(F,)``.
         taken: Index of the target assigned to each goal ``(F, E)``: its own unless
             labels were swapped; -1 without target.
-        rounds: Iterations of all frames together.
-        before: Objective before them [1].
-        after: Objective after them [1].
+        rounds: Number of iterations over all frames together.
+        before: Objective before these iterations [1].
+        after: Objective after these iterations [1].
     """
 
     coordinates: FloatArray
@@ -86,12 +86,12 @@ def fit(
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        targets: Of F frames; weights are inverse standard deviations [1 / length of the
-            problem]. Where a weight is 0, the goal is missing.
-        starts: Starts of frames that the previous ones do not predict ``(F, Q)``.
+        targets: Targets of F frames; weights are inverse standard deviations [1 /
+            length of the problem]. Where a weight is 0, the goal is missing.
+        starts: Start poses of frames that the previous ones do not predict ``(F, Q)``.
         options: Rate, smoothness and robustness.
-        path: Initial poses ``(F, Q)``; None solves each frame first. Those before
-            ``first`` are kept.
+        path: Initial poses ``(F, Q)``; None solves each frame first. Poses before
+            ``first`` are fixed.
         first: The first frame that moves.
 
     Limits of the method: it is local, so a frame whose start is far from the captured
@@ -106,27 +106,29 @@ def fit(
     count = len(packed)
     begins = pose_rows(problem, starts, count, "starts")
     start_path = begins if path is None else pose_rows(problem, path, count, "path")
-    bend = (options.fps**2 / options.acceleration) ** 2
-    fitted = _kernels.fit_ik(
+    acceleration_weight = (options.fps**2 / options.acceleration) ** 2
+    output = _kernels.fit_ik(
         *chain.arrays,
         path=unwound(chain, chain.from_rig(start_path)),
         targets=packed,
         starts=chain.from_rig(begins),
-        anchor=ANCHOR,
+        anchor=ANCHOR_WEIGHT,
         speed=0.0,
-        acceleration=bend,
+        acceleration=acceleration_weight,
         robust=options.robust,
-        rest_weight=DRAWN * bend,
-        homing=HOMING,
+        rest_weight=EXTRAPOLATION_WEIGHT * acceleration_weight,
+        homing=REST_RETURN,
         first=first,
         end=count,
         iterations=ITERATIONS,
         rounds=options.rounds,
         tracked=path is None or first > 0,
     )
-    coordinates, misses, searched, taken, rounds, before, after = fitted
+    coordinates, misses, searched, taken, rounds, before, after = output
     return FitResult(
-        following(problem.rig, chain.into_rig(coordinates, start_path), problem.joints),
+        with_mimics(
+            problem.rig, chain.into_rig(coordinates, start_path), problem.joints
+        ),
         misses[:, :, 0] * chain.length,
         searched > 0,
         taken,

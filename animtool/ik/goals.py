@@ -16,8 +16,8 @@ from animtool.core.record import dataclass
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
-# Larger numbers overflow when squared [m]; no character is so large.
-FARTHEST = 1e100
+# Larger coordinates overflow when squared [m].
+MAX_COORDINATE = 1e100
 
 
 class TargetValue(Enum):
@@ -31,17 +31,17 @@ class TargetValue(Enum):
 class GoalKind:
     """A kind of goal; the kernel has a type for each."""
 
-    name: str  # its weight in `Goal`, and its key in targets files
-    targets: str  # its field of `Targets`
+    name: str  # its weight field in `Goal`, and its key in targets files
+    targets: str  # its field in `Targets`
     value: TargetValue
-    rows: int  # residuals
-    metric: bool  # its miss is a length [m], else an angle [rad]
-    turning: bool = True  # it depends on the joint's rotation about its point
-    directed: bool = False  # only the direction of its target counts
-    axis: bool = False  # it has an axis of the joint, also in targets files
-    pulls: bool = True  # cyclic coordinate descent supports it
-    description: str = ""  # of its key in targets files
-    example: object = None  # of its value there
+    rows: int  # number of residuals
+    metric: bool  # whether its miss is a length [m], else an angle [rad]
+    turning: bool = True  # whether it depends on the joint's rotation about its point
+    directed: bool = False  # whether only the direction of its target counts
+    axis: bool = False  # whether it has an axis of the joint, also in targets files
+    pulls: bool = True  # whether cyclic coordinate descent supports it
+    description: str = ""  # description of its key in targets files
+    example: object = None  # example of its value in targets files
     weight_description: str = ""
     weight_example: object = 1.0
 
@@ -227,8 +227,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     """Return the faults of a single goal."""
     faults = []
     if goal.joint not in rig.names:
-        near = similar(goal.joint, rig.names)
-        hint = f"did you mean {near}?" if near else None
+        suggestions = similar(goal.joint, rig.names)
+        hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"unknown joint {excerpt(goal.joint)} of {rig.name!r}"
         faults.append(Fault("TGT001", message, where=where, hint=hint))
     faults += _root_faults(goal, rig, where)
@@ -250,8 +250,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         count = counted(np.size(goal.offset), "number")
         message = f"its offset has {count} instead of 3"
         faults.append(Fault("IK002", message, where=where))
-    if not (np.abs(goal.offset) <= FARTHEST).all():
-        message = f"its offset is beyond {FARTHEST:g} m, or not a number"
+    if not (np.abs(goal.offset) <= MAX_COORDINATE).all():
+        message = f"its offset is beyond {MAX_COORDINATE:g} m, or not a number"
         faults.append(Fault("IK002", message, where=where))
     if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
         faults.append(
@@ -284,25 +284,27 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     """Return targets packed for kernels ``(B, E, W)``; unused numbers are finite."""
     faults: list[Fault] = []
     columns_by_name = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
-    parts = [
+    checked_arrays = [
         (
             columns,
             _checked_shape(name, getattr(targets, name), len(goals), columns, faults),
         )
         for name, columns in [*columns_by_name, ("weights", WEIGHTS)]
     ]
-    available = [(columns, part) for columns, part in parts if part is not None]
-    batches = {len(part) for _, part in available}
+    supplied = [
+        (columns, checked) for columns, checked in checked_arrays if checked is not None
+    ]
+    batches = {len(checked) for _, checked in supplied}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
     packed = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
     packed[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
-    for columns, part in available:
-        packed[:, :, columns] = part[: len(packed)]
-    asked = _active_parts(goals, packed)
-    missing = asked & [getattr(targets, kind.targets) is None for kind in KINDS]
+    for columns, checked in supplied:
+        packed[:, :, columns] = checked[: len(packed)]
+    active = _active_parts(goals, packed)
+    missing = active & [getattr(targets, kind.targets) is None for kind in KINDS]
     if faults or missing.any() or not _is_plain(packed):
-        faults += _value_faults(packed, asked, missing)
+        faults += _value_faults(packed, active, missing)
         np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
@@ -322,10 +324,10 @@ def _is_rotation(kind: GoalKind) -> bool:
 
 
 def _bring_in(directions: FloatArray) -> None:
-    """Scale huge direction targets to where their squares do not overflow."""
+    """Scale huge direction targets so that their squares do not overflow."""
     sizes = np.abs(directions).max(axis=2, keepdims=True)
-    if (sizes > FARTHEST).any():
-        directions *= FARTHEST / np.maximum(sizes, FARTHEST)
+    if (sizes > MAX_COORDINATE).any():
+        directions *= MAX_COORDINATE / np.maximum(sizes, MAX_COORDINATE)
 
 
 def _checked_shape(
@@ -361,25 +363,25 @@ def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
 
 
 def _is_plain(packed: FloatArray) -> bool:
-    """Return whether all values are valid, used or not."""
-    turned = all(
+    """Return whether all values are valid, whether used or not."""
+    rotations_valid = all(
         packed[:, :, COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS
         if _is_rotation(kind)
     )
-    weighed = (packed[:, :, WEIGHTS] >= 0).all()
-    return bool(np.isfinite(packed).all() and turned and weighed)
+    weights_valid = (packed[:, :, WEIGHTS] >= 0).all()
+    return bool(np.isfinite(packed).all() and rotations_valid and weights_valid)
 
 
 def _value_faults(
-    packed: FloatArray, asked: BoolArray, missing: BoolArray
+    packed: FloatArray, active: BoolArray, missing: BoolArray
 ) -> list[Fault]:
     """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
     weights = packed[:, :, WEIGHTS]
-    bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
-    if bad.any():
-        b, e = (int(i) for i in np.argwhere(bad)[0])
+    is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
+    if is_invalid.any():
+        b, e = (int(i) for i in np.argwhere(is_invalid)[0])
         message = f"weights[{b}, {e}] are not finite numbers from 0"
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
@@ -389,16 +391,16 @@ def _value_faults(
             faults.append(Fault("IK010", f"goal {goal} needs {name}"))
             continue
         part = packed[:, :, COLUMNS[kind.name]]
-        bad = ~np.isfinite(part).all(axis=2)
+        is_invalid = ~np.isfinite(part).all(axis=2)
         if _is_rotation(kind):
-            bad |= ~part.any(axis=2)
-        bad &= asked[..., i]
-        if bad.any():
-            b, e = (int(i) for i in np.argwhere(bad)[0])
-            what = (
+            is_invalid |= ~part.any(axis=2)
+        is_invalid &= active[..., i]
+        if is_invalid.any():
+            b, e = (int(i) for i in np.argwhere(is_invalid)[0])
+            problem = (
                 ("is not a rotation")
                 if _is_rotation(kind)
                 else "are not finite numbers"
             )
-            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {what}"))
+            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {problem}"))
     return faults

@@ -1,4 +1,4 @@
-"""Finds joints that jump in one frame, compared with the source motion."""
+"""Finds joints that jump between two frames, compared with the source motion."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from animtool.maths import so3
 from animtool.maths.pops import rotation_pops, translation_pops
 from animtool.rig.joints import LocalTransforms
 
-# A joint jumps if it moves by more than this [rad], or fraction of the chain's length,
-# plus this per second; at low rates any rotation above the maximum is a jump.
+# A joint jumps if it moves by more than this [rad] or fraction of the chain's length,
+# plus this per second; at low frame rates any rotation above the maximum is a jump.
 MIN_JUMP, MIN_SPEED, MAX_ROTATION = 0.1, 8.0, 0.5
-# Goals explain a step up to this many times their own, plus MIN_JUMP.
-MORE_THAN_TARGETS = 2.0
-# Slower jumps are reported too, where the joint moves this many times farther than
-# within this many frames before and after.
-MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
-# Unpredicted slides, and noise [chain lengths]: half of the values of rule MOT202, as a
-# chain may be longer than its rig at rest.
+# Goals explain a step up to this multiple of their own motion, plus MIN_JUMP.
+GOAL_MOTION_FACTOR = 2.0
+# Slower jumps are reported if the joint moves this many times farther than within this
+# many frames before and after.
+NEIGHBOUR_FACTOR, NEIGHBOURS = 4.0, 2
+# Unpredicted slides, and noise [chain lengths]: half the thresholds of rule MOT202,
+# since a chain may be longer than its rig at rest.
 MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
 
 
@@ -60,8 +60,8 @@ def largest_step(fps: float) -> float:
 
 def find_jumps(
     names: Sequence[str],
-    before: LocalTransforms | None,
-    after: LocalTransforms,
+    source_poses: LocalTransforms | None,
+    solved_poses: LocalTransforms,
     goal_moves: FloatArray,
     *,
     fps: float,
@@ -75,34 +75,34 @@ def find_jumps(
     where the motion around a step does not predict it, as in rule MOT202.
 
     Args:
-        names: Of J joints.
-        before: The F source poses; None is a static source.
-        after: The F solved poses.
+        names: Names of the J joints.
+        source_poses: The F source poses; None is a static source.
+        solved_poses: The F solved poses.
         goal_moves: Motion of the goals from frame to frame ``(F - 1,)`` [rad], [chain
             lengths].
         fps: Frames a second.
-        length: Of the chain [m].
-        windings: Full revolutions of joints from frame to frame ``(F - 1, J)`` [rad],
-            which quaternions do not show; None is none.
+        length: Length of the chain [m].
+        windings: Full revolutions of joints between frames ``(F - 1, J)`` [rad], which
+            quaternions do not show; None for no revolutions.
     """
-    count = len(after.rotations)
+    count = len(solved_poses.rotations)
     if count < 2:
         return ()
-    moving = _moving(before, after, windings)
+    moving = _moving(source_poses, solved_poses, windings)
     if not len(moving):
         return ()
     names = [names[j] for j in moving]
-    after = _selected(after, moving)
-    before = None if before is None else _selected(before, moving)
+    solved_poses = _selected(solved_poses, moving)
+    source_poses = None if source_poses is None else _selected(source_poses, moving)
     windings = None if windings is None else windings[:, moving]
-    cuts = np.zeros(count - 1, np.bool_)
+    is_cut = np.zeros(count - 1, np.bool_)
     moves = goal_moves[:, None]
     rotations, old_steps = (
-        _rotation_steps(after.rotations),
-        _rotation_steps(after.rotations[:1].repeat(count, 0)),
+        _rotation_steps(solved_poses.rotations),
+        _rotation_steps(solved_poses.rotations[:1].repeat(count, 0)),
     )
-    if before is not None:
-        old_steps = _rotation_steps(before.rotations)
+    if source_poses is not None:
+        old_steps = _rotation_steps(source_poses.rotations)
     angles, old_angles = (
         np.linalg.norm(rotations, axis=2),
         np.linalg.norm(old_steps, axis=2),
@@ -110,25 +110,25 @@ def find_jumps(
     if windings is not None:
         angles = angles + windings
     excess = angles - old_angles
-    flags = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
-    flags |= (excess > largest_step(fps)) | _jerking(excess, moves)
-    pops = rotation_pops(rotations, 1.0 / fps, cuts)[0]
-    flags |= pops & ~rotation_pops(old_steps, 1.0 / fps, cuts)[0]
-    jumps = _jumps_at(names, flags, angles, old_angles, moves)
-    shifts = np.diff(after.translations, axis=0)
+    is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
+    is_jump |= (excess > largest_step(fps)) | _jerking(excess, moves)
+    is_pop = rotation_pops(rotations, 1.0 / fps, is_cut)[0]
+    is_jump |= is_pop & ~rotation_pops(old_steps, 1.0 / fps, is_cut)[0]
+    jumps = _jumps_at(names, is_jump, angles, old_angles, moves)
+    shifts = np.diff(solved_poses.translations, axis=0)
     old_steps = np.zeros_like(shifts)
-    if before is not None:
-        old_steps = np.diff(before.translations, axis=0)
+    if source_poses is not None:
+        old_steps = np.diff(source_poses.translations, axis=0)
     sizes, old_sizes = (
         np.linalg.norm(rows, axis=2) / length for rows in (shifts, old_steps)
     )
     excess = sizes - old_sizes
-    flags = (excess > largest_step(fps)) | _jerking(excess, moves)
-    limits = (1.0 / fps, cuts, MIN_SLIDE * length, SLIDE_NOISE * length)
-    flags |= (
+    is_jump = (excess > largest_step(fps)) | _jerking(excess, moves)
+    limits = (1.0 / fps, is_cut, MIN_SLIDE * length, SLIDE_NOISE * length)
+    is_jump |= (
         translation_pops(shifts, *limits)[0] & ~translation_pops(old_steps, *limits)[0]
     )
-    jumps += _jumps_at(names, flags, sizes, old_sizes, moves, length=length)
+    jumps += _jumps_at(names, is_jump, sizes, old_sizes, moves, length=length)
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
 
@@ -159,15 +159,19 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
 
 def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed their neighbours."""
-    around = np.zeros_like(steps)
-    for away in range(1, NEIGHBOURS + 1):
-        around[away:] = np.maximum(around[away:], steps[:-away])
-        around[:-away] = np.maximum(around[:-away], steps[away:])
-    least = np.maximum(
-        MORE_THAN_NEIGHBOURS * around, MIN_JUMP + MORE_THAN_TARGETS * goal_moves
+    largest_neighbour = np.zeros_like(steps)
+    for offset in range(1, NEIGHBOURS + 1):
+        largest_neighbour[offset:] = np.maximum(
+            largest_neighbour[offset:], steps[:-offset]
+        )
+        largest_neighbour[:-offset] = np.maximum(
+            largest_neighbour[:-offset], steps[offset:]
+        )
+    threshold = np.maximum(
+        NEIGHBOUR_FACTOR * largest_neighbour, MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
     )
-    jerks = steps > least
-    # The first and the last have no neighbour on one side.
+    jerks = steps > threshold
+    # The first and the last step have neighbours on one side only.
     jerks[:1] = jerks[-1:] = False
     return np.asarray(jerks, np.bool_)
 
@@ -176,21 +180,21 @@ def _jumps_at(
     names: Sequence[str],
     flags: BoolArray,
     steps: FloatArray,
-    old: FloatArray,
+    source_steps: FloatArray,
     goal_moves: FloatArray,
     length: float | None = None,
 ) -> list[Jump]:
     """Return the jumps of flagged steps ``(F - 1, J)``; with a length, slides."""
-    explained = steps - old <= MIN_JUMP + MORE_THAN_TARGETS * goal_moves
+    by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
     steps_and_joints: IntArray = np.argwhere(flags)
     return [
         Jump(
             int(t) + 1,
             names[int(j)],
             float(steps[t, j]) * (length or 1.0),
-            float(old[t, j]) * (length or 1.0),
+            float(source_steps[t, j]) * (length or 1.0),
             length is not None,
-            bool(explained[t, j]) and bool(goal_moves[t, 0] > 0),
+            bool(by_goals[t, j]) and bool(goal_moves[t, 0] > 0),
         )
         for t, j in steps_and_joints
     ]

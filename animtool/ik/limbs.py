@@ -29,24 +29,26 @@ def limb_joints(
 
     The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of any one pose.
     """
-    near = MIN_BONE * (np.ptp(origins, axis=0).max() + 1e-300)
+    min_bone = MIN_BONE * (np.ptp(origins, axis=0).max() + 1e-300)
     joints: list[int] = []
     lengths: list[float] = []
-    below, j = point, rig.index(goal.joint)
+    below_point, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(joints) < 2):
-        bone = float(np.linalg.norm(origins[j] - below))
-        if j in moving and bone > near:
+        bone = float(np.linalg.norm(origins[j] - below_point))
+        if j in moving and bone > min_bone:
             joints.append(j)
             lengths.append(bone + (lengths[-1] if lengths else 0.0))
-            below = origins[j]
+            below_point = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(joints) < 2:
         return None
-    halves = [min(length, lengths[-1] - length) for length in lengths[:-1]]
-    return joints[-1], joints[halves.index(max(halves))]
+    distance_from_middle = [
+        min(length, lengths[-1] - length) for length in lengths[:-1]
+    ]
+    return joints[-1], joints[distance_from_middle.index(max(distance_from_middle))]
 
 
-# Lengths below this fraction of the problem's count as zero.
+# Lengths below this fraction of the problem's length count as zero.
 NO_LENGTH = 1e-12
 # A limb within this fraction of its full length is straight.
 STRAIGHT = 1e-9
@@ -57,7 +59,7 @@ class GoalLimb:
     """A limb from a joint with a fixed position to a goal's point."""
 
     goal: int  # index of the goal in the problem
-    joints: tuple[int, ...]  # joints whose translations are its bones
+    joints: tuple[int, ...]  # joints whose translations are the limb's bones
     origin: FloatArray  # of its root [fraction of the problem's length] ``(3,)``
     reach: float  # its largest extension within limits [same unit]
     bones: float  # growth of the reach per relative growth of the bones [same unit]
@@ -74,16 +76,16 @@ def find_limbs(
     them with another that stretches (IK008).
     """
     limbs, faults = [], []
-    stretched: set[int] = set()
+    stretched_joints: set[int] = set()
     for e, goal in enumerate(goals):
         if not (goal.soft > 0 or goal.stretch > 0):
             continue
         limb = _limb(rig, goal, e, moving, chain)
         message = _fault(rig, goal, limb, moving, chain)
-        if goal.stretch > 0 and stretched & set(limb.joints):
+        if goal.stretch > 0 and stretched_joints & set(limb.joints):
             message = "another goal already stretches its bones"
         if goal.stretch > 0:
-            stretched |= set(limb.joints)
+            stretched_joints |= set(limb.joints)
         if message:
             faults.append(Fault("IK008", message, where=f"goals[{e}]"))
         limbs.append(limb)
@@ -92,23 +94,27 @@ def find_limbs(
 
 def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> GoalLimb:
     path = _path(chain, e)
-    above = rig.upwards(rig.index(goal.joint))
-    top = max(i for i, j in enumerate(above) if j in moving)
+    joints_above = rig.upwards(rig.index(goal.joint))
+    top_index = max(i for i, j in enumerate(joints_above) if j in moving)
     bone, tool = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
-    between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
-    end = bone + tool
-    length = float(np.linalg.norm(end))
-    along = max(float(bone @ end) / length, 0.0) if length > NO_LENGTH else 0.0
-    straight = between + length
-    extension = min(_reach(chain, path, end) / straight, 1.0) if straight > 0 else 1.0
+    length_between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
+    tip_offset = bone + tool
+    length = float(np.linalg.norm(tip_offset))
+    alignment = (
+        max(float(bone @ tip_offset) / length, 0.0) if length > NO_LENGTH else 0.0
+    )
+    straight = length_between + length
+    extension = (
+        min(_reach(chain, path, tip_offset) / straight, 1.0) if straight > 0 else 1.0
+    )
     if extension > 1 - STRAIGHT:
         extension = 1.0
     return GoalLimb(
         e,
-        tuple(above[:top]),
+        tuple(joints_above[:top_index]),
         chain.numbers[path[0], 9:12],
         extension * straight,
-        extension * (between + along),
+        extension * (length_between + alignment),
         goal.soft,
         goal.stretch,
     )
@@ -119,41 +125,49 @@ def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
 
     ``end`` ``(3,)``: the goal's point in the frame of the path's last node.
     """
-    bent = [n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH]
-    last = path[-1]
-    if bent != [last] or len(path) != 2 or chain.nodes[last, [0, 3]].any():
+    bending_nodes = [
+        n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH
+    ]
+    last_node = path[-1]
+    if (
+        bending_nodes != [last_node]
+        or len(path) != 2
+        or chain.nodes[last_node, [0, 3]].any()
+    ):
         return np.inf
-    if chain.numbers[last, 12] != 1 or chain.numbers[last, 13] != 0:
+    if chain.numbers[last_node, 12] != 1 or chain.numbers[last_node, 13] != 0:
         return np.inf
-    offset = chain.numbers[last, 9:12]
-    x, y, z = chain.numbers[last, :9].reshape(3, 3).T @ offset
+    offset = chain.numbers[last_node, 9:12]
+    x, y, z = chain.numbers[last_node, :9].reshape(3, 3).T @ offset
     cosine_part, sine_part = x * end[0] + y * end[1], y * end[0] - x * end[1]
-    # The square of the reach is a constant and a cosine about its farthest angle.
-    low, high = chain.numbers[last, 14:16]
+    # The squared reach is a constant plus a cosine about its farthest angle.
+    low, high = chain.numbers[last_node, 14:16]
     farthest = float(np.arctan2(sine_part, cosine_part))
     if np.isfinite(low):
         farthest += 2 * np.pi * float(np.ceil((low - farthest) / (2 * np.pi)))
     angles = [farthest] if farthest <= high else [low, high]
-    most = max(cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles)
-    square = offset @ offset + end @ end + 2 * (z * end[2] + most)
+    largest_cosine = max(
+        cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles
+    )
+    square = offset @ offset + end @ end + 2 * (z * end[2] + largest_cosine)
     return float(np.sqrt(max(square, 0.0)))
 
 
 def _fault(
     rig: Rig, goal: Goal, limb: GoalLimb, moving: set[int], chain: Chain
 ) -> str | None:
-    what = "a limb with soft or stretch"
+    description = "a limb with soft or stretch"
     if not goal.position > 0:
-        return f"{what} needs a position goal"
+        return f"{description} needs a position goal"
     if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
-        return f"{what} needs joints that rotate, and a root that stays in place"
-    above = rig.upwards(rig.index(goal.joint))
+        return f"{description} needs joints that rotate, and a root that stays in place"
+    joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
-        goal_joints = above[: above.index(rig.index(goal.root)) + 1]
-        others = [j for j in above if j in moving and j not in goal_joints]
-        if others:
-            name = rig.joints[others[0]].name
-            return f"{what} needs a root that stays in place: {name!r} moves it"
+        goal_joints = joints_above[: joints_above.index(rig.index(goal.root)) + 1]
+        other_joints = [j for j in joints_above if j in moving and j not in goal_joints]
+        if other_joints:
+            name = rig.joints[other_joints[0]].name
+            return f"{description} needs a root that stays in place: {name!r} moves it"
     if goal.stretch > 0 and limb.bones <= NO_LENGTH:
         return "it has no bones to stretch"
     return None
@@ -169,23 +183,25 @@ def _path(chain: Chain, e: int) -> list[int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Extension:
+class SoftReach:
     """Soft and stretched extension of the limbs of B problems."""
 
-    sought: FloatArray  # packed targets within the limbs' extension ``(B, E, W)``
+    reachable: FloatArray  # packed targets within reach of the limbs ``(B, E, W)``
     scales: FloatArray  # bone length scales ``(B, E)``
-    eased: BoolArray  # where only the ease keeps a limb from its target ``(B, E)``
+    softened: (
+        BoolArray  # where only soft extension keeps a limb from its target ``(B, E)``
+    )
 
-    def __getitem__(self, rows: IntArray) -> Extension:
+    def __getitem__(self, rows: IntArray) -> SoftReach:
         """Return the rows of some of the problems."""
-        return Extension(self.sought[rows], self.scales[rows], self.eased[rows])
+        return SoftReach(self.reachable[rows], self.scales[rows], self.softened[rows])
 
 
-def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> Extension:
-    """Return targets brought within the limbs' extension, and bone length scales.
+def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
+    """Return targets moved within reach of their limbs, and bone length scales.
 
-    The bones grow by the distance that the eased extension lacks, at most by their
-    stretch; the target is then moved to within the extension.
+    The bones grow by the distance that the softened extension lacks, up to their
+    stretch; then the target is moved within reach.
 
     Up to ``(1 - soft) reach`` a limb extends as far as its target; beyond, it
     approaches its full reach with continuous speed, so that it never snaps straight.
@@ -199,7 +215,7 @@ def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> Extension:
 
     ``targets`` ``(B, E, W)``: packed, in fractions of the problem's length.
     """
-    return Extension(*_kernels.extend_ik_limbs(*limb_arrays(limbs), targets))
+    return SoftReach(*_kernels.extend_ik_limbs(*limb_arrays(limbs), targets))
 
 
 def limb_arrays(limbs: Sequence[GoalLimb]) -> tuple[IntArray, FloatArray]:

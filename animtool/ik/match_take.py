@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.reduction.keys import fitted_channel
-from animtool.clip.reduction.points import SHELL
+from animtool.clip.reduction.points import SHELL_DISTANCE
 from animtool.clip.reduction.tracks import euler_order
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
@@ -39,21 +39,17 @@ from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Rig
 
-# Takes of at most this many frames are written as keys, one a frame, unless reduced.
-FEW = 12
-# Joints within this of their rest pose are at rest [m], [rad].
+# Takes of at most this many frames are written as keys, one per frame, unless reduced.
+MAX_KEYED_FRAMES = 12
+# Joints within this distance of their rest pose are at rest [m], [rad].
 AT_REST = 1e-6
-MAX_NAMED = 8
+MAX_LISTED_NAMES = 8
 # Channel targets of both kinds.
 _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 
 
 def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """Return the chains of a rig that match names or patterns; no pattern is all.
-
-    Raises:
-        OptionError: The rig has no chains (TGT019), or none matches a pattern (TGT001),
-            with a fault for each such pattern.
 
     >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
     >>> [chain.name for chain in chains_of(rig, ["a*"])]
@@ -102,9 +98,9 @@ def match_take(
 
     Args:
         take: F frames of a rig.
-        chains: Of the rig.
+        chains: Chains of the rig.
         path: Path of the targets file.
-        reduce: Tolerance of keys at a point, or 3 cm off the tip for rotations > 0 [m].
+        reduce: Tolerance of keys [m], > 0; for rotations at a point 3 cm from the tip.
 
     Raises:
         OptionError: A joint that a chain hangs from is scaled (TGT016).
@@ -115,40 +111,43 @@ def match_take(
     world = forward(
         part, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
-    matched = match(part, chains, world)
+    matched_limbs = match(part, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
-    keyed = clock.count <= FEW or clock.step != 1
+    as_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
     # Arrays have a row for each frame of the file's range.
-    keyed = keyed or last - first != clock.count - 1 or "#" in path.name
+    as_keys = as_keys or last - first != clock.count - 1 or "#" in path.name
     values = _ValueBuilder(
         clock,
         ClipUnits.of_rig(take.rig),
-        None if keyed else arrays_of(path).name,
+        None if as_keys else arrays_of(path).name,
         first,
         reduce,
     )
     goals = tuple(
-        _track(take.rig, chain, e, matched, values) for e, chain in enumerate(chains)
+        _track(take.rig, chain, e, matched_limbs, values)
+        for e, chain in enumerate(chains)
     )
     return TargetTracks(path, clock.fps, first, last, goals)
 
 
 def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
-    """Return a note where targets of chains do not reproduce all motion of their tips.
+    """Return a note if targets of chains do not reproduce all motion of their tips.
 
-    That is where joints above the chains leave their rest pose, or bones change their
-    length without stretch.
+    That is the case if joints above the chains leave their rest pose, or bones change
+    their length without stretch.
 
     Args:
-        take: Of a rig with J joints.
-        chains: Of the rig.
+        take: A take of a rig with J joints.
+        chains: Chains of the rig.
     """
     rig = take.rig
-    inside = {j for chain in chains for j in _path(rig, chain.tip, chain.root)}
+    chain_joints = {j for chain in chains for j in _path(rig, chain.tip, chain.root)}
     roots = {rig.index(chain.root) for chain in chains}
-    above = {j for chain in chains for j in _path(rig, chain.root)} - inside
+    joints_above = {
+        j for chain in chains for j in _path(rig, chain.root)
+    } - chain_joints
     stretching = {
         j
         for chain in chains
@@ -156,17 +155,17 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
         if chain.stretch > 0
     }
     motion = take.motion
-    shifted = _leaving(
-        motion.translations, rig.rest_translations, above | roots | inside - stretching
+    moving_joints = _leaving(
+        motion.translations,
+        rig.rest_translations,
+        joints_above | roots | chain_joints - stretching,
     )
-    turned = _leaving(motion.rotations, rig.rest_rotations, above)
-    names = [rig.names[j] for j in sorted(shifted | turned)]
+    rotating_joints = _leaving(motion.rotations, rig.rest_rotations, joints_above)
+    names = [rig.names[j] for j in sorted(moving_joints | rotating_joints)]
     if not names:
         return []
-    message = (
-        f"the targets do not mention {listed(names, MAX_NAMED)}, which leave their "
-    )
-    message += "rest pose and move what is matched"
+    message = f"the targets do not mention {listed(names, MAX_LISTED_NAMES)}, "
+    message += "which leave their rest pose and move what is matched"
     hint = f"solve with the same motion as {argument('clip')}"
     return [Fault("TGT103", message, hint=hint, severity=Severity.NOTE)]
 
@@ -179,13 +178,13 @@ def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
 
 def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
     """Return the joints that leave their rest values in some frame."""
-    some = np.array(sorted(joints), np.int64)
-    values, rest_values = channel.gather(some), rest[some]
+    joint_indices = np.array(sorted(joints), np.int64)
+    values, rest_values = channel.gather(joint_indices), rest[joint_indices]
     if values.shape[2] == 4:
         distances = so3.angle_between(values, rest_values)
     else:
         distances = np.linalg.norm(values - rest_values, axis=2)
-    return set(some[(distances > AT_REST).any(axis=0)].tolist())
+    return set(joint_indices[(distances > AT_REST).any(axis=0)].tolist())
 
 
 def _track(
@@ -234,10 +233,10 @@ class _ValueBuilder:
         return ArrayRows(f"{self.arrays}#{self._named(name)}", rows, self.first)
 
     def _named(self, name: str) -> str:
-        unique = plain = re.sub(r"\W", "_", name)
+        unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:
-            unique, number = f"{plain}_{number}", number + 1
+            unique, number = f"{identifier}_{number}", number + 1
         self.names.add(unique)
         return unique
 
@@ -264,8 +263,8 @@ class _ValueBuilder:
             channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
             return Keyed(channel)
         order = euler_order(joint, rows)
-        # Three rotations within a tolerance compose to at most the root of 3 times it.
-        angle = math.degrees(tolerance / SHELL) / math.sqrt(3)
+        # Three rotations within a tolerance compose to at most sqrt(3) times it.
+        angle = math.degrees(tolerance / SHELL_DISTANCE) / math.sqrt(3)
         keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle
         return Keyed(fitted_channel(_ROTATION, keys, self.clock, unit, order))

@@ -1,7 +1,7 @@
 """Matching: IK targets of a rig's chains that reproduce given poses.
 
-A chain has its tip's position and orientation, as its goal asks, and a pole for the
-joint in the middle of its limb.
+A chain has targets for its tip's position and orientation, as its goal requires, and a
+pole for the middle joint of its limb.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
-# A middle joint nearer to its limb's line than this fraction of the limb's length has
-# no side: a wrong side is off by less than a hundred-thousandth of that length.
-SIDE = 5e-6
+# A middle joint nearer to the limb's line than this fraction of its length has no side:
+# a wrong side causes an error below a hundred-thousandth of that length.
+MIN_SIDE_DISTANCE = 5e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class Matched:
     """Goals and targets that reproduce poses.
 
     Attributes:
-        goals: A goal of each of E chains; its pole has weight 0 where the chain has no
-            joint between its root and its tip that bends it, or no position to reach.
-        targets: Of F frames.
+        goals: A goal for each of E chains; its pole has weight 0 if no joint between
+            root and tip bends the chain, or it has no position to reach.
+        targets: Targets of F frames.
     """
 
     goals: tuple[Goal, ...]
@@ -66,7 +66,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     Args:
         rig: J joints.
         chains: E chains of the rig's joints.
-        world: Of F frames.
+        world: World of F frames.
 
     >>> from animtool.rig.skeleton import Joint
     >>> upper = Joint("upper", -1, JointType.BALL)
@@ -79,7 +79,9 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     [[[1.207, -0.207, 0.0]]]
     """
     rig = with_types(rig)
-    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    rest_transforms = forward(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     shape = (len(world.positions), len(chains))
     positions, poles = np.zeros((2, *shape, 3))
     rotations = np.zeros((*shape, 4))
@@ -89,7 +91,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
         positions[:, e] = world.positions[:, tip]
         rotations[:, e] = so3.align_signs(so3.split_scale(world.linear[:, tip])[0])
         goal = _goal(chain)
-        limb = _limb(rig, chain, goal, rest)
+        limb = _limb(rig, chain, goal, rest_transforms)
         if limb is not None:
             goal = replace(goal, pole=1.0)
             poles[:, e] = _poles(limb, world)
@@ -115,8 +117,8 @@ class _BendingLimb:
     Attributes:
         root, middle, tip: Joints.
         length: Length of its bones at rest [m].
-        usual: Side of the middle in the root joint's frame where no pose tells
-            ``(3,)``.
+        default_side: Default side of the middle joint in the root joint's frame, used
+            where no pose determines it ``(3,)``.
         hinge: Axis of the middle joint in its frame ``(3,)``; zero without a hinge.
     """
 
@@ -145,16 +147,18 @@ def _limb(
         length += float(np.linalg.norm(origins[j] - origins[parent]))
         j = parent
     # The pole direction is in the frame of the parent of the chain's root.
-    above = rig.joints[rig.index(chain.root)].parent
-    turned = np.eye(3) if above < 0 else rest.linear[0, above]
-    hinged = rig.joints[middle].type is JointType.PIN
+    parent_index = rig.joints[rig.index(chain.root)].parent
+    parent_rotation = np.eye(3) if parent_index < 0 else rest.linear[0, parent_index]
+    is_hinge = rig.joints[middle].type is JointType.PIN
     return _BendingLimb(
         root,
         middle,
         tip,
         length,
-        rest.linear[0, root].T @ turned @ np.array(chain.pole_dir or (0.0, 0.0, 0.0)),
-        np.array(rig.joints[middle].axis) if hinged else np.zeros(3),
+        rest.linear[0, root].T
+        @ parent_rotation
+        @ np.array(chain.pole_dir or (0.0, 0.0, 0.0)),
+        np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3),
     )
 
 
@@ -163,36 +167,40 @@ def _poles(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     root, middle, tip = (
         world.positions[:, j] for j in (limb.root, limb.middle, limb.tip)
     )
-    least = SIDE * limb.length
-    line, distinct = _directions(tip - root, least)
+    min_distance = MIN_SIDE_DISTANCE * limb.length
+    line, distinct = _directions(tip - root, min_distance)
     line[~distinct] = 0.0
-    along = np.sum((middle - root) * line, axis=1, keepdims=True) * line
-    sides, known = _directions(middle - root - along, least)
-    if not known.all():
-        bend = _bend(limb, world, sides, known)
-        off = bend - np.sum(bend * line, axis=1, keepdims=True) * line
-        # A carried side may lie along the line: then any side will do.
-        others, kept = _directions(off, np.sqrt(SIDE))
-        others[~kept] = _directions(perpendicular(line[~kept]), 0.0)[0]
-        sides = np.where(known[:, None], sides, others)
-    return np.asarray(root + along + sides * limb.length / 2)
+    middle_on_line = np.sum((middle - root) * line, axis=1, keepdims=True) * line
+    sides, has_side = _directions(middle - root - middle_on_line, min_distance)
+    if not has_side.all():
+        bend = _bend(limb, world, sides, has_side)
+        outward = bend - np.sum(bend * line, axis=1, keepdims=True) * line
+        # If a transported side lies along the line, any side will do.
+        transported_sides, is_transported = _directions(
+            outward, np.sqrt(MIN_SIDE_DISTANCE)
+        )
+        transported_sides[~is_transported] = _directions(
+            perpendicular(line[~is_transported]), 0.0
+        )[0]
+        sides = np.where(has_side[:, None], sides, transported_sides)
+    return np.asarray(root + middle_on_line + sides * limb.length / 2)
 
 
-def _directions(vectors: FloatArray, least: float) -> tuple[FloatArray, BoolArray]:
+def _directions(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
     """Return unit vectors ``(F, 3)``, and a mask of those above a length ``(F,)``."""
     lengths = np.linalg.norm(vectors, axis=1)
-    longer = lengths > least
-    return vectors / np.where(longer, lengths, 1.0)[:, None], longer
+    is_longer = lengths > min_length
+    return vectors / np.where(is_longer, lengths, 1.0)[:, None], is_longer
 
 
 def _bend(
-    limb: _BendingLimb, world: WorldTransforms, sides: FloatArray, known: BoolArray
+    limb: _BendingLimb, world: WorldTransforms, sides: FloatArray, has_side: BoolArray
 ) -> FloatArray:
     """Return the bend sides carried by the root joint to every frame ``(F, 3)``."""
     rotations = so3.split_scale(world.linear[:, limb.root])[0]
-    if known.any():
+    if has_side.any():
         local_sides = so3.rotate(so3.conjugate(rotations), sides)
-        return so3.rotate(rotations, local_sides[_nearest_before(known)])
+        return so3.rotate(rotations, local_sides[_nearest_before(has_side)])
     hinges = so3.rotate(so3.split_scale(world.linear[:, limb.middle])[0], limb.hinge)
     default_side = so3.rotate(rotations, limb.default_side)
     return np.asarray(
@@ -200,11 +208,11 @@ def _bend(
     )
 
 
-def _nearest_before(known: BoolArray) -> IntArray:
+def _nearest_before(is_known: BoolArray) -> IntArray:
     """Return the last known frame up to each frame; before any, the first known.
 
     >>> _nearest_before(np.array([False, True, False, True])).tolist()
     [1, 1, 1, 3]
     """
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
-    return np.where(last < 0, int(np.argmax(known)), last)
+    last = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), -1))
+    return np.where(last < 0, int(np.argmax(is_known)), last)

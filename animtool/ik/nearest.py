@@ -17,14 +17,14 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import solve
 
-# Starts: this many combinations of limits, and as many random poses; a ninth of them
-# for chains with more degrees of freedom.
+# Number of starts from combinations of limits, and as many random poses; a ninth of
+# them for chains with more degrees of freedom than the second number.
 MAX_STARTS, MANY_DEGREES = 27, 12
-# Iterations from each, and from the best; a start that then costs this many times the
-# current pose is dropped.
-TRIAL, DESCENT, HOPELESS = 8, 100, 1.3
-# Number of the most promising starts that are solved to the end.
-FOLLOWED = 4
+# Iterations from each start, and from the best ones; a start whose cost is then this
+# many times that of the current pose is dropped.
+TRIAL_ITERATIONS, FULL_ITERATIONS, HOPELESS_RATIO = 8, 100, 1.3
+# Number of the most promising starts that are solved to convergence.
+MAX_FOLLOWED = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
@@ -43,12 +43,12 @@ def nearest(
 ) -> IkResult:
     """Return B unreachable problems, each at the nearest pose found.
 
-    Descent from random starts ends in wide minima, but unreachable targets are usually
-    nearest at limits: combinations of limits are starts too.
+    Descent from random starts ends in wide minima, but the pose nearest to unreachable
+    targets is usually at limits; therefore combinations of limits are starts, too.
 
     ``result`` and ``targets`` are of the B problems, ``prefer`` ``(B, Q)``.
     """
-    chosen = replace(
+    frame_options = replace(
         options,
         ordered=False,
         warm=False,
@@ -56,30 +56,42 @@ def nearest(
         near=False,
         method=IkMethod.DAMPED,
     )
-    wished = np.asarray(prefer, np.float64)
-    trial, descent = (replace(chosen, iterations=n) for n in (TRIAL, DESCENT))
-    ends: list[FloatArray] = []
+    preferred = np.asarray(prefer, np.float64)
+    trial, descent = (
+        replace(frame_options, iterations=n)
+        for n in (TRIAL_ITERATIONS, FULL_ITERATIONS)
+    )
+    trial_results: list[FloatArray] = []
     costs: list[FloatArray] = []
     for start in _starts(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        end = solve(problem, rows, targets, trial, prefer=wished)
-        ends.append(end.coordinates)
-        costs.append(cost_of(end, targets))
-    best, order = result, np.argsort(costs, axis=0, kind="stable")
-    for choice in order[:FOLLOWED]:
-        reached = np.array(costs)[choice, np.arange(len(choice))]
-        hopeful = np.flatnonzero(reached < HOPELESS * cost_of(best, targets))
+        trial_result = solve(problem, rows, targets, trial, prefer=preferred)
+        trial_results.append(trial_result.coordinates)
+        costs.append(cost_of(trial_result, targets))
+    best_result, order = result, np.argsort(costs, axis=0, kind="stable")
+    for choice in order[:MAX_FOLLOWED]:
+        best_costs = np.array(costs)[choice, np.arange(len(choice))]
+        hopeful = np.flatnonzero(
+            best_costs < HOPELESS_RATIO * cost_of(best_result, targets)
+        )
         if len(hopeful):
-            starts = np.array(ends)[choice[hopeful], hopeful]
-            some = rows_of(targets, hopeful)
-            end = solve(problem, starts, some, descent, prefer=wished[hopeful])
-            better = cost_of(end, some) < cost_of(best, targets)[hopeful]
-            best = _placed(best, end, hopeful[better], np.flatnonzero(better))
-    return best
+            starts = np.array(trial_results)[choice[hopeful], hopeful]
+            hopeful_targets = rows_of(targets, hopeful)
+            trial_result = solve(
+                problem, starts, hopeful_targets, descent, prefer=preferred[hopeful]
+            )
+            is_better = (
+                cost_of(trial_result, hopeful_targets)
+                < cost_of(best_result, targets)[hopeful]
+            )
+            best_result = _placed(
+                best_result, trial_result, hopeful[is_better], np.flatnonzero(is_better)
+            )
+    return best_result
 
 
-def settled(
+def with_nearest_poses(
     problem: Problem,
     result: IkResult,
     targets: Targets,
@@ -90,9 +102,11 @@ def settled(
     rows = frames_out_of_reach(result, options)
     if not len(rows):
         return result
-    some = _picked(result, rows)
-    better = nearest(problem, some, rows_of(targets, rows), options, prefer[rows])
-    return _placed(result, better, rows, np.arange(len(rows)))
+    missed_frames = _picked(result, rows)
+    nearer = nearest(
+        problem, missed_frames, rows_of(targets, rows), options, prefer[rows]
+    )
+    return _placed(result, nearer, rows, np.arange(len(rows)))
 
 
 def cost_of(result: IkResult, targets: Targets) -> FloatArray:
@@ -104,14 +118,14 @@ def cost_of(result: IkResult, targets: Targets) -> FloatArray:
 def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
     """Yield start poses ``(C,)``: combinations of limits, and random ones."""
     chain = problem.chain
-    most = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
+    max_starts = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
     pose = chain.from_rig(home[None])[0]
-    yield from _corners(chain, pose, most)
-    yield from random_poses(chain, pose, most, [seed])
+    yield from _corners(chain, pose, max_starts)
+    yield from random_poses(chain, pose, max_starts, [seed])
 
 
-def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
-    """Yield combinations of the first joint limits, at most ``most``."""
+def _corners(chain: Chain, home: FloatArray, max_poses: int) -> Iterator[FloatArray]:
+    """Yield combinations of the first joint limits, at most ``max_poses``."""
     ranges = []
     for (kind, _, column, follows), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
@@ -119,10 +133,10 @@ def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
         low, high = numbers[14:16]
         if kind != BALL and not follows and np.isfinite([low, high]).all():
             ranges.append((int(column), (low, (low + high) / 2, high)))
-    chosen = ranges[: int(np.log(most) / np.log(3))]
-    for values in product(*(values for _, values in chosen)):
+    combination = ranges[: int(np.log(max_poses) / np.log(3))]
+    for values in product(*(values for _, values in combination)):
         pose = home.copy()
-        pose[[column for column, _ in chosen]] = values
+        pose[[column for column, _ in combination]] = values
         yield pose
 
 
@@ -152,5 +166,5 @@ def _picked(result: IkResult, rows: IntArray) -> IkResult:
 
 def _arrays() -> list[str]:
     """Return the names of a result's per-problem arrays."""
-    others = {"problem", "jumps", "statuses"}
-    return [field.name for field in fields(IkResult) if field.name not in others]
+    excluded = {"problem", "jumps", "statuses"}
+    return [field.name for field in fields(IkResult) if field.name not in excluded]

@@ -33,8 +33,8 @@ from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# From tracks, and for each the take without it, to the take solved for them.
-Bring = Callable[[TargetTracks, tuple[Take, ...]], Take]
+# Maps tracks, and for each goal the take it fades from, to the solved take.
+SolveTracks = Callable[[TargetTracks, tuple[Take, ...]], Take]
 
 
 def rounds(tracks: TargetTracks) -> int:
@@ -44,34 +44,38 @@ def rounds(tracks: TargetTracks) -> int:
     goals. With several different spans, each needs one, with the others active.
     """
     spans = len(_spans(tracks.goals))
-    bare = spans > 0 and any(not track.during for track in tracks.goals)
-    return 1 + bare + (spans if spans > 1 else 0)
+    needs_bare_take = spans > 0 and any(not track.during for track in tracks.goals)
+    return 1 + needs_bare_take + (spans if spans > 1 else 0)
 
 
-def takes_released(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take, ...]:
+def takes_released(
+    take: Take, tracks: TargetTracks, solve_tracks: SolveTracks
+) -> tuple[Take, ...]:
     """Return for each goal the take that it fades from and to.
 
     That is the take solved for all goals except those with the same spans. Where two
     spans overlap in their eases, the other's ease is ignored.
     """
     spans = _spans(tracks.goals)
-    takes: dict[object, Take] = {_NEVER: take}
+    takes: dict[object, Take] = {_ALWAYS_ACTIVE: take}
     if spans:
-        always = [track for track in tracks.goals if not track.during]
-        bare = _released_take(take, tracks, always, take, bring)
-        takes |= dict.fromkeys(spans, bare)
+        always_active = [track for track in tracks.goals if not track.during]
+        bare_take = _released_take(take, tracks, always_active, take, solve_tracks)
+        takes |= dict.fromkeys(spans, bare_take)
     if len(spans) > 1:
         for span in spans:
-            others = [track for track in tracks.goals if _span(track) != span]
-            takes[span] = _released_take(take, tracks, others, bare, bring)
+            other_goals = [track for track in tracks.goals if _span(track) != span]
+            takes[span] = _released_take(
+                take, tracks, other_goals, bare_take, solve_tracks
+            )
     return tuple(takes[_span(track)] for track in tracks.goals)
 
 
-_NEVER: object = ()
+_ALWAYS_ACTIVE: object = ()
 
 
 def _span(track: GoalTrack) -> object:
-    return (track.during, track.ease) if track.during else _NEVER
+    return (track.during, track.ease) if track.during else _ALWAYS_ACTIVE
 
 
 def _spans(goals: Sequence[GoalTrack]) -> list[object]:
@@ -83,17 +87,17 @@ def _released_take(
     take: Take,
     tracks: TargetTracks,
     goals: Sequence[GoalTrack],
-    bare: Take,
-    bring: Bring,
+    bare_take: Take,
+    solve_tracks: SolveTracks,
 ) -> Take:
-    """Return the take solved for some goals; those with spans fade from ``bare``."""
+    """Return the take solved for some goals; goals with spans fade from a bare one."""
     if not goals:
         return take
-    free = tuple(bare if track.during else take for track in goals)
-    return bring(replace(tracks, goals=tuple(goals)), free)
+    fade_sources = tuple(bare_take if track.during else take for track in goals)
+    return solve_tracks(replace(tracks, goals=tuple(goals)), fade_sources)
 
 
-# How faults name their goal.
+# Pattern of goals in fault messages.
 _GOAL = re.compile(r"goals\[(\d+)\]")
 
 
@@ -111,15 +115,15 @@ def solve_take(
 
     Each frame starts at its source pose. Joints that move no goal keep it, and so do
     all joints in frames without active goals, except that joints that move a goal are
-    brought inside their limits.
+    clamped to their limits.
 
     Args:
         take: F frames.
-        tracks: Its targets.
-        options: Tolerances, budget, which joints.
-        static: The take is one pose, which need not be kept: each frame starts at the
-            previous solution, and chains bend towards their ``pole_dir``.
-        only: Index of the one frame to solve; None is all.
+        tracks: Target tracks of the take.
+        options: Tolerances, budget, and which joints may move.
+        static: The take is a single pose that need not be kept: each frame starts at
+            the previous solution, and chains bend towards their ``pole_dir``.
+        only: Index of the only frame to solve; None solves all.
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
@@ -132,32 +136,32 @@ def solve_take(
     tracks = tracks.placed(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
     refuse_scales(take, effectors, tracks.path)
-    count, done = rounds(tracks), 0
-    spent = 0.0
+    round_count, rounds_done = rounds(tracks), 0
+    seconds_spent = 0.0
 
-    def bring(tracks: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
+    def solve_round(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> TakeIk:
         def report(fraction: float) -> None:
             if progress is not None:
-                progress((done + fraction) / count)
+                progress((rounds_done + fraction) / round_count)
 
-        return _solve_take(take, tracks, free, options, static, only, report)
+        return _solve_take(take, tracks, fade_sources, options, static, only, report)
 
-    def bring_take(tracks: TargetTracks, free: tuple[Take, ...]) -> Take:
-        nonlocal done, spent
-        solved = bring(tracks, free)
-        done, spent = done + 1, spent + solved.seconds
+    def bring_take(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> Take:
+        nonlocal rounds_done, seconds_spent
+        solved = solve_round(tracks, fade_sources)
+        rounds_done, seconds_spent = rounds_done + 1, seconds_spent + solved.seconds
         return solved.take
 
-    free = takes_released(take, tracks, bring_take)
-    result = bring(tracks, free)
+    fade_sources = takes_released(take, tracks, bring_take)
+    result = solve_round(tracks, fade_sources)
     driven = driven_take(result.take)
-    return replace(result, take=driven, seconds=spent + result.seconds)
+    return replace(result, take=driven, seconds=seconds_spent + result.seconds)
 
 
 def _solve_take(
     take: Take,
     tracks: TargetTracks,
-    free: tuple[Take, ...],
+    fade_sources: tuple[Take, ...],
     options: TakeOptions,
     static: bool,
     only: int | None,
@@ -165,8 +169,8 @@ def _solve_take(
 ) -> TakeIk:
     """Return a take solved for targets with their fade sources."""
     goals = [track.goal for track in tracks.goals]
-    typed = with_types(take.rig)
-    rig, indices = sub_rig(typed, (goal.joint for goal in goals))
+    typed_rig = with_types(take.rig)
+    rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))
     joints = _chosen(take.rig, rig, options)
     local = LocalTransforms(
         take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
@@ -174,24 +178,26 @@ def _solve_take(
     world = forward(rig, local.translations, local.rotations)
     solved_parts: list[SolvedPart] = []
     with _placed(tracks):
-        loose = tuple(_world(rig, indices, one, world) for one in free)
-        targets = tracks.sample(rig, take.clock, world, loose)
+        fade_transforms = tuple(
+            _world(rig, indices, fade_take, world) for fade_take in fade_sources
+        )
+        targets = tracks.sample(rig, take.clock, world, fade_transforms)
         if only is not None:
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
         run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _controls(rig, take)
-        parts = parts_of(rig, local, world, goals, joints, controls)
-        for part in parts.all:
+        spans = parts_of(rig, local, world, goals, joints, controls)
+        for part in spans.spans:
             solved_parts.append(run.solved(part))
             progress(solved_parts[-1].part.frames.stop / take.clock.count)
     solved = gathered_take(take, indices, local, tracks, targets, solved_parts, rate)
-    extent = float(np.ptp(world.positions[0], axis=0).max())
+    rig_size = float(np.ptp(world.positions[0], axis=0).max())
     return replace(
         solved,
-        between=parts.between,
+        moving_between=spans.moving_between,
         away=_away(goals, rig, world, targets),
-        size=max(extent, solved.problem.length),
+        size=max(rig_size, solved.problem.length),
     )
 
 
@@ -215,16 +221,16 @@ def _away(
     """Return the smallest distance of each goal's targets from its effector [m]."""
     distances = []
     for e, goal in enumerate(goals):
-        asked = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
-        points = FreeEffector(rig, goal, world).position()[asked]
-        offsets = np.asarray(targets.positions)[asked, e] - points
-        # The largest component needs no square, which overflows for huge numbers.
+        is_active = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
+        points = FreeEffector(rig, goal, world).position()[is_active]
+        offsets = np.asarray(targets.positions)[is_active, e] - points
+        # The largest component needs no square, which would overflow for huge numbers.
         distances.append(float(np.abs(offsets).max(axis=1).min(initial=np.inf)))
-    return tuple(0.0 if away == np.inf else away for away in distances)
+    return tuple(0.0 if distance == np.inf else distance for distance in distances)
 
 
 def _world(
-    rig: Rig, indices: IntArray, take: Take, like: WorldTransforms
+    rig: Rig, indices: IntArray, take: Take, reference: WorldTransforms
 ) -> WorldTransforms:
     """Return world transforms of a take, one frame repeated to another's length."""
     motion = take.motion
@@ -232,8 +238,8 @@ def _world(
         rig, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
     return WorldTransforms(
-        np.broadcast_to(world.positions, like.positions.shape),
-        np.broadcast_to(world.linear, like.linear.shape),
+        np.broadcast_to(world.positions, reference.positions.shape),
+        np.broadcast_to(world.linear, reference.linear.shape),
     )
 
 
@@ -250,7 +256,7 @@ def _placed(tracks: TargetTracks) -> Iterator[None]:
 def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
     goal = _GOAL.match(fault.where or "")
     if fault.path is not None or goal is None:
-        return replace(fault, path=fault.path or str(tracks.path))
+        return fault.in_file(tracks.path)
     line, column = tracks.goals[int(goal[1])].location
     return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 

@@ -12,7 +12,7 @@ from animtool.core.units import parse_length
 # Default solve tolerances of takes, and the miss above which a goal is reported;
 # smaller misses are invisible. Angles in degrees.
 LENGTH_TOLERANCE, ANGLE_TOLERANCE = "0.001mm", 1e-4
-MISSED, MISSED_DEGREES = "0.1mm", 0.1
+REPORTED_MISS, REPORTED_MISS_DEGREES = "0.1mm", 0.1
 
 
 class IkMethod(StrEnum):
@@ -20,9 +20,9 @@ class IkMethod(StrEnum):
 
     Attributes:
         AUTO: The closed form of a limb of two bones, or of an arm of six pins whose
-            last three meet or whose middle ones are parallel; else DAMPED.
-        DAMPED: Damped least squares with restarts: for every problem, and the only one
-            that supports priorities.
+            last three axes meet or whose middle axes are parallel; else DAMPED.
+        DAMPED: Damped least squares with restarts; works for every problem, and is the
+            only method that supports priorities.
         TWO_BONE: The closed form of a limb of two bones; DAMPED where the elbow's
             limits prevent it.
         GRADIENT: Steepest descent with backtracking.
@@ -53,16 +53,16 @@ class IkOptions:
             least squares; see `IkMethod`.
         tolerance: A position is reached within this fraction of the problem's length.
         angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        iterations: Most iterations of one problem, restarts included.
-        restarts: Most restarts where damped steps end short of the goals.
+        iterations: Maximum number of iterations of one problem, including restarts.
+        restarts: Maximum number of restarts if damped steps end short of the goals.
         seed: Seed of the restarts; the same seed gives the same poses.
-        seconds: Time limit of one problem [s]; 0 is none. With a limit, results depend
-            on the machine.
-        ordered: The problems are consecutive frames. One that ends as far from its
-            goals as the previous is not restarted.
+        seconds: Time limit of one problem [s]; 0 sets none. With a limit, results
+            depend on the machine.
+        ordered: The problems are consecutive frames. A frame that ends as far from its
+            goals as the previous one is not restarted.
         warm: Warm-start each problem from the previous solution.
-        near: Pull poses found by restarts towards the preferred pose while goals stay
-            reached; this takes longer than finding them.
+        near: Pull poses found by restarts towards the preferred pose while the goals
+            stay reached; this takes longer than finding them.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -83,7 +83,7 @@ class TakeOptions:
     """Options of solving a take for targets.
 
     Attributes:
-        seconds: Time limit of one frame [s]; 0 is none.
+        seconds: Time limit of one frame [s]; 0 sets none.
         smooth: Time over which motion that the goals leave free is smoothed [s]; 0
             disables it.
     """

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_sources
-from animtool.ik.goals import FARTHEST, Goal, goal_faults
+from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -31,14 +31,15 @@ class Problem:
         goals: E goals.
         joints: Names of the joints that move a goal, parents first; no others are in
             the problem.
-        degrees: Degrees of freedom D: 1 of a pin or prismatic joint, 3 of a ball, 6 of
-            a free one; none of a mimic or driven joint.
-        rows: Residuals M: 3 a position, 3 an orientation, 2 an aim, 1 a pole.
+        degrees: Degrees of freedom D: 1 for a pin or prismatic joint, 3 for a ball, 6
+            for a free joint; 0 for mimic and driven joints.
+        rows: Number of residuals M: 3 for a position, 3 for an orientation, 2 for an
+            aim, 1 for a pole.
         length: Unit of lengths inside the solver: the longest bone path to a goal [m].
         rest_weight: Weight of the preferred pose in the sum of squares.
         chain: The kinematic chain of the joints.
         limbs: Soft and stretching limbs.
-        kept: Cache of solvers, by name.
+        solver_cache: Cached solver inputs, by name.
     """
 
     rig: Rig
@@ -50,7 +51,7 @@ class Problem:
     rest_weight: float
     chain: Chain = field(repr=False)
     limbs: tuple[GoalLimb, ...] = field(default=(), repr=False)
-    kept: dict[str, Any] = field(
+    solver_cache: dict[str, Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -88,8 +89,10 @@ def build(
     Args:
         rig: J joints, Q coordinates.
         goals: At least one goal.
-        joints: Names of those that may move; None is every one that moves a goal.
-        pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
+        joints: Names of the joints that may move; None selects every joint that moves a
+            goal.
+        pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
+            pose.
         rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared
             angles and relative lengths from it. Goals are then missed by about as much.
 
@@ -118,12 +121,14 @@ def build(
     if faults:
         raise OptionError(faults)
     width = rig.coordinates
-    at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
+    pose_coordinates = (
+        np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
+    )
     moving = moving_joints(rig, goals, joints)
     faults = _immovable_faults(rig, goals, moving)
     if faults:
         raise OptionError(faults)
-    chain, faults = assemble(rig, goals, moving, at)
+    chain, faults = assemble(rig, goals, moving, pose_coordinates)
     limbs: tuple[GoalLimb, ...] = ()
     if not faults:
         limbs, faults = find_limbs(rig, goals, moving, chain)
@@ -165,8 +170,10 @@ def _faults(
         if _reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
-        if not max(map(abs, joint.translation)) <= FARTHEST:
-            message = f"{joint.name!r} is more than {FARTHEST:g} m from its parent"
+        if not max(map(abs, joint.translation)) <= MAX_COORDINATE:
+            message = (
+                f"{joint.name!r} is more than {MAX_COORDINATE:g} m from its parent"
+            )
             faults.append(Fault("IK009", message, hint="a Rig is in metres"))
     return faults
 
@@ -183,8 +190,8 @@ def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
         case RangeLimit(low, high):
             return not low <= high
         case BallLimit(swing, twist):
-            wide = swing is None or min(swing) >= 0
-            return not (wide and (twist is None or twist[0] <= twist[1]))
+            swing_ordered = swing is None or min(swing) >= 0
+            return not (swing_ordered and (twist is None or twist[0] <= twist[1]))
     return False
 
 
@@ -200,9 +207,9 @@ def moving_joints(
         while j >= 0:
             joint = rig.joints[j]
             rotates = joint.type in {JointType.PIN, JointType.BALL}
-            allowed = joints is None or joint.name in joints
+            is_allowed = joints is None or joint.name in joints
             moves = joint.type is not JointType.FIXED and not (pivots and rotates)
-            if moves and allowed:
+            if moves and is_allowed:
                 moving.add(j)
             slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
             pivots = pivots and not slides and not any(joint.translation)
@@ -214,14 +221,14 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
     """Return a fault for each goal that no joint moves."""
     faults = []
     for i, goal in enumerate(goals):
-        above = rig.upwards(rig.index(goal.joint))
-        if moving.intersection(above):
+        joints_above = rig.upwards(rig.index(goal.joint))
+        if moving.intersection(joints_above):
             continue
-        able = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
+        movable = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
         hint = "a joint cannot move a position at its own origin: set an offset"
-        if able:
-            hint = f"none of the joints that could move it may: {listed(able)}"
-        elif not any(rig.joints[j].type is not JointType.FIXED for j in above):
+        if movable:
+            hint = f"none of the joints that could move it may: {listed(movable)}"
+        elif not any(rig.joints[j].type is not JointType.FIXED for j in joints_above):
             hint = "only fixed joints are above it"
         message = f"no joint moves {goal.joint!r}"
         faults.append(Fault("IK003", message, hint=hint, where=f"goals[{i}]"))

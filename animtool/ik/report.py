@@ -1,4 +1,4 @@
-"""Reports what a solved take misses of its targets."""
+"""Reports where a solved take misses its targets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.core.units import parse_length
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
-from animtool.ik.options import MISSED, MISSED_DEGREES
+from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import GoalTrack
@@ -28,15 +28,18 @@ from animtool.maths.runs import runs
 from animtool.rig.skeleton import JointType
 
 # Default misses above which a goal is reported [m], [rad].
-MISSED_LENGTH, MISSED_ANGLE = parse_length(MISSED), math.radians(MISSED_DEGREES)
+MISSED_LENGTH, MISSED_ANGLE = (
+    parse_length(REPORTED_MISS),
+    math.radians(REPORTED_MISS_DEGREES),
+)
 # Misses above this many chain lengths suggest wrong units.
-FAR = 10.0
-# So do targets at this many rig sizes from the rig in every frame.
-AWAY = 20.0
+FAR_MISS = 10.0
+# So do targets farther than this many rig sizes from the rig in every frame.
+FAR_TARGET = 20.0
 # Suggested fraction of a limb's reach for `soft`.
-EASED = 0.1
-# Distances whose squares overflow are at least this [m].
-BEYOND = 1e150
+SUGGESTED_SOFT = 0.1
+# Distances above this have squares that overflow [m].
+OVERFLOW_DISTANCE = 1e150
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +48,10 @@ class Misses:
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
     frames: int  # number of frames that use it
-    mean: float  # over those
+    mean: float  # over those frames
     p95: float  # 95th percentile
-    max: float  # of the worst
-    frame: float  # time code of the worst
+    max: float  # in the worst frame
+    frame: float  # time code of the worst frame
 
     json_keys: ClassVar[str] = "unit frames mean p95 max frame"
 
@@ -67,12 +70,12 @@ class Misses:
 class MissedSpan:
     """Consecutive frames in which a goal is not reached."""
 
-    first: float  # time code of the first
-    last: float  # time code of the last
+    first: float  # time code of the first frame
+    last: float  # time code of the last frame
     # Distance from the target to the reached point, of the worst frame [m].
     distance: float
-    angle: float  # of the worst frame [rad]
-    frame: float  # time code of the worst
+    angle: float  # in the worst frame [rad]
+    frame: float  # time code of the worst frame
     # Status of the worst frame; STEADIER if any frame has it.
     status: IkStatus
 
@@ -100,30 +103,33 @@ def goal_reports(
 ) -> list[GoalReport]:
     """Return a report of each goal.
 
-    A goal that is soft, or of a priority above 0, is not missed where it yields.
+    A goal that is soft, or of a priority above 0, is not reported as missed where it
+    yields.
 
     Args:
-        solved: A take at its targets.
-        tolerance: Of positions [m].
-        angle_tolerance: Of orientations, aims and poles [rad].
+        solved: The solved take.
+        tolerance: Tolerance of positions [m].
+        angle_tolerance: Tolerance of orientations, aims and poles [rad].
     """
     times = solved.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
     reports = []
-    yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
+    is_yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
     for e, track in enumerate(solved.tracks.goals):
-        targeted, misses = solved.asked[:, e], solved.misses[:, e]
-        parts = tuple(
-            _misses(part, times[targeted[:, i]], misses[targeted[:, i], i])
+        is_targeted, misses = solved.active[:, e], solved.misses[:, e]
+        miss_reports = tuple(
+            _misses(part, times[is_targeted[:, i]], misses[is_targeted[:, i], i])
             for i, part in enumerate(PARTS)
-            if targeted[:, i].any()
+            if is_targeted[:, i].any()
         )
-        short = np.asarray((targeted & (misses > limits)).any(axis=1), np.bool_)
+        is_missed = np.asarray((is_targeted & (misses > limits)).any(axis=1), np.bool_)
         if track.goal.priority > 0 or track.goal.soft > 0:
-            short = np.asarray(short & ~yielded, np.bool_)
-        spans = tuple(_spans(solved, np.where(targeted, misses, 0.0), short))
+            is_missed = np.asarray(is_missed & ~is_yielded, np.bool_)
+        spans = tuple(_spans(solved, np.where(is_targeted, misses, 0.0), is_missed))
         reports.append(
-            GoalReport(track.name, track.goal.joint, track.location, parts, spans)
+            GoalReport(
+                track.name, track.goal.joint, track.location, miss_reports, spans
+            )
         )
     return reports
 
@@ -141,24 +147,26 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
     )
 
 
-def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedSpan]:
+def _spans(
+    solved: TakeIk, misses: FloatArray, is_missed: BoolArray
+) -> list[MissedSpan]:
     """Return the spans of frames that miss a goal, from misses ``(F, 4)``."""
     times = solved.take.clock.times
     spans = []
-    for first, end in runs(short):
-        run = misses[first:end]
-        # Metres count as radians, only to choose the reported frame.
-        worst = first + int(np.argmax(run.sum(axis=1)))
+    for first, end in runs(is_missed):
+        span_misses = misses[first:end]
+        # Metres are compared with radians, but only to choose the reported frame.
+        worst_frame = first + int(np.argmax(span_misses.sum(axis=1)))
         spans.append(
             MissedSpan(
                 float(times[first]),
                 float(times[end - 1]),
-                float(run[:, METRIC].max()),
-                float(run[:, ~METRIC].max()),
-                float(times[worst]),
+                float(span_misses[:, METRIC].max()),
+                float(span_misses[:, ~METRIC].max()),
+                float(times[worst_frame]),
                 IkStatus.STEADIER
                 if IkStatus.STEADIER in solved.statuses[first:end]
-                else solved.statuses[worst],
+                else solved.statuses[worst_frame],
             )
         )
     return spans
@@ -190,8 +198,8 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
 
 def _advice(solved: TakeIk, report: GoalReport) -> str | None:
     """Return a hint for a missed goal, where one is known."""
-    far = FAR * solved.problem.length
-    if any(span.distance > far for span in report.spans):
+    far_miss = FAR_MISS * solved.problem.length
+    if any(span.distance > far_miss for span in report.spans):
         return "far out of reach: do the targets use these units and this space?"
     if any(span.status is IkStatus.BUDGET for span in report.spans):
         hint = (
@@ -211,23 +219,23 @@ def _unbounded(solved: TakeIk) -> str | None:
     for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
         if goal.root is not None:
             continue
-        for below, joint in pairwise(chain):
-            others = any(
+        for child, joint in pairwise(chain):
+            moves_other_goals = any(
                 joint in chain_of_other
                 for k, chain_of_other in enumerate(chains)
                 if k != e
             )
-            if others and rig.joints[joint].type is JointType.FREE:
+            if moves_other_goals and rig.joints[joint].type is JointType.FREE:
                 message = f"the free joint {rig.names[joint]!r} moves for "
                 message += f"{solved.tracks.goals[e].name!r} and moves other goals "
-                return f"{message}too: 'root: {rig.names[below]}' keeps it still"
+                return f"{message}too: 'root: {rig.names[child]}' keeps it still"
     return None
 
 
 def span_notices(solved: TakeIk) -> list[Fault]:
-    """Return a warning for each hold span outside the frames of the take.
+    """Return a warning for each hold span that lies outside the frames of the take.
 
-    For a single pose there are none: the spans may be for other frames.
+    A single pose has no such warnings: the spans may be meant for other frames.
     """
     times = solved.take.clock.times
     if len(times) == 1:
@@ -250,24 +258,25 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning if joints jump, with the largest jump."""
     if not solved.jumps:
         return []
-    worst = max(solved.jumps, key=_excess(solved))
+    largest = max(solved.jumps, key=_excess(solved))
     first, last = (
-        frame_label(solved.take.clock.times[worst.frame - back]) for back in (1, 0)
+        frame_label(solved.take.clock.times[largest.frame - frames_back])
+        for frames_back in (1, 0)
     )
-    message = f"joint {worst.joint!r} {'slides' if worst.slides else 'rotates'} by "
-    message += f"{_step_text(worst, worst.size)} from frame {first} to {last}"
-    if worst.source > 0:
-        message += f" ({_step_text(worst, worst.source)} in the source)"
-    frames = len({jump.frame for jump in solved.jumps} - {worst.frame})
+    message = f"joint {largest.joint!r} {'slides' if largest.slides else 'rotates'} by "
+    message += f"{_step_text(largest, largest.size)} from frame {first} to {last}"
+    if largest.source > 0:
+        message += f" ({_step_text(largest, largest.source)} in the source)"
+    frames = len({jump.frame for jump in solved.jumps} - {largest.frame})
     if frames:
         message += f"; joints jump in {counted(frames, 'other frame')} too"
-    others = sorted({jump.joint for jump in solved.jumps} - {worst.joint})
-    if others:
-        message += f"; also {listed(others)}"
+    other_joints = sorted({jump.joint for jump in solved.jumps} - {largest.joint})
+    if other_joints:
+        message += f"; also {listed(other_joints)}"
     path = str(solved.tracks.path)
-    expected = all(jump.by_goals for jump in solved.jumps)
-    level = Severity.NOTE if expected else Severity.WARNING
-    return [Fault("IK102", message, path, (), _jump_hint(solved, worst), level)]
+    by_goals = all(jump.by_goals for jump in solved.jumps)
+    level = Severity.NOTE if by_goals else Severity.WARNING
+    return [Fault("IK102", message, path, (), _jump_hint(solved, largest), level)]
 
 
 def _excess(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
@@ -289,11 +298,11 @@ def _jump_hint(solved: TakeIk, worst: Jump) -> str:
     """Return a hint that reduces the jumps of a take."""
     steadier = solved.steadier
     if steadier is not None:
-        left = "leaves no jump"
+        remaining_text = "leaves no jump"
         if steadier.angle > 0:
-            left = "leaves rotations of "
-            left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
-        return f"{argument('smooth', f'{steadier.seconds:g}')} {left}"
+            remaining_text = "leaves rotations of "
+            remaining_text += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
+        return f"{argument('smooth', f'{steadier.seconds:g}')} {remaining_text}"
     fading = _fading_goal(solved, worst)
     if fading is not None:
         hint = f"the goal {fading.name!r} starts or ends there within "
@@ -302,9 +311,9 @@ def _jump_hint(solved: TakeIk, worst: Jump) -> str:
         return "its goals move or rotate as fast there: space their keys farther apart"
     goal = _straightening_goal(solved, worst)
     if goal is not None:
-        hint = f"the limb becomes straight there: soft: {EASED:g} on the goal "
+        hint = f"the limb becomes straight there: soft: {SUGGESTED_SOFT:g} on the goal "
         return f"{hint}{goal!r} eases it, and stops slightly short of its target"
-    if solved.between:
+    if solved.moving_between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = (
         f"no smoother path was found, nor with {argument('smooth')}; a target that "
@@ -338,9 +347,9 @@ def _straightening_goal(solved: TakeIk, worst: Jump) -> str | None:
         return None
     rows = slice(worst.frame - 1, worst.frame + 1)
     for e, track in enumerate(solved.tracks.goals):
-        missed = solved.misses[rows, e, 0] > MISSED_LENGTH
-        asked = solved.asked[rows, e, 0].all()
-        snaps = asked and missed[0] != missed[1] and not track.goal.soft
+        is_missed = solved.misses[rows, e, 0] > MISSED_LENGTH
+        all_active = solved.active[rows, e, 0].all()
+        snaps = all_active and is_missed[0] != is_missed[1] and not track.goal.soft
         if snaps and worst.joint in _moving(solved, track) and _may_ease(solved, e):
             return track.name
     return None
@@ -350,7 +359,7 @@ def _may_ease(solved: TakeIk, e: int) -> bool:
     """Return whether a goal may be soft."""
     problem = solved.problem
     goals = list(problem.goals)
-    goals[e] = replace(goals[e], soft=EASED)
+    goals[e] = replace(goals[e], soft=SUGGESTED_SOFT)
     moving = {problem.rig.index(name) for name in problem.joints}
     return not find_limbs(problem.rig, goals, moving, problem.chain)[1]
 
@@ -358,17 +367,19 @@ def _may_ease(solved: TakeIk, e: int) -> bool:
 def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal whose targets are far from its effector's start.
 
-    Missed goals have a warning of their own.
+    Missed goals get another warning.
 
     Args:
-        solved: A take at its targets.
+        solved: The solved take.
         reports: Reports of its goals, from `goal_reports`.
     """
     notices = []
-    for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
-        if report.spans or not away > AWAY * solved.size:
+    for i, (report, distance) in enumerate(zip(reports, solved.away, strict=True)):
+        if report.spans or not distance > FAR_TARGET * solved.size:
             continue
-        message = f"the targets of {report.name!r} are at least {length_text(away)} "
+        message = (
+            f"the targets of {report.name!r} are at least {length_text(distance)} "
+        )
         message += f"from its start, but the rig is {length_text(solved.size)} "
         message += "large"
         hint = "do the targets use these units and this space?"
@@ -380,16 +391,16 @@ def single_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]
     """Return a notice if each frame was solved individually: a warning if ``smooth``.
 
     Args:
-        solved: A take at its targets.
+        solved: The solved take.
         smooth: Whether smoothing was requested, which needs connected frames.
     """
     frames = len(solved.statuses)
-    if not solved.between or frames == 1:
+    if not solved.moving_between or frames == 1:
         return []
     message = f"each of {counted(frames, 'frame')} is solved on its own, as "
-    message += f"{listed([repr(name) for name in solved.between], most=6)} "
+    message += f"{listed([repr(name) for name in solved.moving_between], most=6)} "
     message += "between the joints that may move "
-    message += "moves too" if len(solved.between) == 1 else "move too"
+    message += "moves too" if len(solved.moving_between) == 1 else "move too"
     hint = "that takes longer, no smoother path is searched for, and nothing is "
     hint += "smoothed; let these joints move, or move by what their types have"
     level = Severity.WARNING if smooth else Severity.NOTE
@@ -412,14 +423,14 @@ def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
 
 def _missed(report: GoalReport) -> str:
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
-    where = listed([_frames(span) for span in report.spans], most=6)
-    by = []
+    frames_text = listed([_frames(span) for span in report.spans], most=6)
+    amounts = []
     if worst.distance > 0:
-        by.append(_length(worst.distance))
+        amounts.append(_length(worst.distance))
     if worst.angle > 0:
-        by.append(angle_text(float(np.degrees(worst.angle))))
-    message = f"{report.name!r} is not reached at {where}: "
-    message += f"{' and '.join(by)} off at frame {frame_label(worst.frame)}"
+        amounts.append(angle_text(float(np.degrees(worst.angle))))
+    message = f"{report.name!r} is not reached at {frames_text}: "
+    message += f"{' and '.join(amounts)} off at frame {frame_label(worst.frame)}"
     if any(span.status is IkStatus.STEADIER for span in report.spans):
         return f"{message}, {IkStatus.STEADIER}"
     return f"{message}, {worst.status}"
@@ -428,7 +439,7 @@ def _missed(report: GoalReport) -> str:
 def _length(meters: float) -> str:
     """Return a distance as text, also an infinite one."""
     if not np.isfinite(meters):
-        return f"over {BEYOND:g} m"
+        return f"over {OVERFLOW_DISTANCE:g} m"
     return length_text(meters)
 
 
@@ -446,10 +457,10 @@ def status_text(solved: TakeIk) -> str:
     counts = {IkStatus(name): count for name, count in solved.status_counts.items()}
     steadier = counts.pop(IkStatus.STEADIER, 0)
     if steadier:
-        missed = steadier + counts.pop(IkStatus.NEAREST, 0)
-        tail = f"{steadier} of them on a smoother path than the nearest poses give"
+        missed_count = steadier + counts.pop(IkStatus.NEAREST, 0)
+        path_text = f"{steadier} of them on a smoother path than the nearest poses give"
         return ", ".join(
             [*(f"{n} {status}" for status, n in counts.items()),
-             f"{missed} out of reach ({tail})"]
+             f"{missed_count} out of reach ({path_text})"]
         )  # fmt: skip
     return ", ".join(f"{count} {status}" for status, count in counts.items())

@@ -24,8 +24,8 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 
-# A coordinate this near to its limit is on it [rad] or [m]; must exceed the tolerance
-# of limits.
+# A coordinate within this distance of its limit is on it [rad] or [m]; must exceed the
+# tolerance of limits.
 ON_LIMIT = 1e-8
 
 
@@ -34,17 +34,17 @@ class IkStatus(StrEnum):
 
     Attributes:
         CONVERGED: Every goal is reached.
-        NEAREST: A missed goal is out of reach by itself too, and no other start ended
-            nearer to it by a millimetre.
+        NEAREST: A missed goal cannot be reached on its own either, and no other start
+            got a millimetre nearer to it.
         STEADIER: Likewise, but a nearer pose exists on a path that jumps.
-        YIELDED: Goals are missed only for goals of higher priority, the preferred pose
-            or soft extension.
+        YIELDED: Goals are missed only in favour of goals of higher priority, the
+            preferred pose or soft extension.
         CONFLICT: Each goal can be reached, but not all of one priority together: the
             pose has the least sum of squares.
         STALLED: A method for comparison stopped making progress; reachability is
             unknown.
         BUDGET: Iterations or time ran out.
-        NOT_FINITE: A target is so far that its distance overflows.
+        NOT_FINITE: A target is so far away that its distance overflows.
     """
 
     CONVERGED = "converged"
@@ -64,10 +64,10 @@ class IkResult:
     Attributes:
         problem: The problem.
         coordinates: Rig coordinates within limits ``(B, Q)``.
-        statuses: ``(B,)``.
-        iterations: ``(B,)``.
+        statuses: Status of each problem ``(B,)``.
+        iterations: Number of iterations ``(B,)``.
         descents: Number of starts tried ``(B,)``.
-        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the only field that
+        seconds: Solve time ``(B,)`` [s], 0 for a closed form; the only field that
             differs between runs.
         misses: Misses of each goal's position [m], orientation, aim and pole [rad]
             ``(B, E, 4)``; 0 for unused parts.
@@ -86,7 +86,7 @@ class IkResult:
     reached: BoolArray
     stretches: FloatArray
     jumps: tuple[Jump, ...] = ()
-    # World transforms of a session's result: no field, so that `replace` drops them.
+    # World transforms of a session's result. Not a field, so that `replace` drops them.
     _placed: ClassVar[WorldTransforms | None] = None
 
     def world(self) -> WorldTransforms:
@@ -129,7 +129,7 @@ class IkResult:
 
     @property
     def missed(self) -> list[tuple[int, int]]:
-        """Return pairs of problem and goal for every missed goal.
+        """Pairs of problem and goal for every missed goal.
 
         With status NEAREST, ``positions`` is the distance from the nearest reachable
         point.
@@ -180,15 +180,15 @@ class IkResult:
         """Return the joints on a limit in one of the poses."""
         row = self.coordinates[index][None]
         names = frames_on_limits(self.problem, row)
-        return [name for name, on in names.items() if on[0]]
+        return [name for name, is_on_limit in names.items() if is_on_limit[0]]
 
     def __repr__(self) -> str:
         """Return the number of problems by status, and the worst miss."""
         counts = Counter(map(str, self.statuses))
-        ends = ", ".join(f"{count} {status}" for status, count in counts.items())
-        worst = float(self.positions.max(initial=0.0))
+        status_text = ", ".join(f"{count} {status}" for status, count in counts.items())
+        largest = float(self.positions.max(initial=0.0))
         missed = f"; goals missed: {len(self.missed)}" if self.missed else ""
-        return f"<IkResult: {ends}{missed}; worst position {worst:.3g} m>"
+        return f"<IkResult: {status_text}{missed}; worst position {largest:.3g} m>"
 
 
 def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, BoolArray]:
@@ -206,9 +206,11 @@ def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, Boo
 
 def _on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
     if isinstance(limit, RangeLimit):
-        room = np.minimum(coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0])
-        return np.asarray(room <= ON_LIMIT)
-    # A pose that exceeds a slightly narrower limit is on the true one.
+        distance = np.minimum(
+            coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0]
+        )
+        return np.asarray(distance <= ON_LIMIT)
+    # A pose outside a slightly narrower limit is on the true one.
     swing, twist = limit.swing, limit.twist
     if swing is not None:
         swing = (max(swing[0] - ON_LIMIT, 0.0), max(swing[1] - ON_LIMIT, 0.0))

@@ -30,7 +30,7 @@ RigSolved: TypeAlias = tuple[
     FloatArray,
 ]
 
-# Numbers of the methods in the kernel.
+# Number of each method in the kernel.
 KERNEL_METHODS = {
     IkMethod.AUTO: 0,
     IkMethod.DAMPED: 0,
@@ -40,8 +40,8 @@ KERNEL_METHODS = {
     IkMethod.CCD: 3,
     IkMethod.FABRIK: 4,
 }
-# Methods that may take the closed form.
-CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
+# Methods that may use the closed form.
+CLOSED_FORM_METHODS = {IkMethod.AUTO, IkMethod.TWO_BONE}
 # Damping of the first step: far from the goals, and near them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 
@@ -56,9 +56,9 @@ class ClosedForm(IntEnum):
 
 def closed_form(problem: Problem) -> ClosedForm:
     """Return the closed form of a problem, or NONE."""
-    if "closed" not in problem.kept:
-        problem.kept["closed"] = _closed_form(problem)
-    return ClosedForm(problem.kept["closed"])
+    if "closed" not in problem.solver_cache:
+        problem.solver_cache["closed"] = _closed_form(problem)
+    return ClosedForm(problem.solver_cache["closed"])
 
 
 def _closed_form(problem: Problem) -> ClosedForm:
@@ -70,13 +70,17 @@ def _closed_form(problem: Problem) -> ClosedForm:
 
 def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
     """Return a solver of a problem; it keeps the last solved frame."""
-    closed = closed_form(problem) if options.method in CLOSED else ClosedForm.NONE
-    if "arrays" not in problem.kept:
-        problem.kept["arrays"] = _kernel_arrays(problem)
+    form = (
+        closed_form(problem)
+        if options.method in CLOSED_FORM_METHODS
+        else ClosedForm.NONE
+    )
+    if "arrays" not in problem.solver_cache:
+        problem.solver_cache["arrays"] = _kernel_arrays(problem)
     return _kernels.RigSolver(
-        **problem.kept["arrays"],
+        **problem.solver_cache["arrays"],
         rest_weight=problem.rest_weight,
-        closed=int(closed),
+        closed=int(form),
         **option_numbers(options),
     )
 
@@ -102,7 +106,7 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
     chain, rig = problem.chain, problem.rig
     limbs, limb_numbers = limb_arrays(problem.limbs)
     bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
-    pairs, numbers = _mimic_columns(rig, problem.joints)
+    mimic_columns, numbers = _mimic_columns(rig, problem.joints)
     types, columns, axes = rig.joint_arrays
     return {
         "nodes": chain.nodes,
@@ -118,7 +122,7 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
         "ball_frames": np.array([frame for _, frame in chain.ball_frames]).reshape(
             -1, 4
         ),
-        "mimics": pairs,
+        "mimics": mimic_columns,
         "mimic_numbers": numbers,
         "limbs": limbs,
         "limb_numbers": limb_numbers,
@@ -140,18 +144,22 @@ def _mimic_columns(rig: Rig, moved: tuple[str, ...]) -> tuple[IntArray, FloatArr
     """
     names = [] if rig.is_driven else mimics(rig, moved)
     slices = coordinate_slices(rig)
-    pairs, numbers = [], []
-    known = set(rig.names) - set(names)
-    led = {joint.name: joint.mimic for joint in rig.joints if joint.mimic is not None}
+    columns, numbers = [], []
+    ready_names = set(rig.names) - set(names)
+    mimic_of = {
+        joint.name: joint.mimic for joint in rig.joints if joint.mimic is not None
+    }
     while names:
-        ready = [name for name in names if led[name].joint in known] or names
-        for name in ready:
-            ends = rig.index(name), rig.index(led[name].joint)
-            pairs.append([slices[end].start for end in ends])
-            numbers.append([led[name].gain, led[name].offset])
-        known.update(ready)
-        names = [name for name in names if name not in known]
+        is_ready = [
+            name for name in names if mimic_of[name].joint in ready_names
+        ] or names
+        for name in is_ready:
+            joint_pair = rig.index(name), rig.index(mimic_of[name].joint)
+            columns.append([slices[index].start for index in joint_pair])
+            numbers.append([mimic_of[name].gain, mimic_of[name].offset])
+        ready_names.update(is_ready)
+        names = [name for name in names if name not in ready_names]
     return (
-        np.array(pairs, np.int64).reshape(-1, 2),
+        np.array(columns, np.int64).reshape(-1, 2),
         np.array(numbers, np.float64).reshape(-1, 2),
     )

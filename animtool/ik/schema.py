@@ -41,7 +41,7 @@ class TargetUnitsModel(FileModel):
 
 
 class ValueModel(JoinModel):
-    """A value that moves: keys, or a prim of a USD stage."""
+    """A value that moves, from keys or a prim of a USD stage."""
 
     keys: Annotated[list[KeyModel], Len(1)] | None = key(
         "Keys as in a clip: three numbers of a point, [w, x, y, z] of an "
@@ -110,7 +110,7 @@ else:
 
 
 class WeightsModel(_Weights):
-    """How much each part of a goal counts."""
+    """The weight of each part of a goal."""
 
 
 class _Effector(FileModel):
@@ -129,13 +129,13 @@ class _Effector(FileModel):
 
 
 if TYPE_CHECKING:
-    _Asked = _Effector
+    _RequestedModel = _Effector
 else:
-    _Asked = _with_kinds(_Effector, weights=False)
+    _RequestedModel = _with_kinds(_Effector, weights=False)
 
 
-class GoalModel(_Asked):
-    """What one effector is to reach."""
+class GoalModel(_RequestedModel):
+    """The targets of one effector."""
 
     weight: Weight | WeightsModel = key(
         "Weight where goals conflict: one number, or one for each part.",

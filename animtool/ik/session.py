@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from animtool.rig.skeleton import Rig
 
 # Kinds of a plain joint goal: a position, a rotation, or both.
-PLAIN = (KINDS[0], KINDS[1])
-# Goals of a call in order, each with a mask of its kinds.
-Asked: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
+JOINT_KINDS = (KINDS[0], KINDS[1])
+# The goals of a call in order, each with a mask of its kinds.
+RequestedKinds: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class _Packed:
     problem: Problem
     solver: _kernels.RigSolver
     targets: FloatArray  # ``(1, E, W)``
-    views: tuple[FloatArray, ...]  # into it, of each used part in order
+    views: tuple[FloatArray, ...]  # views into it, one per used part in order
 
 
 class Session:
@@ -50,8 +50,10 @@ class Session:
         rig: J joints, Q coordinates.
         goals: Names of joints with targets for position, rotation, or both; or a `Goal`
             for anything else.
-        joints: Names of those that may move; None is every one that moves a goal.
-        pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
+        joints: Names of the joints that may move; None selects every joint that moves a
+            goal.
+        pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
+            pose.
         options: Tolerances, budget, seed.
         rest_weight: Weight of the preferred pose, see `build`.
 
@@ -87,7 +89,7 @@ class Session:
         self._joints = None if joints is None else tuple(joints)
         self._pose, self._rest_weight = pose, rest_weight
         self._goals = _named(rig, goals, self._joints or ())
-        self._packed: dict[Asked, _Packed] = {}
+        self._packed: dict[RequestedKinds, _Packed] = {}
 
     def __repr__(self) -> str:
         """Return the rig's name and the goals."""
@@ -126,16 +128,18 @@ class Session:
             None if rows is None else np.asarray(rows, np.float64)[None]
             for rows in (start, prefer)
         ]
-        first = rest_pose(packed.problem)[None] if poses[0] is None else poses[0]
+        first_start = rest_pose(packed.problem)[None] if poses[0] is None else poses[0]
         try:
-            solved = packed.solver.solve(first, values, poses[1], placed=True)
+            solved = packed.solver.solve(first_start, values, poses[1], placed=True)
         except ValueError:
             # Invalid numbers or shapes: packing again raises the full error.
             pack_again = pack(_targets(values), packed.problem.goals)
             problem = packed.problem
             rows = pose_rows(problem, start, 1, "start")
-            wished = None if prefer is None else pose_rows(problem, prefer, 1, "prefer")
-            solved = packed.solver.solve(rows, pack_again, wished, placed=True)
+            preferred = (
+                None if prefer is None else pose_rows(problem, prefer, 1, "prefer")
+            )
+            solved = packed.solver.solve(rows, pack_again, preferred, placed=True)
         return result_of(packed.problem, solved)
 
     def branches(
@@ -170,35 +174,38 @@ class Session:
 
     def _filled(self, values_by_goal: Mapping[str, Any]) -> tuple[_Packed, FloatArray]:
         """Return the problem of a call, and its filled target buffer."""
-        asked: list[tuple[str, tuple[bool, ...]]] = []
-        parts: list[Any] = []
+        requested: list[tuple[str, tuple[bool, ...]]] = []
+        values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
                 raise self._unknown(name)
-            goal_parts, which = _parts(name, self._goals[name], value)
-            asked.append((name, which))
-            parts += goal_parts
-        packed = self._packed.get(key := tuple(asked))
+            goal_parts, kind_mask = _parts(name, self._goals[name], value)
+            requested.append((name, kind_mask))
+            values += goal_parts
+        packed = self._packed.get(key := tuple(requested))
         if packed is None:
             packed = self._packed[key] = self._pack(key)
         try:
-            for view, part in zip(packed.views, parts, strict=True):
+            for view, part in zip(packed.views, values, strict=True):
                 if len(part) != len(view):
                     raise ValueError  # noqa: TRY301 - of the same kind as numpy's
                 view[:] = part
         except (TypeError, ValueError) as error:
-            raise _misshapen(values_by_goal) from error
+            raise _shape_error(values_by_goal) from error
         return packed, packed.targets
 
     def _unknown(self, name: str) -> OptionError:
-        near = similar(name, self._goals)
-        hint = f"did you mean {near}?" if near else None
+        suggestions = similar(name, self._goals)
+        hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"the session has no goal {excerpt(name)}"
         return OptionError(Fault("TGT001", message, hint=hint))
 
-    def _pack(self, asked: Asked) -> _Packed:
+    def _pack(self, requested: RequestedKinds) -> _Packed:
         """Return the packed problem of some goals, with an initial target buffer."""
-        goals = [_asked_goal(self._goals[name], name, which) for name, which in asked]
+        goals = [
+            _requested_goal(self._goals[name], name, kind_mask)
+            for name, kind_mask in requested
+        ]
         problem = build(
             self.rig,
             goals,
@@ -225,26 +232,26 @@ def _named(
     """Return goals by joint name; None for names whose kinds each call decides."""
     if not goals:
         raise OptionError(Fault("IK006", "there are no goals"))
-    named: dict[str, Goal | None] = {}
+    by_name: dict[str, Goal | None] = {}
     faults = []
-    for each in goals:
-        name = each if isinstance(each, str) else each.joint
-        if name in named:
+    for goal in goals:
+        name = goal if isinstance(goal, str) else goal.joint
+        if name in by_name:
             faults.append(Fault("IK006", f"{name!r} has two goals"))
-        named[name] = None if isinstance(each, str) else each
-    for name in (*named, *joints):
+        by_name[name] = None if isinstance(goal, str) else goal
+    for name in (*by_name, *joints):
         if name not in rig.names:
-            near = similar(name, rig.names)
-            hint = f"did you mean {near}?" if near else None
+            suggestions = similar(name, rig.names)
+            hint = f"did you mean {suggestions}?" if suggestions else None
             message = f"no joint of {rig.name!r} is {excerpt(name)}"
             faults.append(Fault("TGT001", message, hint=hint))
     if faults:
         raise OptionError(faults)
-    return named
+    return by_name
 
 
 def _kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
-    return PLAIN if goal is None else goal.kinds
+    return JOINT_KINDS if goal is None else goal.kinds
 
 
 def _parts(
@@ -257,20 +264,20 @@ def _parts(
     if goal is not None and len(kinds) == 1:
         return (value,), (True,)
     if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
-        raise _misshapen({name: value})
-    which = tuple([part is not None for part in value])
-    if goal is not None and not all(which):
-        raise _misshapen({name: value})
-    return [part for part in value if part is not None], which
+        raise _shape_error({name: value})
+    kind_mask = tuple([part is not None for part in value])
+    if goal is not None and not all(kind_mask):
+        raise _shape_error({name: value})
+    return [part for part in value if part is not None], kind_mask
 
 
-def _asked_goal(goal: Goal | None, name: str, which: tuple[bool, ...]) -> Goal:
+def _requested_goal(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
     if goal is not None:
         return goal
-    return Goal(name, position=float(which[0]), orientation=float(which[1]))
+    return Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))
 
 
-def _misshapen(values_by_goal: Mapping[str, Any]) -> OptionError:
+def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"

@@ -1,4 +1,4 @@
-"""Solves IK problems with a method that supports them."""
+"""Solves IK problems with a suitable method."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.rig_solver import CLOSED, RigSolved, make_solver
-from animtool.ik.sub_rig import following
-from animtool.ik.two_bone import misfit
+from animtool.ik.rig_solver import CLOSED_FORM_METHODS, RigSolved, make_solver
+from animtool.ik.sub_rig import with_mimics
+from animtool.ik.two_bone import incompatibility
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
@@ -30,9 +30,9 @@ _STATUSES = (
     IkStatus.STALLED,
 )
 # Decreasing weights that pull restarted poses towards the start.
-DRAWN = (1e-2, 1e-3, 1e-4, 0.0)
+PULL_WEIGHTS = (1e-2, 1e-3, 1e-4, 0.0)
 # Range of each option in the kernel.
-COUNTS = {
+COUNT_RANGES = {
     "iterations": (1, 2**31 - 1),
     "restarts": (0, 2**31 - 1),
     "seed": (0, 2**64 - 1),
@@ -53,7 +53,7 @@ def solve(
         problem: E goals over a rig of Q coordinates.
         start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Clamped to the
             limits.
-        targets: Of B problems.
+        targets: Targets of B problems.
         options: Tolerances, budget, seed.
         prefer: Preferred pose ``(Q,)`` or ``(B, Q)``, weighted by the problem's
             ``rest_weight``; None is the start.
@@ -89,9 +89,9 @@ def solve(
         prefer = pose_rows(problem, prefer, len(packed), "prefer")
     solver = make_solver(problem, options)
     result = result_of(problem, solver.solve(starts, packed, prefer, placed=False))
-    if options.near and options.method in CLOSED | {IkMethod.DAMPED}:
-        wished = starts if prefer is None else prefer
-        return _settled(problem, packed, wished, options, result)
+    if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
+        preferred = starts if prefer is None else prefer
+        return _pulled_to_preferred(problem, packed, preferred, options, result)
     return result
 
 
@@ -99,7 +99,7 @@ def result_of(problem: Problem, solved: RigSolved) -> IkResult:
     """Return a kernel solver's output as a result."""
     rows, misses, reports, seconds, reached, scales, positions, linear = solved
     if problem.rig.is_driven:
-        rows = following(problem.rig, rows, problem.joints)
+        rows = with_mimics(problem.rig, rows, problem.joints)
         positions = positions[:0]
     result = IkResult(
         problem,
@@ -125,10 +125,10 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
     return packed
 
 
-def _settled(
+def _pulled_to_preferred(
     problem: Problem,
     packed: FloatArray,
-    wished: FloatArray,
+    preferred: FloatArray,
     options: IkOptions,
     result: IkResult,
 ) -> IkResult:
@@ -136,25 +136,30 @@ def _settled(
 
     Otherwise redundant joints would be as random as the starts.
     """
-    redundant = problem.degrees > problem.rows
+    is_redundant = problem.degrees > problem.rows
     rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
-    if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
+    if (
+        not is_redundant
+        or problem.rest_weight > 0
+        or options.seconds > 0
+        or not len(rows)
+    ):
         return result
-    near = replace(options, method=IkMethod.DAMPED, restarts=0)
-    poses, drawn = result.coordinates[rows], result
-    for weight in DRAWN:
-        solver = make_solver(replace(problem, rest_weight=weight), near)
-        solved = solver.solve(poses, packed[rows], wished[rows], placed=False)
-        drawn = result_of(problem, solved)
-        poses = drawn.coordinates
+    pull_options = replace(options, method=IkMethod.DAMPED, restarts=0)
+    poses, pulled = result.coordinates[rows], result
+    for weight in PULL_WEIGHTS:
+        solver = make_solver(replace(problem, rest_weight=weight), pull_options)
+        solved = solver.solve(poses, packed[rows], preferred[rows], placed=False)
+        pulled = result_of(problem, solved)
+        poses = pulled.coordinates
     chain = problem.chain
-    before, after = (
-        np.linalg.norm(difference(chain, chain.from_rig(wished[rows]), q), axis=1)
+    distance_before, distance_after = (
+        np.linalg.norm(difference(chain, chain.from_rig(preferred[rows]), q), axis=1)
         for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
     )
-    kept = drawn.reached.all(axis=1) & (after < before)
-    result.coordinates[rows[kept]] = poses[kept]
-    result.misses[rows[kept]] = drawn.misses[kept]
+    is_improved = pulled.reached.all(axis=1) & (distance_after < distance_before)
+    result.coordinates[rows[is_improved]] = poses[is_improved]
+    result.misses[rows[is_improved]] = pulled.misses[is_improved]
     return result
 
 
@@ -164,20 +169,20 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
     for name in ("tolerance", "angle_tolerance"):
         value = getattr(options, name)
         faults[name] = _unless(value > 0, name, "more than 0", value)
-    for name, (low, most) in COUNTS.items():
+    for name, (low, high) in COUNT_RANGES.items():
         value = getattr(options, name)
-        good = bool(isinstance(value, (int, np.integer)) and low <= value <= most)
-        span = f"a whole number from {low} to {most}"
-        faults[name] = _unless(good, name, span, value)
-    good = options.seconds >= 0
-    faults["seconds"] = _unless(good, "seconds", "at least 0", options.seconds)
+        is_valid = bool(isinstance(value, (int, np.integer)) and low <= value <= high)
+        rule = f"a whole number from {low} to {high}"
+        faults[name] = _unless(is_valid, name, rule, value)
+    is_valid = options.seconds >= 0
+    faults["seconds"] = _unless(is_valid, "seconds", "at least 0", options.seconds)
     return faults
 
 
-def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
+def _unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
     """Return the fault of an option unless it is valid."""
     message = f"{name} must be {rule}, not {value}"
-    return [] if good else [Fault("IK014", message)]
+    return [] if is_valid else [Fault("IK014", message)]
 
 
 def check_options(options: IkOptions) -> None:
@@ -238,16 +243,23 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     if method in {IkMethod.AUTO, IkMethod.DAMPED}:
         return None
     if method == IkMethod.TWO_BONE:
-        reason = misfit(problem)
+        reason = incompatibility(problem)
         return reason and f"does not apply: {reason}"
-    plain = {IkMethod.CCD, IkMethod.FABRIK}
+    simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
     slides = _sliding(problem)
     levels = bool(problem.chain.goals[:, 3].any())
     rules = [
-        (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "ignores priorities"),
-        (problem.rest_weight > 0, plain, "ignores the preferred pose"),
-        *((not kind.pulls, plain, f"ignores {kind.targets}") for kind in kinds),
+        (
+            levels,
+            {*simple_methods, IkMethod.GRADIENT, IkMethod.NEWTON},
+            "ignores priorities",
+        ),
+        (problem.rest_weight > 0, simple_methods, "ignores the preferred pose"),
+        *(
+            (not kind.pulls, simple_methods, f"ignores {kind.targets}")
+            for kind in kinds
+        ),
         (
             any(kind.turning for kind in kinds),
             {IkMethod.FABRIK},
@@ -255,7 +267,11 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         ),
         (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
     ]
-    reasons = (why for holds, methods, why in rules if holds and method in methods)
+    reasons = (
+        obstacle
+        for applies, methods, obstacle in rules
+        if applies and method in methods
+    )
     return next(reasons, None)
 
 

@@ -1,4 +1,4 @@
-"""The part of a rig that goals involve, and joints that mimic others."""
+"""Sub-rigs with the joints that goals involve, and mimic joints."""
 
 from __future__ import annotations
 
@@ -27,34 +27,36 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     >>> mimics(Rig("pair", (lead, tail)), ["lead"])
     ['tail']
     """
-    reached = set(moved)
-    left = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
-    while new := {name for name, lead in left.items() if lead in reached} - reached:
-        reached |= new
-    followers = {name for name in reached if name in left}
+    moving = set(moved)
+    remaining = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
+    while new := {name for name, lead in remaining.items() if lead in moving} - moving:
+        moving |= new
+    followers = {name for name in moving if name in remaining}
     if rig.is_driven:
-        followers.update(plan_of(rig).followers(reached))
+        followers.update(plan_of(rig).followers(moving))
     return [name for name in rig.names if name in followers]
 
 
-def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> FloatArray:
+def with_mimics(
+    rig: Rig, coordinates: FloatArray, moved: Collection[str]
+) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
     names = mimics(rig, moved)
     if not names:
         return coordinates
     slices = coordinate_slices(rig)
-    out = coordinates.copy()
+    updated = coordinates.copy()
     if rig.is_driven:
-        driven = {rig.names[j] for j in plan_of(rig).joints}
-        undriven = [name for name in names if name not in driven]
+        driven_names = {rig.names[j] for j in plan_of(rig).joints}
+        mimics_only = [name for name in names if name not in driven_names]
         return driven_coordinates(
-            plan_of(rig), _with_mimics(rig, out, slices, undriven)
+            plan_of(rig), _set_mimics(rig, updated, slices, mimics_only)
         )
-    return _with_mimics(rig, out, slices, names)
+    return _set_mimics(rig, updated, slices, names)
 
 
-def _with_mimics(
-    rig: Rig, out: FloatArray, slices: list[slice], names: list[str]
+def _set_mimics(
+    rig: Rig, updated: FloatArray, slices: list[slice], names: list[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic joints set from their leads."""
     # Repeated for each name, so that chains of mimics are resolved.
@@ -62,15 +64,16 @@ def _with_mimics(
         for name in names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
-            lead = out[:, slices[rig.index(mimic.joint)]]
-            out[:, slices[rig.index(name)]] = mimic.gain * lead + mimic.offset
-    return out
+            lead = updated[:, slices[rig.index(mimic.joint)]]
+            updated[:, slices[rig.index(name)]] = mimic.gain * lead + mimic.offset
+    return updated
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     """Return a rig of some joints and all above them, and the joints' indices.
 
-    Mimic joints of them and the joints that they mimic are included, with all above.
+    Mimic joints of these joints, and the joints that they mimic, are included, with all
+    joints above.
 
     Returns the rig, and the index of each of its joints in the full rig ``(N,)``.
 
@@ -80,67 +83,69 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     >>> part.names, own.tolist()
     (['a', 'c'], [0, 2])
     """
-    kept: set[int] = set()
-    waiting = [rig.index(name) for name in names]
-    linked = _linked(rig) if rig.is_driven else {}
-    while waiting:
-        j = waiting.pop()
-        if j in kept:
+    included: set[int] = set()
+    pending = [rig.index(name) for name in names]
+    links = _linked(rig) if rig.is_driven else {}
+    while pending:
+        j = pending.pop()
+        if j in included:
             continue
-        kept.add(j)
+        included.add(j)
         joint = rig.joints[j]
         if joint.parent >= 0:
-            waiting.append(joint.parent)
+            pending.append(joint.parent)
         if joint.mimic is not None:
-            waiting.append(rig.index(joint.mimic.joint))
-        waiting += linked.get(j, ())
-        waiting += [
+            pending.append(rig.index(joint.mimic.joint))
+        pending += links.get(j, ())
+        pending += [
             i
-            for i, other in enumerate(rig.joints)
-            if other.mimic is not None and other.mimic.joint == joint.name
+            for i, joint_index in enumerate(rig.joints)
+            if joint_index.mimic is not None and joint_index.mimic.joint == joint.name
         ]
-    indices = sorted(kept)
+    indices = sorted(included)
     index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}
     joints = tuple(
         replace(rig.joints[j], parent=index_in_part[rig.joints[j].parent])
         for j in indices
     )
-    part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
-    if linked:
-        part = replace(part, controls=_read_controls(rig, part.names))
-    return part, np.array(indices, np.int64)
+    smaller_rig = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
+    if links:
+        smaller_rig = replace(
+            smaller_rig, controls=_read_controls(rig, smaller_rig.names)
+        )
+    return smaller_rig, np.array(indices, np.int64)
 
 
 def _linked(rig: Rig) -> dict[int, list[int]]:
     """Return for each joint the joints that its driver reads or that it drives."""
     linked: dict[int, list[int]] = {}
-    for name, others in plan_of(rig).reads.items():
-        for other in others:
-            ends = rig.index(name), rig.index(other)
-            for one, far in (ends, ends[::-1]):
-                linked.setdefault(one, []).append(far)
+    for name, sources in plan_of(rig).reads.items():
+        for source_name in sources:
+            pair = rig.index(name), rig.index(source_name)
+            for joint, linked_joint in (pair, pair[::-1]):
+                linked.setdefault(joint, []).append(linked_joint)
     return linked
 
 
 def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
     """Return the controls with the drivers and drives that a reduced rig supports."""
-    known = set(names)
+    available = set(names)
     return tuple(
         replace(
             control,
             drives=tuple(d for d in control.drives if d.target.startswith("control/")),
             driven=control.driven
             if control.driven is not None
-            and all(_joint_known(name, known) for name in control.driven.names)
+            and all(_joint_known(name, available) for name in control.driven.names)
             else None,
         )
         for control in rig.controls
     )
 
 
-def _joint_known(name: str, known: Collection[str]) -> bool:
+def _joint_known(name: str, available: Collection[str]) -> bool:
     joint = split_coordinate(name)[0]
-    return not joint or joint in known
+    return not joint or joint in available
 
 
 def with_types(rig: Rig) -> Rig:
@@ -161,7 +166,8 @@ def with_types(rig: Rig) -> Rig:
 def dressed(rig: Rig, other: Rig) -> Rig:
     """Return a rig with the joint data of another rig, matched by name.
 
-    Copies types, axes, limits and rest poses, and the chains whose joints the rig has.
+    Copies types, axes, limits and rest poses, and the chains whose joints all exist in
+    the rig.
 
     >>> from animtool.rig.skeleton import Joint
     >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))
@@ -169,15 +175,15 @@ def dressed(rig: Rig, other: Rig) -> Rig:
     >>> [str(joint.type) for joint in dressed(plain, typed).joints]
     ['free', 'pin']
     """
-    known = {joint.name: joint for joint in other.joints}
+    typed_joints = {joint.name: joint for joint in other.joints}
     names = set(rig.names)
     joints = []
     for joint in with_types(rig).joints:
-        typed = known.get(joint.name)
+        typed = typed_joints.get(joint.name)
         if typed is None:
             joints.append(joint)
             continue
-        followed = typed.mimic is not None and typed.mimic.joint in names
+        has_leader = typed.mimic is not None and typed.mimic.joint in names
         joints.append(
             replace(
                 joint,
@@ -186,7 +192,7 @@ def dressed(rig: Rig, other: Rig) -> Rig:
                 rotation=typed.rotation,
                 axis=typed.axis,
                 limits=typed.limits,
-                mimic=typed.mimic if followed else None,
+                mimic=typed.mimic if has_leader else None,
                 driven=typed.driven if _readable(typed, names, rig) else None,
             )
         )
@@ -196,6 +202,6 @@ def dressed(rig: Rig, other: Rig) -> Rig:
 
 def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:
     """Return whether a rig has all inputs of a joint's driver."""
-    known = {*names, *(control.name for control in rig.controls)}
+    available = {*names, *(control.name for control in rig.controls)}
     read = () if joint.driven is None else joint.driven.names
-    return all((split_coordinate(name)[0] or name) in known for name in read)
+    return all((split_coordinate(name)[0] or name) in available for name in read)

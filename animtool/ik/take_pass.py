@@ -30,12 +30,12 @@ class IkPassOptions:
     """The targets of the pass, and the options of `TakeOptions`."""
 
     targets: Path | None = None  # the targets file
-    # File of a rig whose joint types, limits and chains are used for joints of the same
-    # names; None is the take's rig.
+    # File of a rig whose joint types, limits and chains apply to joints of the same
+    # names; None uses the take's rig.
     rig: Path | None = None
 
 
-def asked_of(
+def rig_and_tracks(
     take: Take, options: IkPassOptions, folder: Path
 ) -> tuple[Take, TargetTracks]:
     """Return a take with the rig to solve, and its target tracks.
@@ -58,7 +58,7 @@ def asked_of(
 
 def _run(take: Take, options: Any, context: PassContext) -> Take:
     rig = take.rig
-    take, tracks = asked_of(take, options, context.folder)
+    take, tracks = rig_and_tracks(take, options, context.folder)
     settings = settings_of(options)
     solved = solve_take(take, tracks, settings, progress=context.progress)
     context.notices.extend(tracks.notices)

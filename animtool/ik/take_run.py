@@ -16,7 +16,7 @@ from animtool.core.values import plain_value
 from animtool.ik.chain_frame import SolveSpan
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
-from animtool.ik.nearest import settled
+from animtool.ik.nearest import with_nearest_poses
 from animtool.ik.options import IkMethod, IkOptions, TakeOptions
 from animtool.ik.path import goal_moves, jumps_of, rate_faults, smooth, windings
 from animtool.ik.problem import Problem, build, rest_faults
@@ -34,15 +34,15 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# Coordinates that change by less are kept.
+# Coordinates that change by less keep their source value.
 UNCHANGED = 1e-12
-# Methods that search a clip across branches; the others are for comparison.
-FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
+# Methods that search a clip across branches; the others exist for comparison.
+PATH_METHODS = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # Smoothing times tried where joints jump [s], and the factor by which a jump must
 # shrink for the smoothing to be suggested.
-TRIED_SMOOTHING, SMALLER = (0.1, 0.3), 0.9
-# Distance of a pole in chain lengths, so that only its side counts.
-FAR = 10.0
+TRIED_SMOOTHING, MIN_REDUCTION = (0.1, 0.3), 0.9
+# Distance of a pole in chain lengths, so far that only its direction matters.
+POLE_DISTANCE = 10.0
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,19 @@ class TakeIk:
     """A take solved for targets, and its misses.
 
     Attributes:
-        take: With solved poses of the joints that move a goal.
+        take: The take with solved poses of the joints that move a goal.
         tracks: The targets.
         problem: Problem of the first frame.
-        asked: Mask of the active parts of goals ``(F, E, 4)``.
+        active: Mask of the active parts of goals ``(F, E, 4)``.
         misses: Misses of position [m], orientation, aim and pole [rad] ``(F, E, 4)``.
-        statuses: ``(F,)``.
-        iterations: ``(F,)``.
+        statuses: Status of each frame ``(F,)``.
+        iterations: Number of iterations ``(F,)``.
         descents: Number of starts tried ``(F,)``.
         seconds: Time of all frames [s], the only field that differs between runs.
         jumps: Jumps of joints that no path avoids.
         on_limits: Masks by joint of the frames in which it is on a limit ``(F,)``.
-        between: Joints between the solved ones that move too, or move outside their
-            types: each frame was then solved individually.
+        moving_between: Joints between the solved ones that move too, or move
+            outside their types: each frame was then solved individually.
         away: Smallest distance of each goal's position targets from its effector in the
             source take ``(E,)`` [m]; 0 without any.
         size: Largest extent of the rig's joints in the first frame [m].
@@ -72,7 +72,7 @@ class TakeIk:
     take: Take
     tracks: TargetTracks
     problem: Problem
-    asked: BoolArray
+    active: BoolArray
     misses: FloatArray
     statuses: tuple[IkStatus, ...]
     iterations: IntArray
@@ -80,7 +80,7 @@ class TakeIk:
     seconds: float
     jumps: tuple[Jump, ...]
     on_limits: dict[str, BoolArray]
-    between: tuple[str, ...] = ()
+    moving_between: tuple[str, ...] = ()
     away: tuple[float, ...] = ()
     size: float = 0.0
     steadier: Smoothing | None = None
@@ -131,7 +131,9 @@ class TakeIk:
     def jumps_at_codes(self) -> list[dict[str, object]]:
         """The jumps as plain values, their frames as time codes."""
         times = self.take.clock.times
-        return [{**plain_value(one), "frame": times[one.frame]} for one in self.jumps]
+        return [
+            {**plain_value(jump), "frame": times[jump.frame]} for jump in self.jumps
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +141,8 @@ class Smoothing:
     """Result of a trial smoothing.
 
     Attributes:
-        seconds: Smoothing time, as of ``TakeOptions.smooth`` [s].
-        angle: Largest remaining jump [rad]; 0 of none.
+        seconds: Smoothing time, as in ``TakeOptions.smooth`` [s].
+        angle: Largest remaining jump [rad]; 0 if no jump remains.
     """
 
     seconds: float
@@ -176,26 +178,28 @@ def gathered_take(
     rate: float,
 ) -> TakeIk:
     """Return a take with the solved poses of its frame spans."""
-    results = [one.result for one in parts]
+    results = [solved_part.result for solved_part in parts]
     motion = take.motion
     rig = parts[0].part.rig
     names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
-    stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
-    joints = sorted({rig.index(name) for name in names} | stretched)
+    stretched_joints = {j for limb in results[0].problem.limbs for j in limb.joints}
+    joints = sorted({rig.index(name) for name in names} | stretched_joints)
     translations, rotations = local.translations[:, joints], local.rotations[:, joints]
     source = LocalTransforms(translations.copy(), rotations.copy())
-    for one in parts:
-        span = one.part.frames
-        rows, before = one.result.coordinates, one.part.coordinates
-        locals_of_part = local_from_coordinates(one.part.rig, rows)
-        longer = one.result.local_translations()
-        slices = coordinate_slices(one.part.rig)
+    for solved_part in parts:
+        span = solved_part.part.frames
+        rows, source_rows = solved_part.result.coordinates, solved_part.part.coordinates
+        locals_of_part = local_from_coordinates(solved_part.part.rig, rows)
+        stretched_translations = solved_part.result.local_translations()
+        slices = coordinate_slices(solved_part.part.rig)
         for i, j in enumerate(joints):
-            change = np.abs(rows[:, slices[j]] - before[:, slices[j]])
-            grown = (longer[:, j] != locals_of_part.translations[:, j]).any(axis=1)
-            moved = (change.max(axis=1, initial=0.0) > UNCHANGED) | grown
-            translations[span, i][moved] = longer[moved, j]
-            rotations[span, i][moved] = locals_of_part.rotations[moved, j]
+            change = np.abs(rows[:, slices[j]] - source_rows[:, slices[j]])
+            is_stretched = (
+                stretched_translations[:, j] != locals_of_part.translations[:, j]
+            ).any(axis=1)
+            is_changed = (change.max(axis=1, initial=0.0) > UNCHANGED) | is_stretched
+            translations[span, i][is_changed] = stretched_translations[is_changed, j]
+            rotations[span, i][is_changed] = locals_of_part.rotations[is_changed, j]
     index = indices[joints]
     motion = replace(
         motion,
@@ -207,27 +211,35 @@ def gathered_take(
         [rig.names[j] for j in joints],
         source,
         LocalTransforms(translations, rotations),
-        goal_moves(problem, np.concatenate([one.targets for one in parts])),
+        goal_moves(
+            problem, np.concatenate([solved_part.targets for solved_part in parts])
+        ),
         fps=rate,
         length=problem.length,
-        windings=windings(rig, np.concatenate([one.coordinates for one in results]))[
-            :, joints
-        ],
+        windings=windings(
+            rig, np.concatenate([solved_part.coordinates for solved_part in results])
+        )[:, joints],
     )
-    asked = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
-    limits = [frames_on_limits(one.problem, one.coordinates) for one in results]
+    active = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
+    limits = [
+        frames_on_limits(solved_part.problem, solved_part.coordinates)
+        for solved_part in results
+    ]
     return TakeIk(
         replace(take, motion=motion),
         tracks,
         problem,
-        asked > 0,
-        np.concatenate([one.misses for one in results]),
-        tuple(status for one in results for status in one.statuses),
-        np.concatenate([one.iterations for one in results]),
-        np.concatenate([one.descents for one in results]),
-        sum(one.seconds for one in parts),
+        active > 0,
+        np.concatenate([solved_part.misses for solved_part in results]),
+        tuple(status for solved_part in results for status in solved_part.statuses),
+        np.concatenate([solved_part.iterations for solved_part in results]),
+        np.concatenate([solved_part.descents for solved_part in results]),
+        sum(solved_part.seconds for solved_part in parts),
         jumps,
-        {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
+        {
+            name: np.concatenate([solved_part[name] for solved_part in limits])
+            for name in limits[0]
+        },
         steadier=parts[0].steadier if jumps else None,
     )
 
@@ -289,17 +301,22 @@ class TakeSolver:
         packed = chain_targets(problem, targets)
         if not self.static:
             start = part.coordinates
-            done = self._timed(problem, start, targets, warm=False)
+            first_solution = self._timed(problem, start, targets, warm=False)
             return SolvedPart(
-                part, packed, *done, self._steadier(done[0], targets, start)
+                part,
+                packed,
+                *first_solution,
+                self._steadier(first_solution[0], targets, start),
             )
-        bent, seconds = self._bent(part, problem, targets)
-        start, more = self._begun(part, problem, bent, targets)
-        kept = part.coordinates[0]
-        done = self._timed(problem, start, targets, warm=True, prefer=kept)
-        seconds += more + done[1]
-        steadier = self._steadier(done[0], targets, None)
-        return SolvedPart(part, packed, done[0], seconds, steadier)
+        bent_start, seconds = self._bent(part, problem, targets)
+        start, restart_solution = self._begun(part, problem, bent_start, targets)
+        first_pose = part.coordinates[0]
+        first_solution = self._timed(
+            problem, start, targets, warm=True, prefer=first_pose
+        )
+        seconds += restart_solution + first_solution[1]
+        steadier = self._steadier(first_solution[0], targets, None)
+        return SolvedPart(part, packed, first_solution[0], seconds, steadier)
 
     def _steadier(
         self, result: IkResult, targets: Targets, start: FloatArray | None
@@ -308,7 +325,7 @@ class TakeSolver:
         angles = [jump.size for jump in result.jumps if not jump.slides]
         if not angles or self.options.smooth > 0:
             return None
-        best = Smoothing(0.0, SMALLER * max(angles))
+        best_smoothing = Smoothing(0.0, MIN_REDUCTION * max(angles))
         for seconds in TRIED_SMOOTHING:
             options = self._chosen(result.problem, warm=start is None)
             trial = smooth(
@@ -316,9 +333,9 @@ class TakeSolver:
             )
             jumps = jumps_of(trial, targets, start, self.rate)
             angle = max((jump.size for jump in jumps if not jump.slides), default=0.0)
-            if angle < SMALLER * best.angle:
-                best = Smoothing(seconds, angle)
-        return best if best.seconds > 0 else None
+            if angle < MIN_REDUCTION * best_smoothing.angle:
+                best_smoothing = Smoothing(seconds, angle)
+        return best_smoothing if best_smoothing.seconds > 0 else None
 
     def _problem(self, part: SolveSpan, goals: Sequence[Goal]) -> Problem:
         return build(
@@ -338,10 +355,12 @@ class TakeSolver:
         clip would keep the random pose of a restart.
         """
         first = rows_of(targets, slice(0, 1))
-        kept = part.coordinates[0]
-        poses, seconds = self._timed(problem, start, first, warm=False, prefer=kept)
-        new = poses.descents[0] > 1 and bool(poses.converged[0])
-        return poses.coordinates[0] if new else start, seconds
+        source_pose = part.coordinates[0]
+        poses, seconds = self._timed(
+            problem, start, first, warm=False, prefer=source_pose
+        )
+        moved_start = poses.descents[0] > 1 and bool(poses.converged[0])
+        return poses.coordinates[0] if moved_start else start, seconds
 
     def _bent(
         self, part: SolveSpan, problem: Problem, targets: Targets
@@ -366,14 +385,14 @@ class TakeSolver:
             poles[:, e], weights[:, e, PARTS.index("pole")] = point, 1.0
         if goals == self.goals:
             return part.coordinates[0], 0.0
-        leaning = self._problem(part, goals)
-        if self.options.method not in serving(leaning):
+        leaning_problem = self._problem(part, goals)
+        if self.options.method not in serving(leaning_problem):
             return part.coordinates[0], 0.0
         first = rows_of(targets, slice(0, 1))
         leaning_targets = replace(first, poles=poles, weights=weights)
         start = part.coordinates[0]
         poses, seconds = self._timed(
-            leaning, start, leaning_targets, warm=True, restarts=0
+            leaning_problem, start, leaning_targets, warm=True, restarts=0
         )
         return poses.coordinates[0], seconds
 
@@ -389,27 +408,29 @@ class TakeSolver:
     ) -> tuple[IkResult, float]:
         """Return a solution, and its time [s]."""
         options = self.options
-        chosen = self._chosen(problem, warm=warm, restarts=restarts)
-        began = time.perf_counter()
-        if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
+        frame_options = self._chosen(problem, warm=warm, restarts=restarts)
+        start_time = time.perf_counter()
+        if options.method in PATH_METHODS and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.clip_path import FollowOptions
             from animtool.ik.clip_solver import follow
 
-            searched = restarts is None
+            is_searched = restarts is None
             follow_options = FollowOptions(
-                chosen,
+                frame_options,
                 self.rate,
-                smooth=options.smooth if searched else 0.0,
-                branches=FollowOptions().branches if searched else 0,
+                smooth=options.smooth if is_searched else 0.0,
+                branches=FollowOptions().branches if is_searched else 0,
             )
             result = follow(problem, starts, targets, follow_options, prefer=prefer)
         else:
-            result = solve(problem, starts, targets, chosen, prefer=prefer)
-            if options.method in FOLLOWED and restarts is None:
+            result = solve(problem, starts, targets, frame_options, prefer=prefer)
+            if options.method in PATH_METHODS and restarts is None:
                 rows = result.coordinates if prefer is None else prefer
-                wished = np.broadcast_to(rows, result.coordinates.shape)
-                result = settled(problem, result, targets, chosen, wished)
-        return result, time.perf_counter() - began
+                preferred = np.broadcast_to(rows, result.coordinates.shape)
+                result = with_nearest_poses(
+                    problem, result, targets, frame_options, preferred
+                )
+        return result, time.perf_counter() - start_time
 
     def _chosen(
         self, problem: Problem, *, warm: bool, restarts: int | None = None
@@ -436,11 +457,11 @@ def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
     chain, rig = track.chain, problem.rig
     if chain is None or chain.pole_dir is None or not track.goal.position:
         return False
-    bones, j, end = 0, rig.index(chain.tip), rig.index(chain.root)
-    below = origins[j]
-    while j >= end:
-        if rig.names[j] in problem.joints and (origins[j] != below).any():
-            bones, below = bones + 1, origins[j]
+    bones, j, root_index = 0, rig.index(chain.tip), rig.index(chain.root)
+    point_below = origins[j]
+    while j >= root_index:
+        if rig.names[j] in problem.joints and (origins[j] != point_below).any():
+            bones, point_below = bones + 1, origins[j]
         j = rig.joints[j].parent
     return bones > 1
 
@@ -451,9 +472,11 @@ def _pole(rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int) -> Flo
     assert chain is not None
     root = rig.index(chain.root)
     origin = world.positions[frame, root]
-    far = np.linalg.norm(world.positions[frame, rig.index(chain.tip)] - origin)
+    pole_distance = np.linalg.norm(
+        world.positions[frame, rig.index(chain.tip)] - origin
+    )
     direction = np.array(chain.pole_dir, np.float64)
     parent = rig.joints[root].parent
     if parent >= 0:
         direction = world.linear[frame, parent] @ direction
-    return np.asarray(origin + direction * FAR * far)
+    return np.asarray(origin + direction * POLE_DISTANCE * pole_distance)

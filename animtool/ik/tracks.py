@@ -34,18 +34,18 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
-# A direction shorter than this fraction of its reference length is unknown.
-UNKNOWN = 1e-6
-# Limbs that bend by less than the first angle are straight, by more than the second
-# bent [rad].
-STRAIGHT, BENT = np.radians([5.0, 20.0])
+# A direction shorter than this fraction of its reference length is undefined.
+MIN_DIRECTION = 1e-6
+# Limbs that bend by less than the first angle count as straight, by more than the
+# second as bent [rad].
+STRAIGHT_ANGLE, BENT_ANGLE = np.radians([5.0, 20.0])
 # Frames per second of a file without a rate.
 DEFAULT_RATE = Fraction(24)
 
 
 @dataclass(frozen=True, slots=True)
 class FreeEffector:
-    """An effector's motion without its goal."""
+    """The motion of an effector without its goal."""
 
     rig: Rig  # J joints
     goal: Goal  # the effector, its point and axis
@@ -63,59 +63,63 @@ class FreeEffector:
         return so3.align_signs(so3.split_scale(linear)[0])
 
     def towards(
-        self, kind: GoalKind, values: FloatArray, shares: FloatArray
+        self, kind: GoalKind, values: FloatArray, weights: FloatArray
     ) -> FloatArray:
         """Return targets blended from the effector's free motion to their values.
 
         Points move along lines, rotations along the shortest arc; aim and pole points
         rotate about the effector or the limb's root. Points at the end of a straight
         limb rotate about its root too, at the distance of an evenly bending limb: on a
-        line the first degrees of its bend would take no time.
+        straight line, the first degrees of its bend would take no time.
 
-        ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``shares``
+        ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``weights``
         ``(F,)``.
         """
-        out = values.copy()
-        rows = (shares > 0) & (shares < 1)
-        fraction = shares[rows]
+        blended = values.copy()
+        rows = (weights > 0) & (weights < 1)
+        fraction = weights[rows]
         if not len(fraction):
-            return out
+            return blended
         if kind.value is TargetValue.ROTATION:
-            out[rows] = so3.slerp(self.orientation()[rows], values[rows], fraction)
-            return so3.align_signs(out)
+            blended[rows] = so3.slerp(self.orientation()[rows], values[rows], fraction)
+            return so3.align_signs(blended)
         if not kind.directed:
-            out[rows] = self._reaching(values, rows, fraction)
-            return out
+            blended[rows] = self._reaching(values, rows, fraction)
+            return blended
         origins, directions = self._axis() if kind.turning else self._bend(values)
-        away = values[rows] - origins[rows]
-        out[rows] = origins[rows] + swung(directions[rows], away, fraction)
-        return out
+        offsets = values[rows] - origins[rows]
+        blended[rows] = origins[rows] + swung(directions[rows], offsets, fraction)
+        return blended
 
     def _reaching(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray
     ) -> FloatArray:
         """Return blended positions of some rows ``(N, 3)``."""
-        here, there = self.position()[rows], values[rows]
-        straight = here + fraction[:, None] * (there - here)
+        start, end = self.position()[rows], values[rows]
+        straight = start + fraction[:, None] * (end - start)
         limb = self._limb()
         if limb is None or not self._is_complete(limb[0]):
             return np.asarray(straight)
         root, middle = (self.world.positions[rows, j] for j in limb)
-        a, b, reach, rotation = (
+        a, b, size, rotation = (
             np.linalg.norm(vector, axis=1)
-            for vector in (middle - root, here - middle, here - root, there - root)
+            for vector in (middle - root, start - middle, start - root, end - root)
         )
-        bends = bend(a, b, reach), bend(a, b, rotation)
+        bends = bend(a, b, size), bend(a, b, rotation)
         angle = bends[0] + fraction * (bends[1] - bends[0])
-        away = np.sqrt(np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0))
-        away += fraction * np.maximum(rotation - (a + b), 0.0)
-        known = (rotation > UNKNOWN * (a + b))[:, None]
-        ends = np.where(known, there - root, here - root)
-        vector = swung(here - root, ends, fraction)
-        size = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
-        bent = smoothstep((bends[0] - STRAIGHT) / (BENT - STRAIGHT))
-        about = root + vector * (away / size)[:, None]
-        return np.asarray(about + bent[:, None] * (straight - about))
+        limb_distance = np.sqrt(
+            np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0)
+        )
+        limb_distance += fraction * np.maximum(rotation - (a + b), 0.0)
+        has_direction = (rotation > MIN_DIRECTION * (a + b))[:, None]
+        end_direction = np.where(has_direction, end - root, start - root)
+        vector = swung(start - root, end_direction, fraction)
+        vector_length = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
+        bend_weight = smoothstep(
+            (bends[0] - STRAIGHT_ANGLE) / (BENT_ANGLE - STRAIGHT_ANGLE)
+        )
+        rotated = root + vector * (limb_distance / vector_length)[:, None]
+        return np.asarray(rotated + bend_weight[:, None] * (straight - rotated))
 
     def _limb(self) -> tuple[int, int] | None:
         """Return the root and middle joint of the limb."""
@@ -131,10 +135,10 @@ class FreeEffector:
         """Whether no joint above a limb's root moves for its goal."""
         if self.goal.root is not None:
             return True
-        above = self.rig.joints[root].parent
-        while above >= 0 and self.rig.joints[above].type is JointType.FIXED:
-            above = self.rig.joints[above].parent
-        return above < 0
+        parent = self.rig.joints[root].parent
+        while parent >= 0 and self.rig.joints[parent].type is JointType.FIXED:
+            parent = self.rig.joints[parent].parent
+        return parent < 0
 
     def _axis(self) -> tuple[FloatArray, FloatArray]:
         """Return origin and direction of the aim axis, each ``(F, 3)``."""
@@ -152,11 +156,16 @@ class FreeEffector:
         if limb is None:
             return point, poles - point
         root, middle = (self.world.positions[:, j] for j in limb)
-        along, bone = point - root, middle - root
-        square = np.maximum((along**2).sum(axis=1, keepdims=True), 1e-300)
-        off = bone - (bone * along).sum(axis=1, keepdims=True) / square * along
-        bent = np.linalg.norm(off, axis=1) > UNKNOWN * np.linalg.norm(bone, axis=1)
-        return root, np.where(bent[:, None], off, poles - root)
+        limb_vectors, bone = point - root, middle - root
+        square = np.maximum((limb_vectors**2).sum(axis=1, keepdims=True), 1e-300)
+        perpendicular = (
+            bone
+            - (bone * limb_vectors).sum(axis=1, keepdims=True) / square * limb_vectors
+        )
+        is_bent = np.linalg.norm(
+            perpendicular, axis=1
+        ) > MIN_DIRECTION * np.linalg.norm(bone, axis=1)
+        return root, np.where(is_bent[:, None], perpendicular, poles - root)
 
 
 def swung(start: FloatArray, end: FloatArray, fraction: FloatArray) -> FloatArray:
@@ -173,8 +182,8 @@ def swung(start: FloatArray, end: FloatArray, fraction: FloatArray) -> FloatArra
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.arctan2(sine[:, 0], (unit * end).sum(axis=1))
     # Opposite directions rotate about any perpendicular axis.
-    spare = np.cross(unit, np.eye(3)[np.abs(unit).argmin(axis=1)])
-    axis = np.where(sine > UNKNOWN * length, axis, spare)
+    perpendicular_axis = np.cross(unit, np.eye(3)[np.abs(unit).argmin(axis=1)])
+    axis = np.where(sine > MIN_DIRECTION * length, axis, perpendicular_axis)
     axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     rotation = so3.from_axis_angle(axis, fraction * angle)
     return np.asarray(length * so3.rotate(rotation, unit))
@@ -185,17 +194,17 @@ class GoalTrack:
     """A goal and its targets over frames."""
 
     name: str  # the effector, as the file has it
-    goal: Goal  # with all parts that are ever active
+    goal: Goal  # with all parts that are active at some time
     chain: IkChain | None  # the rig's chain whose tip it is; None for a plain joint
     # By part; None for unused parts, and for parts that are only held.
     values: Mapping[str, Value | None]
-    weights: Mapping[str, Value]  # by part; 1 for those that are left out
+    weights: Mapping[str, Value]  # by part; 1 for parts that are left out
     spans: tuple[Span, ...]  # held frames, ascending
-    ease: float  # [frame] before and after each span
+    ease: float  # before and after each span [frame]
     hold_parts: frozenset[str]  # the parts that the spans apply to
-    # Line and column in the file; its first where unknown.
+    # Line and column in the file; its first line if unknown.
     location: tuple[int, int] = (1, 1)
-    # Spans in which the goal is active, ascending; none is all frames.
+    # Spans in which the goal is active, ascending; empty for all frames.
     during: tuple[Span, ...] = ()
 
     @property
@@ -212,10 +221,10 @@ class TargetTracks:
         path: The file.
         fps: Frames per second; None if unspecified.
         first: First frame; None if unspecified.
-        last: Last frame, likewise.
+        last: Last frame; None if unspecified.
         goals: E goals.
         notices: Warnings about the file.
-        rate_place: Line and column of its frames a second.
+        rate_location: Line and column of its frame rate.
     """
 
     path: Path
@@ -228,15 +237,20 @@ class TargetTracks:
 
     @property
     def clock(self) -> Clock:
-        """The frames of the file: its range, else all that it mentions.
+        """The frames of the file: its range, else all frames that it mentions.
 
         Raises:
             OptionError: There are more than 10 million (CLIP006).
         """
         first, last = self.first, self.last
         if first is None or last is None:
-            ends = [end for goal in self.goals for end in _ends(goal)] or [1.0]
-            first, last = Fraction(min(ends)), Fraction(max(ends))
+            mentioned_frames = [end for goal in self.goals for end in _ends(goal)] or [
+                1.0
+            ]
+            first, last = (
+                Fraction(min(mentioned_frames)),
+                Fraction(max(mentioned_frames)),
+            )
         count = int((last - first) // 1) + 1
         if count > MAX_FRAMES:
             message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
@@ -297,12 +311,12 @@ class TargetTracks:
         """Return the targets of every frame.
 
         Args:
-            rig: With the joints of the effectors.
-            clock: F frames, of the rate of the file.
+            rig: Rig with the joints of the effectors.
+            clock: F frames at the rate of the file.
             world: World transforms without the goals, at which parts without a value
                 are held.
-            free: By goal, world transforms without that goal: goals with ``during``
-                spans fade from and to these. None is ``world``.
+            free: World transforms without each goal: goals with ``during`` spans fade
+                from and to these. None uses ``world``.
 
         Raises:
             OptionError: A frame has no row in an array (TGT015).
@@ -311,24 +325,28 @@ class TargetTracks:
         times = clock.times
         frames = SampleFrames(times, clock.fps)
         shape = (len(times), len(self.goals))
-        parts = {kind.targets: np.zeros((*shape, kind.value.value)) for kind in KINDS}
+        values_by_field = {
+            kind.targets: np.zeros((*shape, kind.value.value)) for kind in KINDS
+        }
         for kind in KINDS:
             if kind.value is TargetValue.ROTATION:
-                parts[kind.targets][..., 3] = 1.0
+                values_by_field[kind.targets][..., 3] = 1.0
         weights = np.ones((*shape, len(KINDS)))
         for e, track in enumerate(self.goals):
             source = FreeEffector(rig, track.goal, world)
             away = FreeEffector(rig, track.goal, free[e]) if free else source
-            asked = np.ones(len(times))
+            is_active = np.ones(len(times))
             if track.during:
-                asked = hold_weights(times, track.during, track.ease).max(axis=0)
+                is_active = hold_weights(times, track.during, track.ease).max(axis=0)
             for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
                 value, weight = _part(track, kind, frames, source)
-                parts[kind.targets][:, e] = away.towards(kind, value, asked)
-                weights[:, e, i] = weight * (asked > 0)
-        return Targets(**parts, weights=weights)
+                values_by_field[kind.targets][:, e] = away.towards(
+                    kind, value, is_active
+                )
+                weights[:, e, i] = weight * (is_active > 0)
+        return Targets(**values_by_field, weights=weights)
 
 
 rename_attributes(TargetTracks, rate_place="rate_location")
@@ -341,37 +359,37 @@ def _part(
     part = kind.name
     weight = np.ones(len(frames.times))
     if part in track.weights:
-        # A curve of keys above 0 may dip below between them.
+        # A curve of keys above 0 may dip below 0 between them.
         weight = np.maximum(track.weights[part].at(frames)[:, 0], 0.0)
     value = track.values[part]
     if value is not None:
-        free = value.at(frames)
+        curve_values = value.at(frames)
     else:
-        free = (
+        curve_values = (
             pose.orientation()
             if kind.value is TargetValue.ROTATION
             else pose.position()
         )
     if not track.spans or part not in track.hold_parts:
-        return free, weight
-    shares = hold_weights(frames.times, track.spans, track.ease)
+        return curve_values, weight
+    weights_in_span = hold_weights(frames.times, track.spans, track.ease)
     starts = np.array([first for first, _ in track.spans])
     if value is None:
         rows = np.interp(starts, frames.times, np.arange(len(frames.times)))
-        hold_values = between(free, rows)
-        weight = weight * shares.max(axis=0)
+        hold_values = between(curve_values, rows)
+        weight = weight * weights_in_span.max(axis=0)
     else:
         hold_values = value.at(replace(frames, times=starts))
-    return with_holds(free, shares, hold_values), weight
+    return with_holds(curve_values, weights_in_span, hold_values), weight
 
 
 def _ends(track: GoalTrack) -> list[float]:
     """Return the first and last frames that a goal mentions."""
-    ends = [end for span in (*track.spans, *track.during) for end in span]
+    mentioned_frames = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
         if isinstance(value, Keyed):
-            ends += [value.channel.times[0], value.channel.times[-1]]
+            mentioned_frames += [value.channel.times[0], value.channel.times[-1]]
         elif isinstance(value, ArrayRows):
             first = 1.0 if value.first is None else float(value.first)
-            ends += [first, first + len(value.values) - 1]
-    return ends
+            mentioned_frames += [first, first + len(value.values) - 1]
+    return mentioned_frames

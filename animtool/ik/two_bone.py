@@ -1,8 +1,8 @@
 """The closed form of a limb of two bones: a ball, then a pin or a ball.
 
-The elbow opens until the tip is as far from the root as its target is, then the
-shoulder turns it there by the shortest way, and about the line to the target until the
-elbow lies towards the pole.
+The elbow opens until the tip is as far from the root as its target. Then the shoulder
+rotates the tip there along the shortest arc, and about the line to the target until the
+elbow points towards the pole.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from animtool.core.array_types import FloatArray
 from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 
-# A pin is across a bone within this [1].
-ACROSS = 1e-12
+# Cosine below which a pin axis is perpendicular to a bone [1].
+PERPENDICULAR = 1e-12
 # Lengths below this fraction of the limb's count as zero.
 NO_LENGTH = 1e-12
 
 
-def misfit(problem: Problem) -> str | None:
+def incompatibility(problem: Problem) -> str | None:
     """Return why a problem is not a limb of two bones with a position goal."""
     nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
         return "the problem has more than one goal"
-    asked = {kind.name for kind in goal.kinds}
-    if "position" not in asked or not asked <= {"position", "pole"}:
+    kinds = {kind.name for kind in goal.kinds}
+    if "position" not in kinds or not kinds <= {"position", "pole"}:
         return "the goal is not a position, with or without a pole"
     if problem.rest_weight > 0:
         return "a pose is preferred"
@@ -37,7 +37,7 @@ def misfit(problem: Problem) -> str | None:
 
 def fits(problem: Problem) -> bool:
     """Return whether a problem is a limb of two bones with a position goal."""
-    return misfit(problem) is None
+    return incompatibility(problem) is None
 
 
 def _stiffness(chain: Chain) -> str | None:
@@ -49,13 +49,13 @@ def _stiffness(chain: Chain) -> str | None:
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
         return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
-        limited = not _unlimited(chain.numbers[1])
-        return "its second joint is a ball with limits" if limited else None
+        is_limited = not _unlimited(chain.numbers[1])
+        return "its second joint is a ball with limits" if is_limited else None
     axis = _rest(chain, 1)[:, 2]
     bone, tool = chain.goal_numbers[0, 2], chain.goal_numbers[0, 5]
-    across = max(abs(axis @ upper), abs(bone), abs(tool))
-    plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
-    if chain.nodes[1, 0] == PIN and plain and across < ACROSS:
+    largest_cosine = max(abs(axis @ upper), abs(bone), abs(tool))
+    is_plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
+    if chain.nodes[1, 0] == PIN and is_plain and largest_cosine < PERPENDICULAR:
         return None
     return "its second joint does not rotate about an axis across both bones"
 
@@ -74,23 +74,23 @@ def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
 
     Args:
         a: Length of the upper bone ``(B,)``.
-        b: Of the lower.
-        distance: From root to tip, brought into reach.
+        b: Length of the lower bone ``(B,)``.
+        distance: Distance from root to tip, clamped to the reach.
 
     >>> bend(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
     [0.0, 3.141593]
     """
-    reach = np.clip(distance, np.abs(a - b), a + b)
-    # The half-angle form keeps its digits at both ends.
-    short = (a + b - reach) * (a + b + reach)
-    long = (reach - (a - b)) * (reach + (a - b))
-    tangent = np.sqrt(np.maximum(short, 0)), np.sqrt(np.maximum(long, 0))
+    clamped = np.clip(distance, np.abs(a - b), a + b)
+    # The half-angle form stays accurate at both ends.
+    closing = (a + b - clamped) * (a + b + clamped)
+    opening = (clamped - (a - b)) * (clamped + (a - b))
+    tangent = np.sqrt(np.maximum(closing, 0)), np.sqrt(np.maximum(opening, 0))
     return np.asarray(2 * np.arctan2(*tangent))
 
 
 def perpendicular(vectors: FloatArray) -> FloatArray:
     """Return unit vectors at right angles to others ``(..., 3)``."""
-    least = np.argmin(np.abs(vectors), axis=-1)
-    crossed = np.cross(vectors, np.eye(3)[least])
-    size = np.linalg.norm(crossed, axis=-1, keepdims=True)
-    return np.where(size > 0, crossed / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])
+    smallest = np.argmin(np.abs(vectors), axis=-1)
+    normals = np.cross(vectors, np.eye(3)[smallest])
+    size = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(size > 0, normals / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])

@@ -24,16 +24,17 @@ from animtool.documents.references import missing_hint, referred, split_referenc
 from animtool.ik.schema import ValueModel
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import warn_of_length
 
 Span = tuple[float, float]
-# Returns positions [m] (F, 3) and rotations (F, 4) of a prim, in the world of the rig,
-# at seconds (F,).
+# Returns positions [m] ``(F, 3)`` and rotations ``(F, 4)`` of a prim, in the rig's
+# world space, at seconds ``(F,)``.
 PrimMotion: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-# A time this near to a row [frame] counts as on the row.
-ON_ROW = 1e-9
+# A time within this distance of a row is on the row [frame].
+ROW_TOLERANCE = 1e-9
 # Keys of values that follow a prim, and of values with keys.
-_OF_PRIM = ("file", "space", "offset", "rotate")
-_OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
+_PRIM_KEYS = ("file", "space", "offset", "rotate")
+_CURVE_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
 
 
 def smoothstep(fraction: FloatArray) -> FloatArray:
@@ -60,15 +61,15 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
     """
     weights = np.zeros((len(spans), len(times)))
     for i, (first, last) in enumerate(spans):
-        before = ease if i == 0 else min(ease, (first - spans[i - 1][1]) / 2)
-        behind = (
+        ease_in = ease if i == 0 else min(ease, (first - spans[i - 1][1]) / 2)
+        ease_out = (
             ease if i + 1 == len(spans) else min(ease, (spans[i + 1][0] - last) / 2)
         )
-        inside = (times >= first) & (times <= last)
-        weights[i, inside] = 1.0
-        for length, distance in ((before, first - times), (behind, times - last)):
-            near = (distance > 0) & (distance < length)
-            weights[i, near] = smoothstep(1.0 - distance[near] / length)
+        is_inside = (times >= first) & (times <= last)
+        weights[i, is_inside] = 1.0
+        for length, distance in ((ease_in, first - times), (ease_out, times - last)):
+            is_easing = (distance > 0) & (distance < length)
+            weights[i, is_easing] = smoothstep(1.0 - distance[is_easing] / length)
     return weights
 
 
@@ -87,16 +88,16 @@ def with_holds(
     >>> with_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
     [0.5, 1.0]
     """
-    out = values.copy()
+    held = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
         part = (weight > 0) & (weight < 1)
         if values.shape[1] == 4:
-            ends = np.broadcast_to(hold_value, out[part].shape)
-            out[part] = so3.slerp(out[part], ends, weight[part])
+            hold_values_of_part = np.broadcast_to(hold_value, held[part].shape)
+            held[part] = so3.slerp(held[part], hold_values_of_part, weight[part])
         else:
-            out[part] += weight[part, None] * (hold_value - out[part])
-        out[weight >= 1] = hold_value
-    return so3.align_signs(out) if values.shape[1] == 4 else out
+            held[part] += weight[part, None] * (hold_value - held[part])
+        held[weight >= 1] = hold_value
+    return so3.align_signs(held) if values.shape[1] == 4 else held
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +162,13 @@ class ArrayRows:
         first = 1.0 if self.first is None else float(self.first)
         row_numbers = frames.times - first
         last = len(self.values) - 1
-        beyond = (row_numbers < -ON_ROW) | (row_numbers > last + ON_ROW)
-        if beyond.any():
+        is_outside = (row_numbers < -ROW_TOLERANCE) | (
+            row_numbers > last + ROW_TOLERANCE
+        )
+        if is_outside.any():
             message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
             message += (
-                f"{first + last:g}, but none for frame {frames.times[beyond][0]:g}"
+                f"{first + last:g}, but none for frame {frames.times[is_outside][0]:g}"
             )
             hint = "add range to the targets, or use an array of that length"
             raise OptionError(self.fault(message, hint))
@@ -186,18 +189,24 @@ def between(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     [[0.5], [2.0]]
     """
     row_numbers = np.clip(row_numbers, 0.0, len(values) - 1.0)
-    near = np.round(row_numbers)
-    row_numbers = np.where(np.abs(row_numbers - near) <= ON_ROW, near, row_numbers)
-    low = np.floor(row_numbers).astype(np.int64)
-    fraction = row_numbers - low
-    values_between = values[low]
+    nearest_row = np.round(row_numbers)
+    row_numbers = np.where(
+        np.abs(row_numbers - nearest_row) <= ROW_TOLERANCE, nearest_row, row_numbers
+    )
+    row_below = np.floor(row_numbers).astype(np.int64)
+    fraction = row_numbers - row_below
+    values_between = values[row_below]
     part = fraction > 0
     if part.any():
-        high = values[low[part] + 1]
+        row_above = values[row_below[part] + 1]
         if values.shape[1] == 4:
-            values_between[part] = so3.slerp(values_between[part], high, fraction[part])
+            values_between[part] = so3.slerp(
+                values_between[part], row_above, fraction[part]
+            )
         else:
-            values_between[part] += fraction[part, None] * (high - values_between[part])
+            values_between[part] += fraction[part, None] * (
+                row_above - values_between[part]
+            )
     return values_between
 
 
@@ -232,7 +241,7 @@ class ValueReader:
     """Builds target values from a document; faults are added to it."""
 
     document: Document  # the file
-    rig: Rig | None  # prims are in its world; None reads no prims
+    rig: Rig | None  # prims are read in its world space; None reads no prims
     units: ClipUnits  # of the file
     roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens arrays while values are read
@@ -245,8 +254,8 @@ class ValueReader:
         reader.check(at, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
         target = {"rotation": "joint/x.rotation", "control": "control/x"}
-        named = target.get(kind, "joint/x.translation")
-        unit = self.units.of(named, model.euler or "")
+        target_name = target.get(kind, "joint/x.translation")
+        unit = self.units.of(target_name, model.euler or "")
         channel = reader.channel(at, model, key, kind, unit)
         return None if channel is None else Keyed(channel)
 
@@ -265,34 +274,37 @@ class ValueReader:
         return Constant(tuple(value * self.units.length for value in model))
 
     def _rotation(self, at: Location, numbers: list[float]) -> Constant | None:
-        rotations, wrong = file_quaternions(np.array([numbers], np.float64))
-        if wrong:
+        rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
+        if is_invalid:
             message = f"quaternion {numbers} has zero length"
             self.document.add("TGT007", at, message)
             return None
+        warn_of_length(self.document, at, numbers)
         return Constant(tuple(rotations[0].tolist()))
 
     def _keyed_or_prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
         if (model.keys is None) == (model.prim is None):
-            has = "both keys and a prim" if model.prim else "neither keys nor a prim"
-            self.document.add("TGT009", at, f"has {has}", "write one of them")
+            contents = (
+                "both keys and a prim" if model.prim else "neither keys nor a prim"
+            )
+            self.document.add("TGT009", at, f"has {contents}", "write one of them")
             return None
-        names = _OF_PRIM if model.keys is not None else _OF_KEYS
-        idle = [name for name in names if name in model.model_fields_set]
+        names = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
+        unused = [name for name in names if name in model.model_fields_set]
         if model.prim is not None and key != "orientation" and model.rotate:
-            idle.append("rotate")
+            unused.append("rotate")
         if key == "orientation" and model.offset:
-            idle.append("offset")
-        for name in dict.fromkeys(idle):
-            what = "keys have" if model.keys is not None else "only a prim has here"
-            self.document.add("TGT009", (*at, name), f"{what} no {name}")
+            unused.append("offset")
+        for name in dict.fromkeys(unused):
+            owner = "keys have" if model.keys is not None else "only a prim has here"
+            self.document.add("TGT009", (*at, name), f"{owner} no {name}")
         if model.keys is not None:
-            stated = {
+            curve_options = {
                 name: getattr(model, name)
                 for name in CurveModel.model_fields
                 if name in model.model_fields_set
             }
-            return self.curve(at, CurveModel.model_construct(**stated), key)
+            return self.curve(at, CurveModel.model_construct(**curve_options), key)
         return self._prim(at, model, key)
 
     def _prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
@@ -312,8 +324,8 @@ class ValueReader:
             return None
         rig = self.rig or Rig("", ())
         try:
-            opener = find_reader(path).prim_opener(path)
-            motion = cast(PrimMotion, opener(path, model.prim, rig, model.space))
+            stage_context = find_reader(path).prim_opener(path)
+            motion = cast(PrimMotion, stage_context(path, model.prim, rig, model.space))
         except AnimtoolError as error:
             for fault in error.faults:
                 key = "space" if fault.where == "space" else "prim"
@@ -330,10 +342,10 @@ class ValueReader:
             return None
         location = (*at, "file")
         path = referred(self.document, location, model.file, self.roots)
-        wrong = None if path is None else not_a_file_reason(path)
-        if wrong is not None:
+        reason = None if path is None else not_a_file_reason(path)
+        if reason is not None:
             hint = missing_hint(self.document, model.file)
-            self.document.add("DOC015", location, f"{model.file!r} {wrong}", hint)
+            self.document.add("DOC015", location, f"{model.file!r} {reason}", hint)
             return None
         return path
 
@@ -364,9 +376,9 @@ class ValueReader:
     def _finite_rows(
         self, at: Location, text: str, values: FloatArray, first: Fraction | None
     ) -> ArrayRows | None:
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if bad.size:
-            row = int(bad[0])
+        invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if invalid_rows.size:
+            row = int(invalid_rows[0])
             message = f"{text!r} holds {values[row].tolist()} in row {row}, not finite "
             message += "numbers"
             self.document.add("TGT007", at, message)
@@ -374,9 +386,13 @@ class ValueReader:
         location = self.document.position(at)
         if values.shape[1] == 3:
             return ArrayRows(text, values * self.units.length, first, location)
-        rotations, wrong = file_quaternions(values)
-        if wrong:
-            message = f"{text!r} contains a quaternion of zero length in row {wrong[0]}"
+        rotations, is_invalid = file_quaternions(values)
+        if is_invalid:
+            message = (
+                f"{text!r} contains a quaternion of zero length in row {is_invalid[0]}"
+            )
             self.document.add("TGT007", at, message)
             return None
+        k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
+        warn_of_length(self.document, at, values[k].tolist())
         return ArrayRows(text, rotations, first, location)

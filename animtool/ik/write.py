@@ -34,8 +34,7 @@ class TargetsText:
 def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     """Return tracks as the text of a targets file, and their arrays.
 
-    Numbers are read back exactly, except that a unit conversion may round the last
-    digit.
+    Numbers are read back exactly, apart from the last digit after a unit conversion.
 
     Args:
         tracks: With constants, keys and arrays, whose names contain their files.
@@ -81,7 +80,7 @@ class _TargetsWriter:
             if part == "aim":
                 yield "aim:"
                 yield f"  axis: {_flow(goal.aim_axis)}"
-                yield from _inside(self._value("at", value))
+                yield from _in_braces(self._value("at", value))
             else:
                 yield from self._value(part, value)
         yield from self._weights(track)
@@ -98,7 +97,7 @@ class _TargetsWriter:
             case Keyed(channel):
                 yield f"{key}:"
                 unit = self.units.angle if channel.euler else unit
-                yield from _inside(curve_lines(channel, unit))
+                yield from _in_braces(curve_lines(channel, unit))
             case _:
                 raise ValueError(f"{key} follows a prim, which is not written")
 
@@ -116,7 +115,7 @@ class _TargetsWriter:
                 yield f"  {part}: {number(weight.value[0])}"
             elif isinstance(weight, Keyed):
                 yield f"  {part}:"
-                yield from _inside(_inside(curve_lines(weight.channel, 1.0)))
+                yield from _in_braces(_in_braces(curve_lines(weight.channel, 1.0)))
 
 
 def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
@@ -136,7 +135,7 @@ def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
         yield f"ease: {number(track.ease)}"
 
 
-def _inside(lines: Iterator[str]) -> Iterator[str]:
+def _in_braces(lines: Iterator[str]) -> Iterator[str]:
     return (f"  {line}" for line in lines)
 
 

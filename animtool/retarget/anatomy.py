@@ -52,16 +52,17 @@ _SHAPES = {
     )
 }
 # Confidence in a role by its evidence.
-_SURE = {
+_CONFIDENCE = {
     RoleSource.PRESET: 1.0,
     RoleSource.NAME: 0.9,
     RoleSource.STRUCTURE: 0.7,
     RoleSource.NONE: 0.0,
 }
-MAX_NAMED = 4
-# What extends less far forward, over the longest toe, is a heel, not a toe.
-_TOE = 0.4
-# Least number of joints of a second body.
+MAX_LISTED = 4
+# A part of the foot that extends less far forward than this fraction of the longest toe
+# is a heel, not a toe.
+_MIN_TOE_FRACTION = 0.4
+# Minimum number of joints of a second body.
 MIN_BODY_JOINTS = 8
 
 
@@ -92,11 +93,11 @@ def anatomy(
 
     Args:
         rig: J joints.
-        preset: The convention of its names; None finds it.
+        preset: Naming convention of the joints; None detects it.
         positions: Joint positions in a standing pose ``(J, 3)`` [m], world;
             None is the rest pose. Only sides and fingers depend on it, and only if
             names do not tell.
-        by_names: Whether names count.
+        by_names: Whether names are used.
 
     Raises:
         OptionError: Unknown preset (MAP003).
@@ -104,16 +105,16 @@ def anatomy(
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
         # Roles stated by the file precede guesses from names.
-        pairs = zip(rig.joints, names, strict=True)
-        names = [joint.humanoid or name for joint, name in pairs]
-    read = read_names(names, rig.parents)
+        named_joints = zip(rig.joints, names, strict=True)
+        names = [joint.humanoid or name for joint, name in named_joints]
+    read_names_ = read_names(names, rig.parents)
     chosen: Preset | None = None
     if preset is not None:
         chosen = find_preset(preset)
     elif by_names:
-        chosen = best_preset(names, read)
-    votes = role_votes(read, chosen) if by_names else [{} for _ in names]
-    kinds = [name.kind if by_names else "" for name in read]
+        chosen = best_preset(names, read_names_)
+    votes = role_votes(read_names_, chosen) if by_names else [{} for _ in names]
+    kinds = [name.kind if by_names else "" for name in read_names_]
     body = SkeletonTree.of(rig, votes, kinds)
     search = _Search(body, [""] * len(names))
     notices = _largest_tree(search)
@@ -130,9 +131,11 @@ def anatomy(
     _rest(search)
     notices += _doubts(search)
     evidence = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
-    sure = tuple(_SURE[how] for how in evidence)
+    confidence = tuple(_CONFIDENCE[source] for source in evidence)
     name = chosen.name if chosen else ""
-    return Anatomy(tuple(search.roles), tuple(evidence), sure, name, tuple(notices))
+    return Anatomy(
+        tuple(search.roles), tuple(evidence), confidence, name, tuple(notices)
+    )
 
 
 def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
@@ -151,23 +154,28 @@ def _largest_tree(search: _Search) -> list[Fault]:
     if len(tops) == 1:
         # Bodies below one root: their hips are not below each other.
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
-        nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
-        tops = [j for j, above in zip(hips, nested, strict=True) if not above]
+        nested_hips = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
+        tops = [
+            j for j, hips_above in zip(hips, nested_hips, strict=True) if not hips_above
+        ]
         tops = [j for j in tops if body.counts[j] >= MIN_BODY_JOINTS]
     if len(tops) < 2:
         return []
-    main = max(tops, key=lambda j: body.counts[j])
-    others = [j for j in tops if j != main and body.counts[j] >= MIN_BODY_JOINTS]
+    main_hips = max(tops, key=lambda j: body.counts[j])
+    other_tops = [
+        j for j in tops if j != main_hips and body.counts[j] >= MIN_BODY_JOINTS
+    ]
     for j in range(len(search.roles)):
-        above = body.rig.upwards(j)
-        if main not in above and not set(above).isdisjoint(tops):
+        hips_above = body.rig.upwards(j)
+        if main_hips not in hips_above and not set(hips_above).isdisjoint(tops):
             search.roles[j] = CONTROL
-    if not others:
+    if not other_tops:
         return []
     names = body.rig.names
     message = (
-        f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is "
-        f"mapped, {listed([repr(names[r]) for r in others], MAX_NAMED)} are skipped"
+        f"{len(other_tops) + 1} skeletons in one file: that of {names[main_hips]!r} is "
+        f"mapped, {listed([repr(names[j]) for j in other_tops], MAX_LISTED)} are "
+        "skipped"
     )
     hint = "export the others to separate files"
     return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
@@ -182,10 +190,10 @@ def _find_limbs(search: _Search) -> None:
             if tip >= 0:
                 search.tips[f"{limb}_{side}"] = tip
     for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
-        known = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
-        known |= {j for j, role in enumerate(search.roles) if role}
-        named = any(f"{limb}_{side}" in search.tips for side in SIDES)
-        if pair and not named and known.isdisjoint(pair):
+        assigned = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
+        assigned |= {j for j, role in enumerate(search.roles) if role}
+        has_name = any(f"{limb}_{side}" in search.tips for side in SIDES)
+        if pair and not has_name and assigned.isdisjoint(pair):
             search.unsided.append(limb)
             for side, top in zip(SIDES, pair, strict=True):
                 search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
@@ -194,36 +202,41 @@ def _find_limbs(search: _Search) -> None:
 def _named_tip(search: _Search, roles: set[str]) -> int:
     """Return the joint with the most limb names above it; -1 if no joint has one."""
     body = search.body
-    best, most = -1, 0.0
+    best_joint, best_score = -1, 0.0
     for j, votes in enumerate(body.votes):
         if search.roles[j] or roles.isdisjoint(votes):
             continue
-        above = [roles & body.votes[k].keys() for k in body.rig.upwards(j)]
-        score = len(set().union(*above)) + 0.01 * sum(map(bool, above))
-        if score > most:
-            best, most = j, score
-    return best
+        named_roles_above = [roles & body.votes[k].keys() for k in body.rig.upwards(j)]
+        score = len(set().union(*named_roles_above)) + 0.01 * sum(
+            map(bool, named_roles_above)
+        )
+        if score > best_score:
+            best_joint, best_score = j, score
+    return best_joint
 
 
 def _sides_by_position(search: _Search, across: FloatArray) -> None:
     """Tell left from right by limb positions; by file order where they coincide."""
     body, tips = search.body, search.tips
     for limb in search.unsided:
-        pair = [f"{limb}_{side}" for side in SIDES]
-        top = body.common([tips[name] for name in pair])
-        chains = [body.path(top, tips[name])[1:] for name in pair]
-        # Hands and feet may cross, where limbs begin they do not.
+        tip_names = [f"{limb}_{side}" for side in SIDES]
+        common_joint = body.common([tips[name] for name in tip_names])
+        chains = [body.path(common_joint, tips[name])[1:] for name in tip_names]
+        # Hands and feet may cross; where limbs begin they do not.
         for upper in (2, None):
-            left, right = (
+            left_middle, right_middle = (
                 body.positions[chain[:upper]].mean(axis=0) for chain in chains
             )
-            gap = float((left - right) @ across)
-            if abs(gap) > 0.01 * body.size:
+            signed_distance = float((left_middle - right_middle) @ across)
+            if abs(signed_distance) > 0.01 * body.size:
                 break
-        if abs(gap) <= 1e-3 * max(body.size, 1e-30):
+        if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
             search.guessed = True
-        elif gap < 0:
-            tips[pair[0]], tips[pair[1]] = tips[pair[1]], tips[pair[0]]
+        elif signed_distance < 0:
+            tips[tip_names[0]], tips[tip_names[1]] = (
+                tips[tip_names[1]],
+                tips[tip_names[0]],
+            )
 
 
 def _trunk(search: _Search) -> None:
@@ -240,17 +253,19 @@ def _trunk(search: _Search) -> None:
     seat = body.common(legs) if len(legs) == 2 else fork
     hips = _hips(search, fork, seat)
     search.set_role(hips, "hips")
-    start = max(fork, hips) if fork < 0 else fork
-    if start < 0 and upper:
-        start = body.rig.upwards(upper[-1])[-1]
+    spine_start = max(fork, hips) if fork < 0 else fork
+    if spine_start < 0 and upper:
+        spine_start = body.rig.upwards(upper[-1])[-1]
     for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
-        if fork <= j < hips or j < start:
+        if fork <= j < hips or j < spine_start:
             search.set_role(j, "root")
-    for j in body.path(start, seat) if seat > start else ():
+    for j in body.path(spine_start, seat) if seat > spine_start else ():
         search.set_role(j, "pelvis")
     if upper:
-        start = start if start in body.rig.upwards(upper[-1]) else max(hips, 0)
-        _spine(search, start, chest, head)
+        spine_start = (
+            spine_start if spine_start in body.rig.upwards(upper[-1]) else max(hips, 0)
+        )
+        _spine(search, spine_start, chest, head)
 
 
 def _spine(search: _Search, start: int, chest: int, head: int) -> None:
@@ -260,13 +275,13 @@ def _spine(search: _Search, start: int, chest: int, head: int) -> None:
         for j in body.path(start, chest):
             search.set_role(j, "spine")
     search.set_role(head, "head")
-    top = head if head >= 0 else chest
-    path = body.path(start, top)
-    named = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
-    after = path.index(chest) + 1 if chest in path else len(path)
-    after = named[0] if named else after
+    topmost = head if head >= 0 else chest
+    path = body.path(start, topmost)
+    neck_indices = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
+    after_chest = path.index(chest) + 1 if chest in path else len(path)
+    after_chest = neck_indices[0] if neck_indices else after_chest
     for i, j in enumerate(path):
-        search.set_role(j, "spine" if i < after else "neck")
+        search.set_role(j, "spine" if i < after_chest else "neck")
 
 
 def _best_named(search: _Search, role: str) -> int:
@@ -275,18 +290,18 @@ def _best_named(search: _Search, role: str) -> int:
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)
     ]
-    best = int(np.argmax(weights)) if weights else -1
-    return best if best >= 0 and weights[best] > 0 else -1
+    best_index = int(np.argmax(weights)) if weights else -1
+    return best_index if best_index >= 0 and weights[best_index] > 0 else -1
 
 
 def _hips(search: _Search, fork: int, seat: int) -> int:
     """Return the named hips if near the leg-trunk fork, else the fork."""
     body = search.body
-    named = _best_named(search, "hips")
+    named_hips = _best_named(search, "hips")
     if fork < 0:
-        return named if named >= 0 else seat
-    near = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
-    candidates = [j for j in near if "hips" in body.votes[j]]
+        return named_hips if named_hips >= 0 else seat
+    nearby = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
+    candidates = [j for j in nearby if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
     top_voted = [j for j in candidates if body.votes[j]["hips"] == weight]
     return max(top_voted, key=lambda j: (j == fork, j), default=fork)
@@ -296,11 +311,13 @@ def _head_below(search: _Search, chest: int) -> int:
     """Return the head by structure: the chain's first fork, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
-    others = [j for j in body.limb_children(chest) if j not in arms]
-    if not others:
+    branches = [j for j in body.limb_children(chest) if j not in arms]
+    if not branches:
         return -1
-    size = [body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in others]
-    path = body.heaviest(others[int(np.argmax(size))])
+    branch_sizes = [
+        body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in branches
+    ]
+    path = body.heaviest(branches[int(np.argmax(branch_sizes))])
     forks = [j for j in path if len(body.limb_children(j)) > 1]
     return forks[0] if forks else path[-1]
 
@@ -309,13 +326,15 @@ def _limb(search: _Search, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tips[limb]
-    others = {
+    other_tips = {
         j
         for name, other in search.tips.items()
         if name != limb
         for j in body.rig.upwards(other)
     }
-    path = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
+    path = [
+        j for j in body.rig.upwards(tip) if j not in other_tips and not search.roles[j]
+    ]
     path = [*path[::-1], *body.heaviest(tip)[1:]]
     if not path:
         return
@@ -325,11 +344,11 @@ def _limb(search: _Search, limb: str) -> None:
     labels = split_limb(body, path, _SHAPES[limb], branch)
     for j, label in zip(path, labels, strict=True):
         search.set_role(j, "" if body.kinds[j] == CONTROL else label)
-    hands = [
+    hand_joints = [
         j for j, label in zip(path, labels, strict=True) if label == f"hand_{side}"
     ]
-    if kind == "arm" and hands:
-        for j, role in finger_roles(body, hands, side).items():
+    if kind == "arm" and hand_joints:
+        for j, role in finger_roles(body, hand_joints, side).items():
             search.set_role(j, "" if body.kinds[j] == CONTROL else role)
     if kind == "leg":
         _toes(search, side)
@@ -338,9 +357,9 @@ def _limb(search: _Search, limb: str) -> None:
 def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], int]:
     """Return an arm's chain without fingers, and the joint the fingers branch from."""
     votes = search.body.votes
-    hands = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
-    if hands:
-        return path[: hands[-1] + 1], path[hands[-1]]
+    hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
+    if hand_indices:
+        return path[: hand_indices[-1] + 1], path[hand_indices[-1]]
     branch, count = search.body.branches(path)
     if count < 2:
         return path, -1
@@ -351,17 +370,19 @@ def _to_toe(search: _Search, path: list[int]) -> list[int]:
     """Return a leg's chain without the toes if the foot has several."""
     body = search.body
     tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
-    named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
-    last = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
+    toe_indices = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
+    last_named = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
     forks = [i for i, j in enumerate(path) if len(body.limb_children(j)) > 1]
-    ends = [*named, *(i for i in forks if i >= max(last, 2))]
-    return path[: ends[0] + 1] if ends else path
+    candidates = [*toe_indices, *(i for i in forks if i >= max(last_named, 2))]
+    return path[: candidates[0] + 1] if candidates else path
 
 
 def _toes(search: _Search, side: str) -> None:
     """Assign the toe role to every toe chain of a foot that has several."""
     body, role = search.body, f"toe_{side}"
-    feet = [j for j, each in enumerate(search.roles) if each == f"foot_{side}"]
+    feet = [
+        j for j, other_role in enumerate(search.roles) if other_role == f"foot_{side}"
+    ]
     if not feet:
         return
     begins = [
@@ -375,20 +396,24 @@ def _toes(search: _Search, side: str) -> None:
     if len(begins) < 2:
         return
     sizes = np.linalg.norm(directions, axis=1)
-    along = (
+    alignment = (
         directions @ directions[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
     )
-    toes = [j for j, far in zip(begins, along, strict=True) if far > _TOE * along.max()]
-    for top in toes if len(toes) > 1 else ():
-        for j in range(top, len(search.roles)):
-            if top in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
+    toes = [
+        j
+        for j, fraction in zip(begins, alignment, strict=True)
+        if fraction > _MIN_TOE_FRACTION * alignment.max()
+    ]
+    for toe in toes if len(toes) > 1 else ():
+        for j in range(toe, len(search.roles)):
+            if toe in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
                 search.set_role(j, role)
 
 
 def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
     """Return the end position of the chain that starts at a joint ``(3,)`` [m]."""
-    last = body.heaviest(joint)[-1]
-    return np.asarray(body.positions[last] + body.last_bones[last])
+    last_joint = body.heaviest(joint)[-1]
+    return np.asarray(body.positions[last_joint] + body.last_bones[last_joint])
 
 
 def _rest(search: _Search) -> None:
@@ -409,12 +434,12 @@ ONE_LEG = ("whole left leg", "whole right leg")
 
 def _missing_legs(roles: Sequence[str]) -> str:
     """Return which leg joints a skeleton lacks; empty if both legs are complete."""
-    intact = [
+    complete_sides = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
         for side in "lr"
     ]
-    if any(intact):
-        return "" if all(intact) else ONE_LEG[intact[0]]
+    if any(complete_sides):
+        return "" if all(complete_sides) else ONE_LEG[complete_sides[0]]
     return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
 
 
@@ -422,9 +447,12 @@ def _doubts(search: _Search) -> list[Fault]:
     """Return warnings about a skeleton's anatomy, with the fallback that was used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
-    blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]
+    fingerless = [
+        repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0
+    ]
     texts = []
-    missing = _missing_legs(roles)
+    # Without any limb it is no body: a lamp, a snake.
+    missing = _missing_legs(roles) if search.tips else ""
     if missing:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
         if missing in ONE_LEG:
@@ -433,8 +461,8 @@ def _doubts(search: _Search) -> list[Fault]:
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
         texts.append(("MAP102", message, "joints are mapped by name only"))
-    if blunt:
-        names = listed(blunt, MAX_NAMED)
+    if fingerless:
+        names = listed(fingerless, MAX_LISTED)
         message = f"the rest pose of {rig.name!r} does not show where {names} end"
         texts.append(("MAP104", message, "the hand is assumed to continue the forearm"))
     if search.guessed:

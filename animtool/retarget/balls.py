@@ -1,4 +1,4 @@
-"""Balls of feet: where a foot rolls, for any number of toes."""
+"""Balls of feet: the points that feet roll over, for any number of toes."""
 
 from __future__ import annotations
 
@@ -12,34 +12,35 @@ from animtool.maths import so3
 from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import END
 
-# A foot end nearer to its ankle than this fraction of the leg is ignored [1].
-SHORT = 0.04
-# Cosine to the shin above which a foot's end is its heel, or the ground [1].
+# Feet shorter than this fraction of the leg are ignored [1].
+MIN_FOOT = 0.04
+# Cosine to the shin above which the end of a foot is its heel or the ground [1].
 ALONG_SHIN = 0.97
-# A toe that begins this near to the ankle, over its length, has a metatarsal [1].
-AT_ANKLE = 0.15
+# A toe chain that begins within this fraction of its length of the ankle has a
+# metatarsal [1].
+METATARSAL_START = 0.15
 
 
 def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
     """Return the ball of each foot of a skeleton, by side.
 
-    It is where the toes begin: the middle of the foremost ones. A foot without toes
-    ends in its ball or in its toe tip, whichever fits the other skeleton's foot better.
-    A foot without a visible end takes the other's ball, scaled. Feet without any data
-    have none.
+    The ball is where the toes begin: the middle of the foremost toe joints. A foot
+    without toes ends in its ball or in its toe tip, whichever fits the other skeleton's
+    foot better. A foot without a visible end takes the other skeleton's ball, scaled.
+    Feet without any data have none.
     """
     balls = {}
     for side in "lr":
-        leg, theirs = skeleton.leg(side), other.leg(side)
+        leg, other_leg = skeleton.leg(side), other.leg(side)
         if leg is None:
             continue
         foot, toes = leg[2], _toes(skeleton, side)
         if toes:
             vector = _roll(skeleton, foot, toes)
         else:
-            known = None if theirs is None else _shape(other, side)
-            size = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
-            end = _toeless(skeleton, side, known, size)
+            other_shape = None if other_leg is None else _shape(other, side)
+            leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
+            end = _toeless(skeleton, side, other_shape, leg_ratio)
             if end is None:
                 continue
             vector = end
@@ -52,8 +53,8 @@ def ball_positions(
     ball: Ball, foot: int, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
     """Return the ball's position ``(F, 3)`` [m] from world joints ``(F, J, …)``."""
-    if ball.joint >= 0:
-        return positions[:, ball.joint]
+    if ball.toe >= 0:
+        return positions[:, ball.toe]
     return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 
@@ -62,13 +63,17 @@ def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
     joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}
     parents = skeleton.rig.parents
     starts = []
-    for top in sorted(j for j in joints if int(parents[j]) not in joints):
-        ends = [j for j in joints if top in skeleton.rig.upwards(j)]
+    for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
+        chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
         foot = skeleton.positions[_foot(skeleton, side)]
-        length = float(np.linalg.norm(skeleton.positions[max(ends)] - foot))
-        near = float(np.linalg.norm(skeleton.positions[top] - foot))
-        below = [j for j in ends if int(parents[j]) == top]
-        starts.append(below[0] if below and near < AT_ANKLE * length else top)
+        length = float(np.linalg.norm(skeleton.positions[max(chain_ends)] - foot))
+        distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
+        next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
+        starts.append(
+            next_joints[0]
+            if next_joints and distance < METATARSAL_START * length
+            else first_joint
+        )
     return starts
 
 
@@ -78,9 +83,9 @@ def _roll(skeleton: RoledSkeleton, foot: int, toes: Sequence[int]) -> FloatArray
     facing = skeleton.facing
     if len(offsets) == 1 or facing is None:
         return np.asarray(offsets.mean(axis=0))
-    first = offsets[int(np.argmax(offsets @ facing[2]))]
-    across = float((offsets.mean(axis=0) - first) @ facing[0])
-    return np.asarray(first + across * facing[0])
+    foremost = offsets[int(np.argmax(offsets @ facing[2]))]
+    sideways = float((offsets.mean(axis=0) - foremost) @ facing[0])
+    return np.asarray(foremost + sideways * facing[0])
 
 
 def _foot(skeleton: RoledSkeleton, side: str) -> int:
@@ -91,8 +96,8 @@ def _foot(skeleton: RoledSkeleton, side: str) -> int:
 class _Shape:
     """A foot at rest: left, up and forward components from the ankle [m]."""
 
-    ball: FloatArray | None  # where toes begin (3,)
-    tip: FloatArray | None  # where the last of it ends (3,)
+    ball: FloatArray | None  # where toes begin (3,); None without toes
+    tip: FloatArray | None  # the farthest end of the foot (3,)
 
 
 def _shape(skeleton: RoledSkeleton, side: str) -> _Shape | None:
@@ -114,9 +119,9 @@ def _tip(
     """Return the vector to the farthest end of a joint chain ``(3,)``."""
     rig = skeleton.rig
     count, tops = len(rig.joints), {*joints}
-    below = [j for j in range(count) if not tops.isdisjoint(rig.upwards(j))]
-    offsets = [skeleton.positions[j] - start for j in below]
-    for j in below:
+    descendants = [j for j in range(count) if not tops.isdisjoint(rig.upwards(j))]
+    offsets = [skeleton.positions[j] - start for j in descendants]
+    for j in descendants:
         offsets += [
             skeleton.positions[j]
             + so3.rotate(skeleton.rotations[j], np.asarray(tip))
@@ -127,51 +132,51 @@ def _tip(
 
 
 def _toeless(
-    skeleton: RoledSkeleton, side: str, other: _Shape | None, size: float
+    skeleton: RoledSkeleton, side: str, other: _Shape | None, leg_ratio: float
 ) -> FloatArray | None:
     """Return the vector from the ankle to the ball of a foot without toes ``(3,)``."""
     leg = skeleton.leg(side)
     assert leg is not None
-    start = skeleton.positions[leg[2]]
-    tip = _foot_end(skeleton, leg, start)
+    ankle = skeleton.positions[leg[2]]
+    tip = _foot_end(skeleton, leg, ankle)
     facing = skeleton.facing
     if facing is None or other is None or other.ball is None:
         return tip
     if tip is None:
-        return np.asarray(size * (other.ball @ facing))
+        return np.asarray(leg_ratio * (other.ball @ facing))
     if other.tip is None:
         return tip
     lengths = [float(np.linalg.norm(offset)) for offset in (other.ball, other.tip)]
     if not 0 < lengths[0] < lengths[1]:
         return tip
-    between = size * float(np.sqrt(lengths[0] * lengths[1]))
-    if float(np.linalg.norm(tip)) <= between:
+    geometric_mean = leg_ratio * float(np.sqrt(lengths[0] * lengths[1]))
+    if float(np.linalg.norm(tip)) <= geometric_mean:
         return tip
-    # It ends where the other foot's toes do.
-    end = facing @ tip
-    shares = [
-        a / b if abs(b) > SHORT * lengths[1] else 1.0
+    # It ends where the other foot's toes end.
+    tip_in_axes = facing @ tip
+    fractions = [
+        a / b if abs(b) > MIN_FOOT * lengths[1] else 1.0
         for a, b in zip(other.ball, other.tip, strict=True)
     ]
-    return np.asarray((end * np.clip(shares, 0.0, 1.0)) @ facing)
+    return np.asarray((tip_in_axes * np.clip(fractions, 0.0, 1.0)) @ facing)
 
 
 def _foot_end(
-    skeleton: RoledSkeleton, leg: tuple[int, int, int, int], start: FloatArray
+    skeleton: RoledSkeleton, leg: tuple[int, int, int, int], ankle: FloatArray
 ) -> FloatArray | None:
     """Return the vector to the end of a foot without toes ``(3,)``; None if unknown."""
     rig, (_, shin, foot, _) = skeleton.rig, leg
     rotation = skeleton.rotations[foot]
     offsets = [so3.rotate(rotation, np.asarray(tip)) for tip in rig.joints[foot].tips]
     offsets += [
-        skeleton.positions[j] - start
+        skeleton.positions[j] - ankle
         for j, parent in enumerate(rig.parents.tolist())
         if parent == foot and skeleton.roles[j] == END
     ]
-    end = max(offsets, key=lambda offset: float(offset @ offset), default=None)
-    bone = start - skeleton.positions[shin]
-    length = 0.0 if end is None else float(np.linalg.norm(end))
-    if end is None or length < SHORT * float(np.linalg.norm(bone)):
+    farthest = max(offsets, key=lambda offset: float(offset @ offset), default=None)
+    bone = ankle - skeleton.positions[shin]
+    length = 0.0 if farthest is None else float(np.linalg.norm(farthest))
+    if farthest is None or length < MIN_FOOT * float(np.linalg.norm(bone)):
         return None
-    cosine = float(end @ bone) / (length * float(np.linalg.norm(bone)))
-    return None if cosine > ALONG_SHIN else np.asarray(end)
+    cosine = float(farthest @ bone) / (length * float(np.linalg.norm(bone)))
+    return None if cosine > ALONG_SHIN else np.asarray(farthest)

@@ -1,8 +1,8 @@
 """Drift of captured roots, measured from planted feet and removed.
 
 Inertial suits slowly lose their position and heading. A planted foot does not move, so
-its apparent motion is the root's drift. On level ground all planted feet are at one
-height.
+its apparent motion is the root's drift. On level ground all planted feet are at the
+same height.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
+from animtool.retarget.feet_pass import no_body_warning
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.take_pass import no_body_warning
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
-# Drift is slower than this, and steps are slower than that [Hz].
-SLOWER, STEPS = 0.1, 0.4
-# Drift is the median of contacts this long before and after [s].
-WINDOW = 10.0
-# Fraction of a contact at either end in which the foot lands or lifts.
-LANDING = 0.2
-# Fewer frames have no reliable speed.
+# Upper frequency limit of drift, and lower frequency limit of steps [Hz].
+DRIFT_FREQUENCY, STEP_FREQUENCY = 0.1, 0.4
+# Half width of the window in which drift is the median of contacts [s].
+WINDOW_SECONDS = 10.0
+# Fraction of a contact at either end during which the foot lands or lifts.
+LANDING_FRACTION = 0.2
+# A speed estimate needs at least this many frames.
 MIN_FRAMES = 4
 
 
@@ -46,12 +46,12 @@ class DriftOptions:
     """Which components of the root's drift are removed.
 
     Attributes:
-        place: Whether its position on the ground drifts.
-        heading: Whether its rotation about the vertical drifts; feet that pivot on
-            purpose most of the time look the same.
-        height: Whether its height drifts, on level ground.
-        closed: Whether the take ends where it begins, with its heading; what feet do
-            not tell is then distributed over it.
+        place: Whether the position on the ground drifts.
+        heading: Whether the rotation about the vertical drifts; feet that intentionally
+            pivot most of the time look the same.
+        height: Whether the height drifts; requires level ground.
+        closed: Whether the take ends where it begins, with the same heading; the
+            remaining drift is then distributed over it.
         map: A map file that names leg and foot joints; None detects them.
     """
 
@@ -70,7 +70,7 @@ class _StanceTracks:
     """
 
     position: ComplexArray  # of planted feet (F,) [m]
-    speed: ComplexArray  # without that of the spin about the origin (F,) [m/s]
+    speed: ComplexArray  # without that due to spin about the origin (F,) [m/s]
     spin: FloatArray  # about the vertical (F,) [rad/s]
     height: FloatArray  # above their median height (F,) [m]
 
@@ -93,28 +93,31 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
         message = "no foot is planted long enough to measure drift: nothing is changed"
         context.notices.append(Fault("CAP103", message, severity=Severity.WARNING))
         return take
-    old, at = take.motion, np.array([take.rig.roots[0]])
-    before, rotations = (
-        each.gather(at)[:, 0] for each in (old.translations, old.rotations)
+    source_motion, root_index = take.motion, np.array([take.rig.roots[0]])
+    root_positions, rotations = (
+        channel.gather(root_index)[:, 0]
+        for channel in (source_motion.translations, source_motion.rotations)
     )
     up, (a, b) = _axes(take)
-    root = before[:, a] + 1j * before[:, b]
+    root = root_positions[:, a] + 1j * root_positions[:, b]
     angle, shift = _corrected(take, options, stance, root, rotations)
-    positions = before.copy()
+    positions = root_positions.copy()
     corrected = np.exp(1j * angle) * root + shift
     positions[:, a], positions[:, b] = corrected.real, corrected.imag
     if options.height:
         positions[:, up] -= stance.height
     rotation = so3.from_axis_angle(np.eye(3)[up], angle)
-    turned = so3.align_signs(so3.multiply(rotation, rotations))
+    corrected_rotations = so3.align_signs(so3.multiply(rotation, rotations))
     motion = replace(
-        old,
-        translations=old.translations.put(at, positions[:, None]),
-        rotations=old.rotations.put(at, turned[:, None]),
+        source_motion,
+        translations=source_motion.translations.put(root_index, positions[:, None]),
+        rotations=source_motion.rotations.put(root_index, corrected_rotations[:, None]),
     )
-    far = float(np.linalg.norm(positions - before, axis=1).max())
+    largest_shift = float(np.linalg.norm(positions - root_positions, axis=1).max())
     degrees = float(np.degrees(np.abs(angle)).max())
-    message = f"the root is moved by up to {length_text(far)} and rotated by up to "
+    message = (
+        f"the root is moved by up to {length_text(largest_shift)} and rotated by up to "
+    )
     message += f"{angle_text(degrees)}, measured from planted feet"
     context.notices.append(Fault("CAP104", message, severity=Severity.NOTE))
     return replace(take, motion=motion)
@@ -134,23 +137,26 @@ def _corrected(
 ) -> tuple[FloatArray, ComplexArray]:
     """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
-    Planted feet then stay in place: the rate of ``e^(i angle) position + shift`` is 0.
+    With it, planted feet stay in place: the rate of ``e^(i angle) position + shift`` is
+    0.
     """
     rate, up = float(take.clock.rate), _axes(take)[0]
     spin = -stance.spin
     speed = stance.speed if options.place else np.zeros(len(root))
     angle = _integral(spin, rate)
     if options.closed:
-        back = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
-        left = _angle(back[None], up)[0] + angle[-1]
-        spin = spin - (left / max(len(root) - 1, 1)) * rate
+        heading_change = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
+        heading_error = _angle(heading_change[None], up)[0] + angle[-1]
+        spin = spin - (heading_error / max(len(root) - 1, 1)) * rate
         angle = _integral(spin, rate)
-    left_over = 1j * (stance.spin + spin) * stance.position
-    displacement = -np.exp(1j * angle) * (speed + left_over)
+    position_error = 1j * (stance.spin + spin) * stance.position
+    displacement = -np.exp(1j * angle) * (speed + position_error)
     shift = _integral(displacement, rate)
     if options.closed:
-        ends = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
-        shift = shift - (ends[1] - ends[0]) * np.linspace(0.0, 1.0, len(root))
+        end_positions = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
+        shift = shift - (end_positions[1] - end_positions[0]) * np.linspace(
+            0.0, 1.0, len(root)
+        )
     return angle, shift
 
 
@@ -173,19 +179,19 @@ def _stance(
     """Return the motion of planted feet; None if none is planted for long."""
     (up, (a, b)), rate, count = _axes(take), float(take.clock.rate), take.clock.count
     world = take.world()
-    where, many = np.zeros((count, 3)), np.zeros(count)
-    # Of each contact: its middle, how long it is, spin, speed and place.
-    rows: list[list[float]] = []
+    position_sums, contact_counts = np.zeros((count, 3)), np.zeros(count)
+    # Per contact: its middle, duration, spin, speed and position.
+    contact_rows: list[list[float]] = []
     for side in "lr":
         leg = skeleton.leg(side)
         if leg is None:
             continue
         ankle = world.positions[:, leg[2]]
         toe = world.positions[:, leg[3]] if leg[3] >= 0 else ankle
-        stands = find_contacts(ankle, toe, rate, skeleton.leg_length(side), up).any
+        is_planted = find_contacts(ankle, toe, rate, skeleton.leg_length(side), up).any
         rotations = so3.from_matrix(world.linear[:, leg[2]])
-        for start, end in runs(stands):
-            edge = round(LANDING * (end - start))
+        for start, end in runs(is_planted):
+            edge = round(LANDING_FRACTION * (end - start))
             part = slice(start + edge, end - edge)
             if part.stop - part.start < MIN_FRAMES:
                 continue
@@ -193,31 +199,41 @@ def _stance(
             pivot = min(
                 (ankle, toe), key=lambda p: np.linalg.norm(_slope(p[part], rate))
             )
-            base = float(np.median(pivot[stands, up]))
-            back = so3.conjugate(rotations[part.start])
-            faces = np.unwrap(_angle(so3.multiply(rotations[part], back), up))
+            base = float(np.median(pivot[is_planted, up]))
+            inverse_start = so3.conjugate(rotations[part.start])
+            headings = np.unwrap(
+                _angle(so3.multiply(rotations[part], inverse_start), up)
+            )
             speed = _slope(pivot[part], rate)
-            spin = float(_slope(faces[:, None], rate)[0]) if heading else 0.0
+            spin = float(_slope(headings[:, None], rate)[0]) if heading else 0.0
             length = part.stop - part.start
-            middle = (part.start + part.stop - 1) / 2
-            at = pivot[part].mean(axis=0)
-            rows.append([middle, length, spin, *speed[[a, b]], *at[[a, b]]])
-            where[part] += pivot[part][:, [a, b, up]] - [0.0, 0.0, base]
-            many[part] += 1
-    if (many > 0).sum() <= MIN_FRAMES:
+            middle_frame = (part.start + part.stop - 1) / 2
+            mean_position = pivot[part].mean(axis=0)
+            contact_rows.append(
+                [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
+            )
+            position_sums[part] += pivot[part][:, [a, b, up]] - [0.0, 0.0, base]
+            contact_counts[part] += 1
+    if (contact_counts > 0).sum() <= MIN_FRAMES:
         return None
-    contacts = np.array(sorted(rows))
-    width, frames = WINDOW * rate, np.arange(count)
-    turning = _medians(contacts, 2, width)
-    # Without the motion from the spin about the origin.
-    contacts[:, 3] += turning * contacts[:, 6]
-    contacts[:, 4] -= turning * contacts[:, 5]
-    slow = [turning, *(_medians(contacts, k, width) for k in (3, 4))]
-    steady = [np.interp(frames, contacts[:, 0], column) for column in slow]
-    drift = lowpass(np.stack(steady, axis=1), SLOWER, rate)
-    where /= np.maximum(many, 1)[:, None]
-    position = lowpass(where[:, :2], STEPS, rate, valid=many > 0)
-    height = lowpass(where[:, 2], SLOWER, rate, valid=many > 0)
+    contacts = np.array(sorted(contact_rows))
+    width, frames = WINDOW_SECONDS * rate, np.arange(count)
+    smooth_spin = _medians(contacts, 2, width)
+    # Remove the motion caused by the spin about the origin.
+    contacts[:, 3] += smooth_spin * contacts[:, 6]
+    contacts[:, 4] -= smooth_spin * contacts[:, 5]
+    smooth_speed = [smooth_spin, *(_medians(contacts, k, width) for k in (3, 4))]
+    smooth_height = [
+        np.interp(frames, contacts[:, 0], column) for column in smooth_speed
+    ]
+    drift = lowpass(np.stack(smooth_height, axis=1), DRIFT_FREQUENCY, rate)
+    position_sums /= np.maximum(contact_counts, 1)[:, None]
+    position = lowpass(
+        position_sums[:, :2], STEP_FREQUENCY, rate, valid=contact_counts > 0
+    )
+    height = lowpass(
+        position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=contact_counts > 0
+    )
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],
@@ -229,16 +245,16 @@ def _stance(
 def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
     """Return a windowed median of a contact column at each contact ``(N,)``.
 
-    Contacts are weighted by duration, so that a foot that slides on purpose is
+    Contacts are weighted by duration, so that a foot that slides intentionally is
     outvoted.
     """
     medians = np.zeros(len(contacts))
     for i, middle in enumerate(contacts[:, 0].tolist()):
-        near = contacts[np.abs(contacts[:, 0] - middle) <= width]
-        order = np.argsort(near[:, column], kind="stable")
-        total = np.cumsum(near[order, 1])
-        half = int(np.searchsorted(total, total[-1] / 2))
-        medians[i] = near[order[half], column]
+        nearby = contacts[np.abs(contacts[:, 0] - middle) <= width]
+        order = np.argsort(nearby[:, column], kind="stable")
+        cumulative = np.cumsum(nearby[order, 1])
+        half = int(np.searchsorted(cumulative, cumulative[-1] / 2))
+        medians[i] = nearby[order[half], column]
     return medians
 
 

@@ -17,9 +17,9 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import middle_of_hips
 
-# Smoothing time of hip speeds [s]: steps sway the hips.
+# Smoothing time of hip speeds [s]: the hips sway with each step.
 SPEED_TIME = 0.25
-# Frames whose joints are in memory at once.
+# Frames whose joints are held in memory at once.
 BLOCK_FRAMES = 1024
 
 
@@ -27,7 +27,7 @@ BLOCK_FRAMES = 1024
 class FootFacts:
     """How often and how long a foot is planted."""
 
-    standing: float  # fraction of frames
+    standing: float  # fraction of frames in which it is planted
     steps: int  # number of contacts
 
 
@@ -35,17 +35,17 @@ class FootFacts:
 class CaptureFacts:
     """Statistics of a take of a body."""
 
-    feet: dict[str, FootFacts]  # by ``left`` and ``right``
+    feet: dict[str, FootFacts]  # by side, ``left`` and ``right``
     speed_mean: float  # of the hips over the ground [m/s]
     speed_max: float
     noise: float  # standard deviation of the noisiest joint's rotation [rad]
-    noisiest: str  # that joint; empty if none rotates
+    noisiest: str  # name of that joint; empty if none rotates
 
 
 def capture_facts(take: Take) -> CaptureFacts | None:
     """Return the statistics of a take; None if it has no body with legs.
 
-    Limits: feet are told by how slow and how low they are, the person by structure.
+    Limits: feet are detected by their speed and height, the body by its structure.
 
     Args:
         take: F frames.
@@ -57,9 +57,9 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     legs = {side: skeleton.leg(side) for side in "lr"}
     if not any(legs.values()) or take.clock.count < 2:
         return None
-    ends = [leg[2:] for leg in legs.values() if leg is not None]
+    feet_joints = [leg[2:] for leg in legs.values() if leg is not None]
     hips, positions = hips_and_joints(
-        take, skeleton, sorted({j for pair in ends for j in pair})
+        take, skeleton, sorted({j for foot_joints in feet_joints for j in foot_joints})
     )
     up, fps = 1 if rig.up is UpAxis.Y else 2, float(take.clock.rate)
     feet = {}
@@ -68,10 +68,10 @@ def capture_facts(take: Take) -> CaptureFacts | None:
             continue
         toe = positions.get(leg[3])
         length = skeleton.leg_length(side)
-        stands = find_contacts(positions[leg[2]], toe, fps, length, up).any
-        steps = sum(start > 0 for start, _ in runs(stands))
+        is_planted = find_contacts(positions[leg[2]], toe, fps, length, up).any
+        steps = sum(start > 0 for start, _ in runs(is_planted))
         name = "left" if side == "l" else "right"
-        feet[name] = FootFacts(float(stands.mean()), steps)
+        feet[name] = FootFacts(float(is_planted.mean()), steps)
     speeds = ground_speeds(take, hips)
     noise, noisiest = _noise(take)
     return CaptureFacts(
@@ -83,22 +83,26 @@ def hips_and_joints(
     take: Take, skeleton: RoledSkeleton, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
     """Return the middle of the hips and the given joints, each ``(F, 3)`` [m]."""
-    kept = [j for j in joints if j >= 0]
+    valid_joints = [j for j in joints if j >= 0]
     hips, positions = [], []
     for begin in range(0, take.clock.count, BLOCK_FRAMES):
         block = take.motion.select(slice(begin, begin + BLOCK_FRAMES))
         world = block.world(take.rig).positions
         hips.append(middle_of_hips(skeleton, world))
-        positions.append(world[:, kept])
-    joined = np.concatenate(positions)
-    return np.concatenate(hips), {j: joined[:, k] for k, j in enumerate(kept)}
+        positions.append(world[:, valid_joints])
+    all_positions = np.concatenate(positions)
+    return np.concatenate(hips), {
+        j: all_positions[:, k] for k, j in enumerate(valid_joints)
+    }
 
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
     """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
-    flat = gaussian_smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
-    return np.asarray(np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps)
+    ground_positions = gaussian_smoothed(
+        np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps
+    )
+    return np.asarray(np.linalg.norm(np.diff(ground_positions, axis=0), axis=1) * fps)
 
 
 def _noise(take: Take) -> tuple[float, str]:
@@ -109,5 +113,5 @@ def _noise(take: Take) -> tuple[float, str]:
     ]
     if not levels:
         return 0.0, ""
-    worst = int(np.argmax(levels))
-    return levels[worst], take.rig.names[int(channel.animated[worst])]
+    noisiest = int(np.argmax(levels))
+    return levels[noisiest], take.rig.names[int(channel.animated[noisiest])]

@@ -1,4 +1,4 @@
-"""Foot planting: root path and legs are solved for feet that stay in place."""
+"""Foot planting: solves root path and legs so that planted feet stay in place."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ from animtool.motion.contacts import (
 )
 from animtool.rig.limits import RangeLimit
 
-# The hips shift from one foot to the other within this time of a contact [s].
-HANDOVER = 0.15
+# Time within which the hips shift from one foot to the other at a contact [s].
+HANDOVER_SECONDS = 0.15
 # Smoothing time of the hips' response to the feet [s].
-SMOOTH = 0.15
-# Weight of the source's hip position, where nothing else decides.
-LOOSE = 1e-6
-# Weight of known rows.
-PINNED = 1e9
-# A knee near its stop goes fast: by this factor legs are less straight than those of
-# the source, where feet are held.
-BENT = 1.4
-# Shares of a leg's length below which its knee is far from its stop.
-FAR_FROM_STRAIGHT = 0.98
-# Times that feet in the air are raised, and how far below the ground they may stay [m].
+HIP_SMOOTHING = 0.15
+# Weight of the source's hip position where nothing else determines it.
+FREE_WEIGHT = 1e-6
+# Weight of fixed rows.
+FIXED_WEIGHT = 1e9
+# The knee angle changes quickly near its stop: while feet are planted, legs are bent
+# more than those of the source by this factor.
+BEND_FACTOR = 1.4
+# Fraction of a leg's length below which its knee is far from its stop.
+BENT_FRACTION = 0.98
+# Maximum number of times that feet in the air are raised, and the tolerated depth below
+# the ground [m].
 MAX_ITERATIONS, MAX_PENETRATION = 3, 1e-4
-# What corrects a foot in the air fades within this time [s].
-FADE = 0.06
-# A foot that leans more than this where it stands is not on level ground [rad].
-LEVEL = np.radians(20.0)
-# Legs are never straighter than this fraction of their length.
-STRAIGHT = 0.9995
-# Legs are as straight as those of the source are within this time of it, smoothed by a
-# Gaussian of that width [s]; both fade within a second, so that no block edge shows.
+# Corrections of a foot in the air fade within this time [s].
+FADE_SECONDS = 0.06
+# A planted foot that leans more than this is not on level ground [rad].
+MAX_LEAN = np.radians(20.0)
+# Largest extension of a leg, as a fraction of its length.
+MAX_EXTENSION = 0.9995
+# Window around each frame in which a leg is as straight as the source's leg, and the
+# width of its Gaussian smoothing [s]. Both fade within a second, so that block
+# boundaries leave no trace.
 STRAIGHT_WINDOW, STRAIGHT_SMOOTH = 0.75, 0.05
-# The hips come down within about this time for a leg that does not reach [s].
-LOWERING = 0.07
-# Most iterations of that, and the tolerated reach error [m].
+# Approximate time within which the hips sink for a leg that does not reach [s].
+LOWERING_SECONDS = 0.07
+# Maximum iterations for sinking, and the tolerated reach error [m].
 MAX_LOWERING_ITERATIONS, REACH_TOLERANCE = 12, 1e-5
 
 
@@ -53,17 +55,19 @@ class Foot:
     """A foot of the target before planting, relative to the middle of the hips."""
 
     contacts: FootContacts
-    hip: FloatArray  # beginning of the thigh (F, 3) [m]
+    hip: FloatArray  # start of the thigh (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray | None  # (F, 3) [m]
-    rotation: FloatArray  # of the foot in the world (F, 4)
-    # Its rotation planted at rest (4,); None to keep its rotation.
+    rotation: FloatArray  # world rotation of the foot (F, 4)
+    # World rotation of the foot planted flat at rest (4,); None keeps its rotation.
     level: FloatArray | None
     height: float  # of the planted ankle above the ground [m]
-    length: float  # how far the leg reaches [m]
-    shortest: float  # least distance of ankle and hip [m]
-    above: FloatArray  # source ankle above its planted height, scaled (F,) [m]
-    straight: FloatArray  # reach of the source's leg over its length (F,)
+    length: float  # largest distance of ankle and hip [m]
+    shortest: float  # smallest distance of ankle and hip [m]
+    lift_above: FloatArray  # source ankle above its planted height, scaled (F,) [m]
+    straightness: (
+        FloatArray  # hip-ankle distance of the source over its leg length (F,)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,74 +77,78 @@ class Placed:
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
     ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
     rotations: Sequence[FloatArray]  # (F, 4)
-    locked: Sequence[BoolArray]  # frames in which each is planted (F,)
-    rolls: Sequence[FloatArray]  # how far only the toe is planted, 0 to 1 (F,)
-    soles: Sequence[float]  # planted height of each toe, or else ankle [m]
-    lowered: float  # most that hips sank for legs that are too short [m]
+    locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
+    rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
+    soles: Sequence[
+        float
+    ]  # planted height of each toe, or of the ankle without a toe [m]
+    lowered: float  # largest distance that the hips sank so that legs reach [m]
 
 
 def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
     """Return hips and feet such that planted feet stay in place.
 
-    The hips follow the source's scaled path, so that part of a take moves as it does in
-    the full take. They rise and sink so that planted feet need no other leg pose, as
+    The hips follow the scaled path of the source, so that an excerpt of a take moves as
+    in the full take. They rise and sink so that planted feet need no other leg pose, as
     far as that is smooth. The remaining offset of each foot is constant while it is
     planted and as smooth as possible in between.
 
     Args:
-        hips: The middle between the thighs as the source's, scaled ``(F, 3)`` [m]; the
-            ground at 0.
-        feet: About these hips.
+        hips: Middle between the thighs, as the source's scaled ``(F, 3)`` [m]; the
+            ground is at 0.
+        feet: Feet relative to these hips.
         fps: Frames a second.
-        up: Component that points up.
+        up: Index of the up axis.
     """
     rotations = [_settled(foot, fps, up) for foot in feet]
     bones = [
         _bone(foot, rotation) for foot, rotation in zip(feet, rotations, strict=True)
     ]
     # A foot that rolls over its toe pins the toe, else the ankle.
-    pinned = [
+    pinned_points = [
         foot.ankle if foot.toe is None else foot.toe - bone
         for foot, bone in zip(feet, bones, strict=True)
     ]
     hips = hips.copy()
-    raised = [_raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)]
-    hips[:, up] += _lift(hips, feet, pinned, raised, fps, up)
-    locked = [foot.contacts.any for foot in feet]
+    heel_heights = [
+        _raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
+    ]
+    hips[:, up] += _lift(hips, feet, pinned_points, heel_heights, fps, up)
+    planted = [foot.contacts.any for foot in feet]
     ankles = [
         _locked(hips + ankle, bone, foot, fps, up)
-        for foot, ankle, bone in zip(feet, pinned, bones, strict=True)
+        for foot, ankle, bone in zip(feet, pinned_points, bones, strict=True)
     ]
-    down, rise = _reaching(hips, feet, ankles, fps, up)
-    hips[:, up] += rise - down
+    lowering, rise = _reaching(hips, feet, ankles, fps, up)
+    hips[:, up] += rise - lowering
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
         hips,
         ankles,
         rotations,
-        locked,
+        planted,
         rolls,
         soles,
-        max(float(down.max(initial=0.0)), 0.0),
+        max(float(lowering.max(initial=0.0)), 0.0),
     )
 
 
 def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return a foot's rotations, constant and level while planted flat ``(F, 4)``."""
-    flat = without_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
-    correction = np.zeros((len(flat), 3))
-    for start, end in runs(flat):
+    is_flat = without_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
+    correction = np.zeros((len(is_flat), 3))
+    for start, end in runs(is_flat):
         # The mean of rotations that are near each other.
         mean = so3.normalize(so3.align_signs(foot.rotation[start:end]).sum(axis=0))
-        aim = mean
+        target = mean
         if foot.level is not None:
-            lean = so3.multiply(mean, so3.conjugate(foot.level))
-            level = so3.multiply(_heading(lean, up), foot.level)
-            aim = mean if so3.angle_between(level, mean) > LEVEL else level
-        back = so3.conjugate(foot.rotation[start:end])
-        correction[start:end] = so3.log(so3.multiply(aim, back))
-    between(correction, flat, fps)
+            lean_angle = so3.multiply(mean, so3.conjugate(foot.level))
+            level = so3.multiply(_heading(lean_angle, up), foot.level)
+            target = mean if so3.angle_between(level, mean) > MAX_LEAN else level
+        inverse_rotations = so3.conjugate(foot.rotation[start:end])
+        correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
+    between(correction, is_flat, fps)
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.rotation))
 
 
@@ -155,8 +163,8 @@ def _heading(rotation: FloatArray, up: int) -> FloatArray:
     """Return the part of a rotation about the vertical ``(4,)``."""
     heading = np.zeros(4)
     heading[up], heading[3] = rotation[up], rotation[3]
-    size = float(np.linalg.norm(heading))
-    return heading / size if size > 0 else so3.IDENTITY.copy()
+    norm = float(np.linalg.norm(heading))
+    return heading / norm if norm > 0 else so3.IDENTITY.copy()
 
 
 def _bone(foot: Foot, rotation: FloatArray) -> FloatArray:
@@ -169,8 +177,8 @@ def _bone(foot: Foot, rotation: FloatArray) -> FloatArray:
 
 def _raised(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
     """Return how far the ankle rises where only the toe is planted ``(F,)`` [m]."""
-    alone = foot.contacts.toe & ~foot.contacts.ankle
-    return np.where(alone, _level_bone(foot, up) - bone[:, up], 0.0)
+    toe_only = foot.contacts.toe & ~foot.contacts.ankle
+    return np.where(toe_only, _level_bone(foot, up) - bone[:, up], 0.0)
 
 
 def _lift(
@@ -184,33 +192,37 @@ def _lift(
     """Return how far planted feet lift the hips, smoothed ``(F,)`` [m]."""
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
-    for weight, foot, ankle, more in zip(weights, feet, relative, raised, strict=True):
-        lift[:, 0] += weight * (foot.height + more - ankle[:, up] - hips[:, up])
-    return _smoothest(weights.sum(axis=0), lift, (SMOOTH * fps) ** 4)[:, 0]
+    for weight, foot, ankle, raised_ankle in zip(
+        weights, feet, relative, raised, strict=True
+    ):
+        lift[:, 0] += weight * (foot.height + raised_ankle - ankle[:, up] - hips[:, up])
+    return _smoothest(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
 
 
-def _smoothest(draw: FloatArray, weighted: FloatArray, stiff: float) -> FloatArray:
+def _smoothest(
+    weights: FloatArray, weighted_targets: FloatArray, stiffness: float
+) -> FloatArray:
     """Return the path ``(F, K)`` that best balances position targets against curvature.
 
     It minimises the weighted sum of squared distances to the targets and of squared
     second differences.
 
     Args:
-        draw: Weights of places ``(F,)``.
-        weighted: These, each times its weight ``(F, K)``.
-        stiff: Weight of second differences.
+        weights: Weights of positions ``(F,)``.
+        weighted_targets: Target positions times their weights ``(F, K)``.
+        stiffness: Weight of second differences.
     """
     from scipy.linalg import solveh_banded
 
-    count = len(draw)
-    if count < 3 or not draw.any():
-        return np.zeros_like(weighted)
+    count = len(weights)
+    if count < 3 or not weights.any():
+        return np.zeros_like(weighted_targets)
     band = np.zeros((3, count))
-    band[2] = draw + LOOSE
+    band[2] = weights + FREE_WEIGHT
     for offset, pattern in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
         for k, value in enumerate(pattern):
-            band[2 - offset, offset + k : count - 2 + offset + k] += stiff * value
-    return np.asarray(solveh_banded(band, weighted))
+            band[2 - offset, offset + k : count - 2 + offset + k] += stiffness * value
+    return np.asarray(solveh_banded(band, weighted_targets))
 
 
 def _weight(stands: BoolArray, fps: float) -> FloatArray:
@@ -218,11 +230,11 @@ def _weight(stands: BoolArray, fps: float) -> FloatArray:
     weight = np.zeros(len(stands))
     for start, end in runs(stands):
         frames = np.arange(start, end)
-        ramp = max(min(HANDOVER * fps, (end - start) / 2), 1.0)
-        # Contacts cut by the ends of the take continue.
-        since = np.inf if start == 0 else frames - start
-        left = np.inf if end == len(stands) else end - 1 - frames
-        weight[start:end] = _smooth(np.minimum(since, left) / ramp)
+        ramp = max(min(HANDOVER_SECONDS * fps, (end - start) / 2), 1.0)
+        # Contacts cut off by the ends of the take continue.
+        frames_since = np.inf if start == 0 else frames - start
+        frames_left = np.inf if end == len(stands) else end - 1 - frames
+        weight[start:end] = _smooth(np.minimum(frames_since, frames_left) / ramp)
     return weight
 
 
@@ -237,8 +249,10 @@ def _level_bone(foot: Foot, up: int) -> float:
     if foot.toe is None:
         return 0.0
     if foot.level is None:
-        flat = foot.contacts.ankle & foot.contacts.toe
-        bones = (foot.toe - foot.ankle)[flat if flat.any() else slice(None), up]
+        horizontal = foot.contacts.ankle & foot.contacts.toe
+        bones = (foot.toe - foot.ankle)[
+            horizontal if horizontal.any() else slice(None), up
+        ]
         return float(np.median(bones))
     rotation = so3.multiply(foot.level, so3.conjugate(foot.rotation[:1]))
     return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
@@ -253,32 +267,41 @@ def _locked(
     planted alone stays in place while the toe comes down.
     """
     contacts = foot.contacts
-    stands = contacts.any
+    is_planted = contacts.any
     correction = np.zeros_like(ankle)
     level = foot.height + _level_bone(foot, up)
-    for start, end in runs(stands):
+    for start, end in runs(is_planted):
         path, toe_offset = ankle[start:end], bone[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
-        flat = np.flatnonzero(heel & toe)
-        if not len(flat):
-            flat = np.arange(end - start)
-        # A heel planted alone stays where it is in the nearest frame with the toe.
-        alone = np.flatnonzero(heel & ~toe)
-        behind = np.searchsorted(flat, alone)
-        before = flat[np.maximum(behind - 1, 0)]
-        after = flat[np.minimum(behind, len(flat) - 1)]
-        toe_offset[alone] = toe_offset[
-            np.where(alone - before <= after - alone, before, after)
+        flat_frames = np.flatnonzero(heel & toe)
+        if not len(flat_frames):
+            flat_frames = np.arange(end - start)
+        # A heel that is planted alone stays where it is in the nearest frame with the
+        # toe.
+        heel_only = np.flatnonzero(heel & ~toe)
+        positions_in_flat = np.searchsorted(flat_frames, heel_only)
+        flat_before = flat_frames[np.maximum(positions_in_flat - 1, 0)]
+        flat_after = flat_frames[np.minimum(positions_in_flat, len(flat_frames) - 1)]
+        toe_offset[heel_only] = toe_offset[
+            np.where(
+                heel_only - flat_before <= flat_after - heel_only,
+                flat_before,
+                flat_after,
+            )
         ]
-        goal = (path + toe_offset)[flat].mean(axis=0)
+        goal = (path + toe_offset)[flat_frames].mean(axis=0)
         goal[up] = level
         if foot.toe is None:
             # A kneeling body rests on its toes, even without toe joints.
-            high = float(np.median(foot.above[start:end]))
-            goal[up] += high if high > RAISED_HEEL_HEIGHT * foot.length else 0.0
+            median_height = float(np.median(foot.lift_above[start:end]))
+            goal[up] += (
+                median_height
+                if median_height > RAISED_HEEL_HEIGHT * foot.length
+                else 0.0
+            )
         correction[start:end] = goal - toe_offset - path
-    between(correction, stands, fps)
-    _above_ground(correction[:, up], (ankle + bone)[:, up], level, stands, fps)
+    between(correction, is_planted, fps)
+    _above_ground(correction[:, up], (ankle + bone)[:, up], level, is_planted, fps)
     return ankle + correction
 
 
@@ -286,42 +309,42 @@ def _above_ground(
     correction: FloatArray,
     toe: FloatArray,
     level: float,
-    stands: BoolArray,
+    is_planted: BoolArray,
     fps: float,
 ) -> None:
     """Raise a height correction ``(F,)`` [m] so that no toe in the air is below ground.
 
     Args:
-        correction: Of the height of a foot.
-        toe: Its height without that ``(F,)`` [m].
-        level: How low it may be [m].
-        stands: When it does ``(F,)``.
+        correction: Height correction of a foot.
+        toe: Height of the toe without that correction ``(F,)`` [m].
+        level: Lowest allowed height [m].
+        is_planted: Whether it is planted ``(F,)``.
         fps: Frames a second.
     """
-    if not stands.any():
+    if not is_planted.any():
         return  # the ground is unknown
-    known = stands.copy()
+    is_fixed = is_planted.copy()
     for _ in range(MAX_ITERATIONS):
-        low = ~stands & (toe + correction < level - MAX_PENETRATION)
-        if not low.any():
+        is_below = ~is_planted & (toe + correction < level - MAX_PENETRATION)
+        if not is_below.any():
             return
-        correction[low] = (level - toe)[low]
-        known |= low
-        rows = correction[:, None].copy()
-        between(rows, known, fps)
-        correction[:] = rows[:, 0]
+        correction[is_below] = (level - toe)[is_below]
+        is_fixed |= is_below
+        correction_rows = correction[:, None].copy()
+        between(correction_rows, is_fixed, fps)
+        correction[:] = correction_rows[:, 0]
 
 
 def between(
-    values: FloatArray, known: BoolArray, fps: float, fade: float = FADE
+    values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
     """Fill unknown rows ``(F, K)``: they fade to 0 within a time [s]."""
-    if known.all() or not known.any():
+    if is_fixed.all() or not is_fixed.any():
         return
-    draw = np.where(known, PINNED, 1.0)
-    weighted = values * np.where(known, PINNED, 0.0)[:, None]
-    rows = _smoothest(draw, weighted, (fade * fps) ** 4)
-    values[~known] = rows[~known]
+    weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
+    weighted_values = values * np.where(is_fixed, FIXED_WEIGHT, 0.0)[:, None]
+    filled = _smoothest(weights, weighted_values, (fade * fps) ** 4)
+    values[~is_fixed] = filled[~is_fixed]
 
 
 def _reaching(
@@ -332,23 +355,31 @@ def _reaching(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far hips sink and rise so that legs reach, each ``(F,)`` [m]."""
-    down, rise = np.full((2, len(hips)), -np.inf)
+    sinking, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
-        most = upper(foot.straight, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps)
+        largest_reach = upper(
+            foot.straightness, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps
+        )
         # A similar leg may be as straight as the source's.
-        bent = BENT if foot.level is not None else 1.0
-        fraction = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
-        flat = offset.copy()
-        flat[:, up] = 0.0
-        across = (flat**2).sum(axis=1)
-        high = np.sqrt(np.maximum((fraction * foot.length) ** 2 - across, 0.0))
-        down = np.maximum(down, offset[:, up] - high)
-        low = np.sqrt(np.maximum(foot.shortest**2 - across, 0.0))
+        bend_factor = BEND_FACTOR if foot.level is not None else 1.0
+        fraction = np.clip(
+            1 - bend_factor * (1 - largest_reach), BENT_FRACTION, MAX_EXTENSION
+        )
+        horizontal = offset.copy()
+        horizontal[:, up] = 0.0
+        horizontal_squared = (horizontal**2).sum(axis=1)
+        highest = np.sqrt(
+            np.maximum((fraction * foot.length) ** 2 - horizontal_squared, 0.0)
+        )
+        sinking = np.maximum(sinking, offset[:, up] - highest)
+        lowest = np.sqrt(np.maximum(foot.shortest**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
-        upright = (offset[:, up] > 0) & (low > 0)
-        rise = np.maximum(rise, np.where(upright, low - offset[:, up], 0.0))
-    return covering(down, LOWERING * fps), covering(rise, LOWERING * fps)
+        upright = (offset[:, up] > 0) & (lowest > 0)
+        rise = np.maximum(rise, np.where(upright, lowest - offset[:, up], 0.0))
+    return covering(sinking, LOWERING_SECONDS * fps), covering(
+        rise, LOWERING_SECONDS * fps
+    )
 
 
 def covering(values: FloatArray, width: float) -> FloatArray:
@@ -356,23 +387,23 @@ def covering(values: FloatArray, width: float) -> FloatArray:
 
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
     """
-    cover, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
+    cover, is_fixed = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
     for _ in range(MAX_LOWERING_ITERATIONS):
-        low = values > cover[:, 0] + REACH_TOLERANCE
-        if not low.any():
+        is_low = values > cover[:, 0] + REACH_TOLERANCE
+        if not is_low.any():
             break
-        pinned |= low & _peaks(values - cover[:, 0])
-        draw = np.where(pinned, PINNED, 1.0)
-        weighted = np.where(pinned, PINNED * values, 0.0)[:, None]
-        cover = _smoothest(draw, weighted, max(width, 1.0) ** 4)
+        is_fixed |= is_low & _peaks(values - cover[:, 0])
+        weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
+        weighted_values = np.where(is_fixed, FIXED_WEIGHT * values, 0.0)[:, None]
+        cover = _smoothest(weights, weighted_values, max(width, 1.0) ** 4)
     return np.asarray(cover[:, 0])
 
 
 def _peaks(values: FloatArray) -> BoolArray:
     """Return where values are positive local maxima ``(F,)``."""
     padded = np.pad(values, 1, constant_values=-np.inf)
-    high = (values >= padded[:-2]) & (values >= padded[2:])
-    return np.asarray(high & (values > 0))
+    is_peak = (values >= padded[:-2]) & (values >= padded[2:])
+    return np.asarray(is_peak & (values > 0))
 
 
 def upper(values: FloatArray, width: float, smooth: float | None = None) -> FloatArray:
@@ -380,9 +411,9 @@ def upper(values: FloatArray, width: float, smooth: float | None = None) -> Floa
 
     It is smoothed by a Gaussian of ``smooth`` frames; None is a quarter of the width.
     """
-    reach = int(np.ceil(width))
-    padded = np.pad(values, reach, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    half_width = int(np.ceil(width))
+    padded = np.pad(values, half_width, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half_width + 1)
     return gaussian_smoothed(
         windows.max(axis=1), width / 4 if smooth is None else smooth
     )
@@ -400,8 +431,8 @@ def bend_limb(
     The knee bends in its own plane, then the leg rotates rigidly by the shortest arc.
 
     Args:
-        hip: Where the thigh begins ``(F, 3)`` [m].
-        joints: Knee and ankle as they are ``(F, 3)`` [m].
+        hip: Start of the thigh ``(F, 3)`` [m].
+        joints: Current positions of knee and ankle ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
         rotations: World rotations of thigh and shin ``(F, 4)``.
         hinge: Knee axis of a straight leg ``(F, 3)``.
@@ -410,25 +441,32 @@ def bend_limb(
     thigh, shin = knee - hip, ankle - knee
     a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    low, high = np.abs(a - b) * (1 + 1e-9), (a + b) * STRAIGHT
+    shortest_distance, longest_distance = (
+        np.abs(a - b) * (1 + 1e-9),
+        (a + b) * MAX_EXTENSION,
+    )
     # A leg that was straighter may stay so.
-    high = np.maximum(high, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b))
-    goal_distance = np.clip(goal_distance, low, high)
+    longest_distance = np.maximum(
+        longest_distance, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b)
+    )
+    goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
     axis = np.cross(thigh, shin)
-    size = np.linalg.norm(axis, axis=1, keepdims=True)
+    axis_length = np.linalg.norm(axis, axis=1, keepdims=True)
     axis = np.where(
-        size > 1e-3 * (a * b)[:, None], axis / np.maximum(size, 1e-300), hinge
+        axis_length > 1e-3 * (a * b)[:, None],
+        axis / np.maximum(axis_length, 1e-300),
+        hinge,
     )
     cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
-    now = np.arctan2(
+    current_angle = np.arctan2(
         (np.cross(thigh, shin) * axis).sum(axis=1), (thigh * shin).sum(axis=1)
     )
-    bend = so3.from_axis_angle(axis, np.arccos(cosine) - now)
-    tip = thigh + so3.rotate(bend, shin)
+    bend_rotation = so3.from_axis_angle(axis, np.arccos(cosine) - current_angle)
+    tip = thigh + so3.rotate(bend_rotation, shin)
     swing = shortest(tip, goal - hip)
     return (
         so3.multiply(swing, rotations[0]),
-        so3.multiply(swing, so3.multiply(bend, rotations[1])),
+        so3.multiply(swing, so3.multiply(bend_rotation, rotations[1])),
     )
 
 
@@ -443,54 +481,61 @@ def bend_at_pin(
 ) -> tuple[FloatArray, FloatArray]:
     """Return thigh rotations ``(F, 4)`` and pin-knee angles ``(F,)`` [rad] for a goal.
 
-    The knee opens until the ankle is at its goal's distance, then the thigh brings it
-    there by the shortest arc, or as near as the knee's limits allow.
+    The knee opens until the ankle is at its goal's distance, or as near as its limits
+    allow. Then the thigh rotates the ankle to the goal along the shortest arc.
 
     Args:
-        hip: Where the thigh begins ``(F, 3)`` [m].
+        hip: Start of the thigh ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
         thigh: Its current world rotations ``(F, 4)``.
-        bones: Of the thigh, and of the shin where the knee rests, both in the frame of
-            the thigh ``(3,)`` [m].
-        axis: Of the knee there, of length 1 ``(3,)``.
+        bones: Vector of the thigh, and of the shin with the knee at rest, both in the
+            frame of the thigh ``(3,)`` [m].
+        axis: Unit axis of the knee in that frame ``(3,)``.
         angle: Current angle of the knee ``(F,)`` [rad].
-        limits: Of the knee: it bends as they allow, or else as it is bent.
+        limits: Limits of the knee; they determine its bending direction, else its
+            current bend does.
     """
     upper, lower = bones
-    along = float((upper @ axis) * (lower @ axis))
-    cosine, sine = float(upper @ lower) - along, float(upper @ np.cross(axis, lower))
-    size = float(np.hypot(cosine, sine))
-    if not size:
+    axial_product = float((upper @ axis) * (lower @ axis))
+    cosine, sine = (
+        float(upper @ lower) - axial_product,
+        float(upper @ np.cross(axis, lower)),
+    )
+    amplitude = float(np.hypot(cosine, sine))
+    if not amplitude:
         return thigh, angle
-    reach = np.linalg.norm(goal - hip, axis=1)
-    middle = (reach**2 - upper @ upper - lower @ lower) / 2 - along
-    open_by = np.arccos(np.clip(middle / size, -1.0, 1.0))
+    goal_distance = np.linalg.norm(goal - hip, axis=1)
+    middle = (goal_distance**2 - upper @ upper - lower @ lower) / 2 - axial_product
+    open_by = np.arccos(np.clip(middle / amplitude, -1.0, 1.0))
     zero = float(np.arctan2(sine, cosine))
-    both = np.stack([zero + open_by, zero - open_by])
-    both -= 2 * np.pi * np.round((both - angle) / (2 * np.pi))
-    off = np.abs(both - angle)
+    candidates = np.stack([zero + open_by, zero - open_by])
+    candidates -= 2 * np.pi * np.round((candidates - angle) / (2 * np.pi))
+    deviations = np.abs(candidates - angle)
     if limits is not None:
-        # Next to straight, either way is as near; beyond its stop no knee bends.
-        off += BEYOND * np.abs(limits.excess(both))
-    bent = np.where(off[0] <= off[1], *both)
+        # Near straight, both directions are equally near; no knee bends beyond its
+        # stop.
+        deviations += STOP_COST * np.abs(limits.excess(candidates))
+    chosen_angle = np.where(deviations[0] <= deviations[1], *candidates)
     if limits is not None:
-        bent = limits.clamped(bent)
-    tip = upper + so3.rotate(so3.from_axis_angle(axis, bent), lower)
-    return so3.multiply(shortest(so3.rotate(thigh, tip), goal - hip), thigh), bent
+        chosen_angle = limits.clamped(chosen_angle)
+    tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
+    return so3.multiply(
+        shortest(so3.rotate(thigh, tip), goal - hip), thigh
+    ), chosen_angle
 
 
 def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations ``(F, 4)`` from directions ``(F, 3)`` to others."""
+    """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
     a = before / np.linalg.norm(before, axis=1, keepdims=True)
     b = after / np.linalg.norm(after, axis=1, keepdims=True)
     quaternions = np.concatenate(
         [np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1
     )
-    known = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE
-    return so3.normalize(np.where(known, quaternions, [1.0, 0.0, 0.0, 0.0]))
+    is_defined = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE
+    return so3.normalize(np.where(is_defined, quaternions, [1.0, 0.0, 0.0, 0.0]))
 
 
-# Cost of a knee beyond its stop, over that of a large change [1].
-BEYOND = 100.0
-# Directions with a product nearer to -1 are opposite.
+# Cost of a knee beyond its stop, relative to that of a large change [1].
+STOP_COST = 100.0
+# Directions with a scalar product this close to -1 are opposite.
 OPPOSITE = 1e-9

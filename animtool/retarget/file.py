@@ -44,7 +44,7 @@ class MapEntryModel(FileModel):
 
 
 class MapTwistModel(FileModel):
-    """A joint of the target that takes a share of a bone's twist."""
+    """A joint of the target that takes a fraction of a bone's twist."""
 
     joint: Name = key("The joint that twists.", "upperarm_twist_01_l")
     bone: Name = key("The joint whose bone is twisted.", "upperarm_l")
@@ -52,7 +52,7 @@ class MapTwistModel(FileModel):
 
 
 class MapIgnoredModel(FileModel):
-    """Joints that are left as they are."""
+    """Joints that are left at rest."""
 
     source: list[Name] = key(
         "Joints of the source to ignore.", ["HeadTop_End"], default=[]
@@ -101,7 +101,7 @@ class MapFile:
 
 
 class FileEntry(NamedTuple):
-    """Joints of both sides that an entry of a map file names, by index."""
+    """Joints of both sides in an entry of a map file, by index."""
 
     source: tuple[int, ...]
     target: tuple[int, ...]
@@ -114,8 +114,8 @@ class FileMap:
 
     entries: tuple[FileEntry, ...]
     twists: tuple[TwistFraction, ...] | None
-    ignored: tuple[frozenset[int], frozenset[int]]  # of the source, of the target
-    only: bool  # whether joints it does not name stay unmapped
+    ignored: tuple[frozenset[int], frozenset[int]]  # of the source and of the target
+    is_exclusive: bool  # whether joints it does not name stay unmapped
 
 
 def load_map(path: Path | str) -> MapFile:
@@ -131,14 +131,14 @@ def map_of_document(document: Document) -> MapFile:
     """Return a document as a map file."""
     check_version(document, "map")
     model = validated(document, MapModel)
-    taken: dict[str, int] = {}
+    entry_of_joint: dict[str, int] = {}
     for i, entry in enumerate(model.joints):
         for name in _names(entry.target):
-            if name in taken:
+            if name in entry_of_joint:
                 message = f"{name!r} appears in two entries as a target"
-                hint = f"remove it here or from joints[{taken[name]}]"
+                hint = f"remove it here or from joints[{entry_of_joint[name]}]"
                 document.add("MAP002", ("joints", i, "target"), message, hint)
-            taken.setdefault(name, i)
+            entry_of_joint.setdefault(name, i)
         if entry.role is not None and entry.role not in ROLES:
             message = f"unknown role {entry.role!r}"
             hint = nearest(entry.role, ROLES)
@@ -154,7 +154,7 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     without namespace and prefix.
 
     Raises:
-        FormatError: Neither skeleton has a joint that is named (MAP001).
+        FormatError: Neither skeleton has a joint of that name (MAP001).
     """
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}
@@ -178,11 +178,14 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         )
         for i, entry in enumerate(model.joints)
     ]
-    stated = list(enumerate(model.twists or ()))
+    listed_twists = list(enumerate(model.twists or ()))
     joints = [
-        joint_indices("target", [t.joint], "twists", i, "joint") for i, t in stated
+        joint_indices("target", [t.joint], "twists", i, "joint")
+        for i, t in listed_twists
     ]
-    bones = [joint_indices("target", [t.bone], "twists", i, "bone") for i, t in stated]
+    bones = [
+        joint_indices("target", [t.bone], "twists", i, "bone") for i, t in listed_twists
+    ]
     ignored = [
         frozenset(joint_indices(side, getattr(model.ignored, side), "ignored", side))
         for side in rigs
@@ -190,7 +193,9 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     document.check()
     twists = [
         TwistFraction(joint, bone, twist.share)
-        for (joint,), (bone,), (_, twist) in zip(joints, bones, stated, strict=True)
+        for (joint,), (bone,), (_, twist) in zip(
+            joints, bones, listed_twists, strict=True
+        )
     ]
     return FileMap(
         tuple(entries),
@@ -207,8 +212,8 @@ def _names(value: str | list[str]) -> list[str]:
 def _index(rig: Rig) -> Mapping[str, int]:
     """Return the joints by every name that matches them."""
     index: dict[str, int] = {}
-    written = [joint.source_name or joint.name for joint in rig.joints]
-    for names in (rig.names, written, bare_names(written)):
+    names_in_file = [joint.source_name or joint.name for joint in rig.joints]
+    for names in (rig.names, names_in_file, bare_names(names_in_file)):
         for j, name in enumerate(names):
             index.setdefault(name, j)
     return index

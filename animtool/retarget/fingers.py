@@ -21,30 +21,30 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     order = sorted(
         range(len(paths)), key=lambda i: (len(paths[i]), digits[i] == "thumb", i)
     )
-    owned: dict[int, list[int]] = {}
-    taken: set[int] = set()
+    joints_of_digit: dict[int, list[int]] = {}
+    assigned_joints: set[int] = set()
     for i in order:
-        owned[i] = [j for j in paths[i] if j not in taken]
-        taken |= set(paths[i])
-    thumb = next((len(owned[i]) for i in order if digits[i] == "thumb"), 3)
+        joints_of_digit[i] = [j for j in paths[i] if j not in assigned_joints]
+        assigned_joints |= set(paths[i])
+    thumb = next((len(joints_of_digit[i]) for i in order if digits[i] == "thumb"), 3)
     roles: dict[int, str] = {}
     for i in order:
         if digits[i]:
-            roles |= _phalanges(body, owned[i], digits[i], side, thumb)
+            roles |= _phalanges(body, joints_of_digit[i], digits[i], side, thumb)
     return roles
 
 
 def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
     """Return the joint path of each finger, without the hand."""
     paths: list[list[int]] = []
-    below = [child for hand in hands for child in body.limb_children(hand)]
-    stack = [[child] for child in below[::-1] if child not in hands]
+    finger_roots = [child for hand in hands for child in body.limb_children(hand)]
+    stack = [[child] for child in finger_roots[::-1] if child not in hands]
     while stack:
         path = stack.pop()
-        below = body.limb_children(path[-1])
-        if not below:
+        finger_roots = body.limb_children(path[-1])
+        if not finger_roots:
             paths.append(path)
-        stack += [[*path, child] for child in below[::-1]]
+        stack += [[*path, child] for child in finger_roots[::-1]]
     return paths
 
 
@@ -70,33 +70,35 @@ def _digits_by_position(
     """Return fingers in knuckle order; the thumb's knuckle is nearest the wrist."""
     count = len(paths)
     if count <= 2 and max(map(len, paths)) < 3:
-        # A mitten next to a thumb that is shorter or begins first.
+        # A mitten next to a thumb, which is shorter or begins first.
         thumb = min(range(count), key=lambda i: (len(paths[i]), -i))
         return ["thumb" if i == thumb and count > 1 else MITTEN for i in range(count)]
     if count == 1:
         return ["index"]
     wrist = body.positions[hand]
-    # Metacarpals all begin near the wrist: the third joint from the end does not.
+    # All metacarpals begin near the wrist; the third joint from the end does not.
     knuckles = np.array([body.positions[path[max(len(path) - 3, 0)]] for path in paths])
-    ends = np.array([body.positions[path[-1]] for path in paths])
+    fingertips = np.array([body.positions[path[-1]] for path in paths])
     offsets = knuckles - wrist
-    along = np.asarray(offsets.mean(axis=0))
-    along /= max(float(np.linalg.norm(along)), 1e-30)
-    directions = ends - knuckles
+    mean_direction = np.asarray(offsets.mean(axis=0))
+    mean_direction /= max(float(np.linalg.norm(mean_direction)), 1e-30)
+    directions = fingertips - knuckles
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-30)
     mean_out = directions.sum(axis=0)
     mean_out /= max(float(np.linalg.norm(mean_out)), 1e-30)
-    size = max(float(np.abs(offsets @ along).max()), 1e-30)
-    likeness = (offsets @ along) / size + directions @ mean_out
+    largest_extent = max(float(np.abs(offsets @ mean_direction).max()), 1e-30)
+    likeness = (offsets @ mean_direction) / largest_extent + directions @ mean_out
     thumb = int(np.argmin(likeness))
-    rest = [i for i in range(count) if i != thumb]
-    center = knuckles[rest].mean(axis=0)
-    across = knuckles[thumb] - center
-    across -= along * (across @ along)
-    rest.sort(key=lambda i: -float((knuckles[i] - center) @ across))
+    finger_indices = [i for i in range(count) if i != thumb]
+    knuckle_center = knuckles[finger_indices].mean(axis=0)
+    across_palm = knuckles[thumb] - knuckle_center
+    across_palm -= mean_direction * (across_palm @ mean_direction)
+    finger_indices.sort(
+        key=lambda i: -float((knuckles[i] - knuckle_center) @ across_palm)
+    )
     digits = [""] * count
     digits[thumb] = "thumb"
-    for i, digit in zip(rest, DIGITS[1:], strict=False):
+    for i, digit in zip(finger_indices, DIGITS[1:], strict=False):
         digits[i] = digit
     return digits
 
@@ -115,15 +117,15 @@ def _phalanges(
     ]
     if anchors:
         counts = Counter(anchors)
-        first = min(counts, key=lambda start: (-counts[start], start))
+        best_start = min(counts, key=lambda start: (-counts[start], start))
     else:
-        # A finger with a joint more than the thumb begins with its metacarpal, and so
-        # does one of four joints of which the last carries a bone.
-        extra = len(path) > 3 and (body.tips[path[-1]] > 0 or len(path) > thumb)
-        first = int(not extra)
+        # A finger with one joint more than the thumb begins with its metacarpal, and so
+        # does a finger of four joints whose last joint carries a bone.
+        extra_joints = len(path) > 3 and (body.tips[path[-1]] > 0 or len(path) > thumb)
+        best_start = int(not extra_joints)
     roles = {}
     for i, j in enumerate(path):
-        number = i + first
+        number = i + best_start
         if number > 3:
             roles[j] = END
         elif number >= (digit == "thumb"):

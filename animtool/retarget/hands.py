@@ -21,31 +21,32 @@ from animtool.retarget.props import PropMotion
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
 
-# Hands hold each other if their wrists are nearer than this fraction of an arm,
-NEAR = 0.4
-# and the vector between them changes by less than this fraction of an arm a second.
-TOGETHER = 0.25
-# Gaussian width of smoothing before speeds are taken [s].
-SMOOTH = 0.03
-# A hand touches the ground below this fraction of an arm; below half of that it keeps
-# the source's height.
-LOW = 0.3
-# Hands slow down below this fraction of an arm above the ground.
-SOFT = 0.25
+# Hands hold each other if their wrists are nearer than this fraction of an arm length,
+JOINED_DISTANCE = 0.4
+# and the vector between them changes by less than this fraction of an arm length per
+# second.
+JOINED_SPEED = 0.25
+# Gaussian width of smoothing before speeds are computed [s].
+SMOOTHING_SECONDS = 0.03
+# A hand touches the ground below this fraction of an arm length; below half of that it
+# keeps the source's height.
+GROUND_HEIGHT = 0.3
+# Hands slow down below this fraction of an arm length above the ground.
+SLOWING_HEIGHT = 0.25
 # Hand contacts fade in and out within about this time [s].
-FADE = 0.15
-# Arms of joined hands stay slightly bent: they reach this fraction of their length.
-# Most iterations of bringing the hands within reach.
-REACH, NEARER = 0.99, 20
+FADE_SECONDS = 0.15
+# Arms of joined hands stay slightly bent: they reach this fraction of their length; and
+# the maximum iterations for moving the hands within reach.
+REACH_FRACTION, MAX_REACH_ITERATIONS = 0.99, 20
 
 
 @dataclass(frozen=True, slots=True)
 class ArmTracks:
     """Motion of a target arm relative to the hips, and of the source's hand."""
 
-    joints: FloatArray  # shoulder, elbow, wrist about the middle of the hips (F, 3, 3)
-    rotations: FloatArray  # of upper arm and forearm in the world (F, 2, 4)
-    source: FloatArray  # the source's wrist, in the target's axes (F, 3) [m]
+    joints: FloatArray  # shoulder, elbow, wrist from the middle of the hips (F, 3, 3)
+    rotations: FloatArray  # world rotations of upper arm and forearm (F, 2, 4)
+    source: FloatArray  # the source's wrist in the target's axes (F, 3) [m]
 
     @staticmethod
     def of(
@@ -53,24 +54,25 @@ class ArmTracks:
         side: str,
         source: FloatArray,
         rotations: FloatArray,
-        about: FloatArray,
+        relative: FloatArray,
     ) -> ArmTracks:
         """Return the arm tracks of a block of frames.
 
         Args:
-            transfer: How the target follows.
-            side: Of the arm.
-            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            transfer: The transfer between the skeletons.
+            side: Side of the arm.
+            source: Source joints in the target's axes ``(F, J, 3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
-            about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
+            relative: Target joints relative to the middle of its hips ``(F, K, 3)``
+                [m].
         """
         target, other = (
-            arm_of(each, side) for each in (transfer.target, transfer.source)
+            arm_of(skeleton, side) for skeleton in (transfer.target, transfer.source)
         )
         assert target is not None
         assert other is not None
         return ArmTracks(
-            about[:, target], rotations[:, target[:2]], source[:, other[2]]
+            relative[:, target], rotations[:, target[:2]], source[:, other[2]]
         )
 
 
@@ -83,7 +85,7 @@ class HandContact:
     active: BoolArray  # frames in contact (F,)
     # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
     bends: FloatArray
-    props: frozenset[int]  # tracks that it holds
+    props: frozenset[int]  # indices of the prop tracks that it holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,15 +124,15 @@ def hand_contacts(
     """Return the goals of hands that keep the source's contacts.
 
     Hands that hold each other keep the source's separation, scaled by arm length, about
-    their middle. Hands on the ground stay in place; hands on props keep their grip. The
-    corrections fade in and out as smoothly as possible.
+    their middle. Hands on the ground stay in place; hands on props keep their grip.
+    Corrections fade in and out as smoothly as possible.
 
     Args:
-        transfer: How the target follows.
-        sides: Of the arms.
-        tracks: Of each arm.
-        hips: The middle of the target's hips ``(F, 3)`` [m].
-        floor: Where the ground is; None where there are no feet to say it.
+        transfer: The transfer between the skeletons.
+        sides: Sides of the arms.
+        tracks: Tracks of each arm.
+        hips: Middle of the target's hips ``(F, 3)`` [m].
+        floor: Ground height; None if there are no feet to determine it.
         fps: Frames a second.
         props: Props they may grip.
     """
@@ -148,47 +150,58 @@ def hand_contacts(
     active = [np.zeros(count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
         separation = tracks[0].source - tracks[1].source
-        both = _together(separation, min(lengths), fps)
+        is_joined = _together(separation, min(lengths), fps)
         middle = (wrists[0] + wrists[1]) / 2
-        pair = [
-            middle + half * float(np.mean(scales)) * separation for half in (0.5, -0.5)
+        pair_goals = [
+            middle + sign * float(np.mean(scales)) * separation for sign in (0.5, -0.5)
         ]
-        reaches = [REACH * _length(transfer.target, side) for side in sides]
-        for k, goal in enumerate(_within_reach(pair, starts, reaches)):
-            goals[k][both] = goal[both]
-            active[k] |= both
+        reaches = [REACH_FRACTION * _length(transfer.target, side) for side in sides]
+        for k, goal in enumerate(_within_reach(pair_goals, starts, reaches)):
+            goals[k][is_joined] = goal[is_joined]
+            active[k] |= is_joined
     contacts = []
     for k, side in enumerate(sides):
         source, length, level = tracks[k].source, lengths[k], None
-        carrying, holds = np.zeros(count, np.bool_), set()
+        grip_frames, gripped_props = np.zeros(count, np.bool_), set()
         for prop in props:
-            with_it = prop.gripped_by(source, length, fps) & ~carrying
-            if not with_it.any():
+            is_gripped = prop.gripped_by(source, length, fps) & ~grip_frames
+            if not is_gripped.any():
                 continue
             grip = so3.rotate(prop.rotations, prop.in_prop_frame(source))
             origin = transfer.scale * prop.positions + lift
-            goals[k][with_it] = (origin + grip)[with_it]
-            active[k] |= with_it
-            carrying |= with_it
-            holds.add(prop.track)
+            goals[k][is_gripped] = (origin + grip)[is_gripped]
+            active[k] |= is_gripped
+            grip_frames |= is_gripped
+            gripped_props.add(prop.track)
         if floor is not None:
-            high = source[:, up] - floor.source
-            level = floor.target + transfer.scale * np.minimum(high, LOW / 2 * length)
-            slow = find_contacts(source, None, fps, length, up).ankle & ~carrying
-            for start, end in runs(slow & (high < LOW * length) & ~active[k]):
+            height = source[:, up] - floor.source
+            level = floor.target + transfer.scale * np.minimum(
+                height, GROUND_HEIGHT / 2 * length
+            )
+            is_slow = find_contacts(source, None, fps, length, up).ankle & ~grip_frames
+            for start, end in runs(
+                is_slow & (height < GROUND_HEIGHT * length) & ~active[k]
+            ):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(level[start:end].mean())
                 active[k][start:end] = True
-        known = active[k].copy()
+        is_contact = active[k].copy()
         if level is not None:
-            above, soft = wrists[k][:, up] - level, SOFT * length * transfer.scale
-            low = ~known & (above < soft)
-            goals[k][low, up] = (level + _softened(above, soft))[low]
-            known |= low
+            height_above_ground, soft_height = (
+                wrists[k][:, up] - level,
+                SLOWING_HEIGHT * length * transfer.scale,
+            )
+            is_low = ~is_contact & (height_above_ground < soft_height)
+            goals[k][is_low, up] = (
+                level + _softened(height_above_ground, soft_height)
+            )[is_low]
+            is_contact |= is_low
         bends = _bends(
-            transfer.target, side, tracks[k], starts[k], goals[k], known, fps
+            transfer.target, side, tracks[k], starts[k], goals[k], is_contact, fps
         )
-        contacts.append(HandContact(side, goals[k], active[k], bends, frozenset(holds)))
+        contacts.append(
+            HandContact(side, goals[k], active[k], bends, frozenset(gripped_props))
+        )
     return contacts
 
 
@@ -198,26 +211,30 @@ def _bends(
     tracks: ArmTracks,
     start: FloatArray,
     goal: FloatArray,
-    known: BoolArray,
+    is_contact: BoolArray,
     fps: float,
 ) -> FloatArray:
     """Return rotations of both arm bones that bring the hand to its goal ``(F, 2, 3)``.
 
-    They are solved in known frames and fade around them. Rotations fade, not positions:
-    a nearly straight arm bends a lot for a small motion of its hand.
+    They are solved in frames with a contact and fade around them. Rotations fade, not
+    positions, because a nearly straight arm bends a lot for a small motion of its hand.
     """
-    bends = np.zeros((len(known), 2, 3))
-    arm, frames = arm_of(target, side), np.flatnonzero(known)
+    bends = np.zeros((len(is_contact), 2, 3))
+    arm, frames = arm_of(target, side), np.flatnonzero(is_contact)
     if arm is None or not len(frames):
         return bends
     joints = start[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
-    both = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
+    bone_rotations = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
     hinge = hinge_of(target, arm)
-    bent = limb_rotations(target, arm, joints, goal[frames], both, hinge)
+    bent_rotations = limb_rotations(
+        target, arm, joints, goal[frames], bone_rotations, hinge
+    )
     for k in (0, 1):
-        bends[frames, k] = so3.log(so3.multiply(bent[k], so3.conjugate(both[k])))
+        bends[frames, k] = so3.log(
+            so3.multiply(bent_rotations[k], so3.conjugate(bone_rotations[k]))
+        )
     flat = bends.reshape(len(bends), 6)
-    between(flat, known, fps, FADE)
+    between(flat, is_contact, fps, FADE_SECONDS)
     return flat.reshape(bends.shape)
 
 
@@ -240,20 +257,20 @@ def _within_reach(
     """Return the goals of both hands, shifted together until both arms reach.
 
     Args:
-        goals: Of each wrist ``(F, 3)`` [m].
-        starts: Where each arm begins ``(F, 3)`` [m].
-        reaches: How far each arm reaches [m].
+        goals: Goals of each wrist ``(F, 3)`` [m].
+        starts: Shoulder of each arm ``(F, 3)`` [m].
+        reaches: Reach of each arm [m].
     """
     goals_in_reach = list(goals)
-    for _ in range(NEARER):
-        beyond = np.zeros_like(goals_in_reach[0])
+    for _ in range(MAX_REACH_ITERATIONS):
+        excess = np.zeros_like(goals_in_reach[0])
         for goal, start, reach in zip(goals_in_reach, starts, reaches, strict=True):
             offset = goal - start
-            size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)[:, None]
-            beyond += offset * np.maximum(1 - reach / size, 0.0)
-        if not beyond.any():
+            distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)[:, None]
+            excess += offset * np.maximum(1 - reach / distance, 0.0)
+        if not excess.any():
             break
-        goals_in_reach = [goal - beyond for goal in goals_in_reach]
+        goals_in_reach = [goal - excess for goal in goals_in_reach]
     return goals_in_reach
 
 
@@ -261,10 +278,10 @@ def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
     """Return when hands hold each other ``(F,)``: near, and moving together."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
-    smooth = gaussian_smoothed(separation, SMOOTH * fps)
-    speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
-    near = np.linalg.norm(separation, axis=1) < NEAR * length
-    return without_short_runs(near & (speed < TOGETHER * length), fps)
+    smooth_separation = gaussian_smoothed(separation, SMOOTHING_SECONDS * fps)
+    speed = np.linalg.norm(np.gradient(smooth_separation, axis=0), axis=1) * fps
+    is_near = np.linalg.norm(separation, axis=1) < JOINED_DISTANCE * length
+    return without_short_runs(is_near & (speed < JOINED_SPEED * length), fps)
 
 
 def _length(skeleton: RoledSkeleton, side: str) -> float:
@@ -279,12 +296,12 @@ def _length(skeleton: RoledSkeleton, side: str) -> float:
 def hinge_of(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
     """Return an elbow's hinge axis for a straight arm, in the elbow's frame ``(3,)``.
 
-    It is across the upper arm and as level as possible.
+    It is perpendicular to the upper arm and as level as possible.
     """
     bone = skeleton.bone(arm[0])
     facing = skeleton.facing
     up = np.array([0.0, 1.0, 0.0]) if facing is None else facing[1]
     axis = np.cross(up, np.array([1.0, 0.0, 0.0]) if bone is None else bone)
-    size = float(np.linalg.norm(axis))
-    axis = axis / size if size > 0 else np.array([0.0, 0.0, 1.0])
+    norm = float(np.linalg.norm(axis))
+    axis = axis / norm if norm > 0 else np.array([0.0, 0.0, 1.0])
     return so3.rotate(so3.conjugate(skeleton.rotations[arm[1]]), axis)

@@ -14,7 +14,7 @@ from animtool.motion.contacts import find_contacts
 from animtool.retarget.balls import ball_positions
 from animtool.retarget.feet import Foot, bend_at_pin, bend_limb
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.standing import STANDS
+from animtool.retarget.standing import MIN_STANDING_COSINE
 from animtool.retarget.transfer import Transfer
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
@@ -24,16 +24,16 @@ from animtool.rig.skeleton import JointType, Rig
 class LegTracks:
     """Motion of a target leg relative to the hips, and of the source's leg.
 
-    All frames: they decide where feet are planted.
+    Contains all frames, since they determine where feet are planted.
     """
 
-    hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
+    hip: FloatArray  # of the target, relative to the middle of its hips (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
-    toe: FloatArray  # its ball (F, 3) [m]; the ankle where none is known
+    toe: FloatArray  # the ball of the foot (F, 3) [m]; the ankle if it is unknown
     knee: FloatArray  # (F, 3) [m]
     # World rotations of the thigh's parent, thigh, shin and foot (F, 4, 4).
     rotations: FloatArray
-    source: FloatArray  # hip, ankle and toe of the source, in the target's axes (F, 9)
+    source: FloatArray  # hip, ankle and toe of the source in the target's axes (F, 9)
 
     @staticmethod
     def of(
@@ -42,30 +42,33 @@ class LegTracks:
         source: FloatArray,
         ball: FloatArray,
         rotations: FloatArray,
-        about: FloatArray,
+        relative: FloatArray,
     ) -> LegTracks:
         """Return the leg tracks of a block of frames.
 
         Args:
-            transfer: How the target follows.
-            side: Of the leg.
-            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
-            ball: That of its foot, or its ankle, in these axes ``(F, 3)`` [m].
+            transfer: The transfer between the skeletons.
+            side: Side of the leg.
+            source: Source joints in the target's axes ``(F, J, 3)`` [m].
+            ball: Ball of the source's foot, or its ankle, in these axes ``(F, 3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
-            about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
+            relative: Target joints relative to the middle of its hips ``(F, K, 3)``
+                [m].
         """
         target = transfer.target
         thigh, shin, foot, _ = leg_of(target, side)
-        above = int(target.rig.parents[thigh])
-        first, _, ankle, _ = leg_of(transfer.source, side)
-        ends = np.concatenate([source[:, [first, ankle]], ball[:, None]], axis=1)
+        thigh_parent = int(target.rig.parents[thigh])
+        source_thigh, _, ankle, _ = leg_of(transfer.source, side)
+        source_points = np.concatenate(
+            [source[:, [source_thigh, ankle]], ball[:, None]], axis=1
+        )
         return LegTracks(
-            about[:, thigh],
-            about[:, foot],
-            ball_of_foot(target, side, about, rotations),
-            about[:, shin],
-            rotations[:, [max(above, 0), thigh, shin, foot]],
-            ends.reshape(len(ends), 9),
+            relative[:, thigh],
+            relative[:, foot],
+            ball_of_foot(target, side, relative, rotations),
+            relative[:, shin],
+            rotations[:, [max(thigh_parent, 0), thigh, shin, foot]],
+            source_points.reshape(len(source_points), 9),
         )
 
     def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
@@ -76,9 +79,13 @@ class LegTracks:
         length = transfer.source.leg_length(side)
         tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)
-        reach = np.linalg.norm(ankle - hip, axis=1)
-        straight = reach / length if length > 0 else np.ones(len(reach))
-        shortest, longest = _reach(transfer.target, leg)
+        hip_ankle_distance = np.linalg.norm(ankle - hip, axis=1)
+        straightness = (
+            hip_ankle_distance / length
+            if length > 0
+            else np.ones(len(hip_ankle_distance))
+        )
+        shortest_reach, longest_reach = _reach(transfer.target, leg)
         return Foot(
             contacts,
             self.hip,
@@ -87,10 +94,10 @@ class LegTracks:
             self.rotations[:, 3],
             None if transfer.similar_legs else _level(transfer, leg[2]),
             _standing(transfer, side, contacts.ground, up),
-            longest,
-            shortest,
+            longest_reach,
+            shortest_reach,
             transfer.scale * (ankle[:, up] - contacts.ground),
-            np.minimum(straight, 1.0),
+            np.minimum(straightness, 1.0),
         )
 
 
@@ -113,9 +120,9 @@ def ball_of_foot(
 
     Args:
         skeleton: The skeleton.
-        side: Of the foot.
-        positions: Of all joints ``(F, J, 3)`` [m].
-        rotations: Of all joints in the world ``(F, J, 4)``.
+        side: Side of the foot.
+        positions: Positions of all joints ``(F, J, 3)`` [m].
+        rotations: Rotations of all joints in the world ``(F, J, 4)``.
     """
     foot, ball = leg_of(skeleton, side)[2], skeleton.balls.get(side)
     if ball is None:
@@ -126,28 +133,32 @@ def ball_of_foot(
 def _reach(
     target: RoledSkeleton, leg: tuple[int, int, int, int]
 ) -> tuple[float, float]:
-    """Return the least and largest hip-ankle distance [m]; pins may have limits."""
+    """Return the smallest and largest hip-ankle distance [m]; pins may have limits."""
     rig, (_, shin, foot, _) = target.rig, leg
-    joint, rest = rig.joints[shin], rig.rest_rotations[shin]
+    joint, rest_rotation = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
     if joint.type is not JointType.PIN:
         sizes = np.linalg.norm(upper), np.linalg.norm(lower)
         return float(abs(sizes[0] - sizes[1])), float(sizes[0] + sizes[1])
-    low, high = -np.pi, np.pi
+    lower_limit, upper_limit = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
-        low, high = joint.limits.low, joint.limits.high
-    # The square of the reach goes with the cosine of the angle: about where it is most.
+        lower_limit, upper_limit = joint.limits.low, joint.limits.high
+    # The squared distance varies with the cosine of the angle about that of its
+    # maximum.
     pin = np.array(joint.axis, np.float64)
-    bone = so3.rotate(so3.conjugate(rest), upper)
-    most = np.arctan2(
+    bone = so3.rotate(so3.conjugate(rest_rotation), upper)
+    straight_angle = np.arctan2(
         bone @ np.cross(pin, lower), bone @ lower - (bone @ pin) * (lower @ pin)
     )
-    turning = most + np.pi * np.arange(-4, 5)
-    angles = np.append(turning[(turning > low) & (turning < high)], [low, high])
+    free_angle = straight_angle + np.pi * np.arange(-4, 5)
+    angles = np.append(
+        free_angle[(free_angle > lower_limit) & (free_angle < upper_limit)],
+        [lower_limit, upper_limit],
+    )
     rotations = so3.from_axis_angle(pin, angles)
-    tips = upper + so3.rotate(so3.multiply(rest, rotations), lower)
-    reach = np.linalg.norm(tips, axis=1)
-    return float(reach.min()), float(reach.max())
+    tips = upper + so3.rotate(so3.multiply(rest_rotation, rotations), lower)
+    distances = np.linalg.norm(tips, axis=1)
+    return float(distances.min()), float(distances.max())
 
 
 def _level(transfer: Transfer, foot: int) -> FloatArray:
@@ -157,7 +168,7 @@ def _level(transfer: Transfer, foot: int) -> FloatArray:
     """
     target = transfer.target
     facing, up = target.facing, up_index(target.rig)
-    if facing is None or facing[1, up] < STANDS:
+    if facing is None or facing[1, up] < MIN_STANDING_COSINE:
         return np.asarray(transfer.aligned[foot])
     return np.asarray(target.rotations[foot])
 
@@ -168,10 +179,10 @@ def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
     leg = leg_of(target, side)
     if transfer.similar_legs:
         return transfer.scale * ground
-    low = float(target.positions[:, up].min())
+    lowest = float(target.positions[:, up].min())
     ankle = float(target.positions[leg[2], up])
-    # A rig standing on the ground at rest gives the height of its ankles.
-    if abs(low) < 0.1 * target.leg_length(side):
+    # A rig that stands on the ground at rest defines the height of its ankles.
+    if abs(lowest) < 0.1 * target.leg_length(side):
         return ankle
     balls = target.balls.get(side), source.balls.get(side)
     if balls[0] is None or balls[1] is None:
@@ -192,16 +203,22 @@ def ankle_rotations(
 
     Args:
         target: The skeleton.
-        side: Of the leg.
-        joints: Where thigh, shin and foot begin ``(F, 3, 3)`` [m].
-        goal: Of the ankle ``(F, 3)`` [m].
+        side: Side of the leg.
+        joints: Starts of thigh, shin and foot ``(F, 3, 3)`` [m].
+        goal: Goal of the ankle ``(F, 3)`` [m].
         rotations: Current world rotations of thigh and shin ``(F, 4)``.
         swivel: Rotation of the knee about the line from hip to ankle ``(F,)``
             [rad].
     """
     leg = leg_of(target, side)[:3]
-    pair = limb_rotations(target, leg, joints, goal, rotations, _hinge(target, leg[1]))
-    return pair if swivel is None else swivelled(pair, goal - joints[:, 0], swivel)
+    bone_rotations = limb_rotations(
+        target, leg, joints, goal, rotations, _hinge(target, leg[1])
+    )
+    return (
+        bone_rotations
+        if swivel is None
+        else swivelled(bone_rotations, goal - joints[:, 0], swivel)
+    )
 
 
 def limb_rotations(
@@ -216,18 +233,18 @@ def limb_rotations(
 
     Args:
         target: The skeleton.
-        limb: Its joints: the first, the middle one and its end.
-        joints: Where these are ``(F, 3, 3)`` [m].
-        goal: Of the end ``(F, 3)`` [m].
+        limb: Joints of the limb: first, middle and end.
+        joints: Their positions ``(F, 3, 3)`` [m].
+        goal: Goal of the end ``(F, 3)`` [m].
         rotations: Current world rotations of both bones ``(F, 4)``.
-        hinge: What the middle joint turns about where the limb is straight, in its own
-            frame ``(3,)``.
+        hinge: Rotation axis of the middle joint of a straight limb, in its own frame
+            ``(3,)``.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:
         return _bent_pin(target, limb, joints[:, 0], goal, rotations)
-    ends = joints[:, 1], joints[:, 2]
+    joint_positions = joints[:, 1], joints[:, 2]
     return bend_limb(
-        joints[:, 0], ends, goal, rotations, so3.rotate(rotations[1], hinge)
+        joints[:, 0], joint_positions, goal, rotations, so3.rotate(rotations[1], hinge)
     )
 
 
@@ -248,17 +265,24 @@ def _bent_pin(
     rotations: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Return world rotations of both bones of a limb whose middle joint is a pin."""
-    rig, (_, middle, end) = target.rig, limb
-    joint, rest = rig.joints[middle], rig.rest_rotations[middle]
+    rig, (_, middle, end_joint) = target.rig, limb
+    joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
     local = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin = np.array(joint.axis, np.float64)
-    angle = swing_twist(so3.multiply(so3.conjugate(rest), local), joint.axis)[1]
-    bones = rig.rest_translations[middle], so3.rotate(rest, target.offset(middle, end))
-    limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
-    upper, bent = bend_at_pin(
-        start, goal, rotations[0], bones, so3.rotate(rest, pin), angle, limits
+    angle = swing_twist(so3.multiply(so3.conjugate(rest_rotation), local), joint.axis)[
+        1
+    ]
+    bones = (
+        rig.rest_translations[middle],
+        so3.rotate(rest_rotation, target.offset(middle, end_joint)),
     )
-    lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))
+    limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
+    upper, upper_and_angle = bend_at_pin(
+        start, goal, rotations[0], bones, so3.rotate(rest_rotation, pin), angle, limits
+    )
+    lower = so3.multiply(
+        upper, so3.multiply(rest_rotation, so3.from_axis_angle(pin, upper_and_angle))
+    )
     return upper, lower
 
 
@@ -268,5 +292,5 @@ def _hinge(target: RoledSkeleton, shin: int) -> FloatArray:
     if joint.type is JointType.PIN:
         return np.array(joint.axis, np.float64)
     facing = target.facing
-    left = np.eye(3)[0] if facing is None else facing[0]
-    return so3.rotate(so3.conjugate(target.rotations[shin]), left)
+    left_axis = np.eye(3)[0] if facing is None else facing[0]
+    return so3.rotate(so3.conjugate(target.rotations[shin]), left_axis)

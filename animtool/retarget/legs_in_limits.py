@@ -1,6 +1,6 @@
 """Legs at joint limits: knees swivel and hips rise so that planted feet stay in place.
 
-Where that is not enough, feet move to where the limits allow.
+Where that is not enough, feet move to positions that the limits allow.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ from animtool.rig.limits import BallLimit
 
 # Knee swivels: a coarse grid, then a fine one about the best [rad].
 SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
-NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
-# Cost of swivelling, over that of a limit violation.
+FINE_SWIVELS = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
+# Cost of swivelling, relative to that of a limit violation.
 SWIVEL_COST = 0.05
 # Smoothing times of knee swivel and hip rise [s].
 SWIVEL_TIME, RISE_TIME = 0.1, 0.2
-# Most hip iterations, and the tolerated foot depth over the skeleton's size.
-RISES, SUNK = 3, 5e-4
+# Maximum number of hip iterations, and the tolerated foot depth relative to the
+# skeleton's size.
+MAX_HIP_ITERATIONS, MAX_FOOT_DEPTH = 3, 5e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +43,21 @@ class _Leg:
     target: RoledSkeleton
     side: str
     tracks: LegTracks
-    goal: FloatArray  # of the ankle (F, 3) [m]
+    goal: FloatArray  # goal of the ankle (F, 3) [m]
     foot: FloatArray  # world rotations of the foot (F, 4)
-    stands: BoolArray  # (F,)
+    stands: BoolArray  # whether the foot is planted (F,)
 
     def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
-        about = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
-        both = tracks.rotations[:, 1], tracks.rotations[:, 2]
+        relative_joints = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
+        bone_rotations = tracks.rotations[:, 1], tracks.rotations[:, 2]
         return ankle_rotations(
-            self.target, self.side, hips[:, None] + about, self.goal, both
+            self.target,
+            self.side,
+            hips[:, None] + relative_joints,
+            self.goal,
+            bone_rotations,
         )
 
     def swivel(self, hips: FloatArray, fps: float) -> FloatArray:
@@ -62,19 +67,24 @@ class _Leg:
         """
         swivel = np.zeros(len(hips))
         rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
-        every = np.arange(len(hips))
-        off = np.flatnonzero(self._excess(rotations, axis, every, swivel) > 0)
-        if not len(off):
+        all_frames = np.arange(len(hips))
+        violating = np.flatnonzero(
+            self._excess(rotations, axis, all_frames, swivel) > 0
+        )
+        if not len(violating):
             return swivel
-        best = np.zeros(len(off))
-        for steps in (SWIVELS, NEARBY):
-            tried = best + steps[:, None]
+        best_swivel = np.zeros(len(violating))
+        for grid in (SWIVELS, FINE_SWIVELS):
+            candidates = best_swivel + grid[:, None]
             costs = [
-                self._excess(rotations, axis, off, angles) + (SWIVEL_COST * angles) ** 2
-                for angles in tried
+                self._excess(rotations, axis, violating, angles)
+                + (SWIVEL_COST * angles) ** 2
+                for angles in candidates
             ]
-            best = tried[np.argmin(costs, axis=0), np.arange(len(off))]
-        swivel[off] = best
+            best_swivel = candidates[
+                np.argmin(costs, axis=0), np.arange(len(violating))
+            ]
+        swivel[violating] = best_swivel
         return gaussian_smoothed(swivel, SWIVEL_TIME * fps)
 
     def _excess(
@@ -86,42 +96,53 @@ class _Leg:
     ) -> FloatArray:
         """Return the squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
-        both = rotations[0][frames], rotations[1][frames]
-        first, second = swivelled(both, axis[frames], angles)
-        above = so3.conjugate(self.tracks.rotations[frames, 0])
-        total = np.zeros(len(frames))
+        bone_rotations = rotations[0][frames], rotations[1][frames]
+        thigh_rotation, shin_rotation = swivelled(bone_rotations, axis[frames], angles)
+        inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
+        violation = np.zeros(len(frames))
         for joint, local in (
-            (thigh, so3.multiply(above, first)),
-            (foot, so3.multiply(so3.conjugate(second), self.foot[frames])),
+            (thigh, so3.multiply(inverse_parent, thigh_rotation)),
+            (foot, so3.multiply(so3.conjugate(shin_rotation), self.foot[frames])),
         ):
             limit = rig.joints[joint].limits
             if isinstance(limit, BallLimit):
-                back = so3.conjugate(rig.rest_rotations[joint])
-                total += limit.excess(so3.multiply(back, local)) ** 2
-        return total
+                inverse_rest = so3.conjugate(rig.rest_rotations[joint])
+                violation += limit.excess(so3.multiply(inverse_rest, local)) ** 2
+        return violation
 
     def sunk(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
-        """Return how far hip limits put a planted ankle below its goal ``(F,)`` [m].
+        """Return the depth of a planted ankle below its goal ``(F,)`` [m].
 
-        It is 0 while the foot is in the air.
+        Caused by hip limits; 0 while the foot is in the air.
         """
         rig, (thigh, shin, foot, _) = self.target.rig, leg_of(self.target, self.side)
         limit = rig.joints[thigh].limits
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
-        start = hips + self.tracks.hip
-        first, second = swivelled(self.rotations(hips), self.goal - start, swivel)
-        above, rest = self.tracks.rotations[:, 0], rig.rest_rotations[thigh]
-        local = so3.multiply(so3.conjugate(so3.multiply(above, rest)), first)
-        clamped = so3.multiply(above, so3.multiply(rest, limit.clamped(local)))
-        # The knee is as bent as it was.
-        second = so3.multiply(clamped, so3.multiply(so3.conjugate(first), second))
+        hip_positions = hips + self.tracks.hip
+        thigh_rotation, shin_rotation = swivelled(
+            self.rotations(hips), self.goal - hip_positions, swivel
+        )
+        parent_rotation, rest_rotation = (
+            self.tracks.rotations[:, 0],
+            rig.rest_rotations[thigh],
+        )
+        local = so3.multiply(
+            so3.conjugate(so3.multiply(parent_rotation, rest_rotation)), thigh_rotation
+        )
+        clamped = so3.multiply(
+            parent_rotation, so3.multiply(rest_rotation, limit.clamped(local))
+        )
+        # The knee keeps its bend.
+        shin_rotation = so3.multiply(
+            clamped, so3.multiply(so3.conjugate(thigh_rotation), shin_rotation)
+        )
         bones = rig.rest_translations
-        knee = start + so3.rotate(clamped, bones[shin])
-        ankle = knee + so3.rotate(second, bones[foot])
+        knee = hip_positions + so3.rotate(clamped, bones[shin])
+        ankle = knee + so3.rotate(shin_rotation, bones[foot])
         up = up_index(rig)
-        low = np.maximum(self.goal[:, up] - ankle[:, up], 0.0)
-        return np.where(self.stands, low, 0.0)
+        depth = np.maximum(self.goal[:, up] - ankle[:, up], 0.0)
+        return np.where(self.stands, depth, 0.0)
 
 
 def within_limits(
@@ -135,26 +156,26 @@ def within_limits(
 
     Args:
         target: The skeleton.
-        sides: Of the legs.
-        tracks: Of each leg.
+        sides: Sides of the legs.
+        tracks: Tracks of each leg.
         placed: Goals of hips and feet.
         fps: Frames a second.
     """
     legs = [
-        _Leg(target, *parts)
-        for parts in zip(
+        _Leg(target, *leg_data)
+        for leg_data in zip(
             sides, tracks, placed.ankles, placed.rotations, placed.locked, strict=True
         )
     ]
     hips = placed.hips.copy()
     angles = [leg.swivel(hips, fps) for leg in legs]
-    for tried in range(RISES):
-        low = np.max(
+    for attempt in range(MAX_HIP_ITERATIONS):
+        depth = np.max(
             [leg.sunk(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
         )
-        if low.max() < SUNK * target.size:
+        if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
-        hips[:, up_index(target.rig)] += upper(low, RISE_TIME * fps)
-        if tried == RISES - 1:
+        hips[:, up_index(target.rig)] += upper(depth, RISE_TIME * fps)
+        if attempt == MAX_HIP_ITERATIONS - 1:
             angles = [leg.swivel(hips, fps) for leg in legs]
     return hips, angles

@@ -11,7 +11,7 @@ from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Rig
 
 # Columns of a map file's lists.
-WIDTH = 88
+LINE_WIDTH = 88
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +20,8 @@ class JointPair:
 
     source: int  # index of the joint
     target: int  # index of the joint
-    role: str  # of `ROLES`; empty if a file or a name alone pairs them
-    evidence: RoleSource  # the weaker of the two
+    role: str  # one of `ROLES`; empty if only a file or a name pairs them
+    evidence: RoleSource  # the weaker evidence of the two
     confidence: float  # 0 to 1
 
 
@@ -29,24 +29,24 @@ class JointPair:
 class JointChain:
     """Joints of one role on both sides, where either side has several.
 
-    The start of a joint is its distance along the chain over the length of the chain
-    with its last bone: 0 for the first.
+    A joint's position on the chain is its distance from the start over the chain's
+    length, including the last bone: 0 for the first joint.
     """
 
     role: str
     source: tuple[int, ...]
     target: tuple[int, ...]
-    source_at: tuple[float, ...]  # 0 to 1, below 1
-    target_at: tuple[float, ...]  # 0 to 1, below 1
+    source_at: tuple[float, ...]  # positions of the source joints, from 0 to below 1
+    target_at: tuple[float, ...]  # positions of the target joints, from 0 to below 1
 
 
 @dataclass(frozen=True, slots=True)
 class TwistFraction:
     """A target joint that takes a fraction of a bone's twist."""
 
-    joint: int  # index in the target
+    target: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
-    fraction: float  # of the twist from the bone's begin (0) to its end (1)
+    fraction: float  # of the twist between the bone's start (0) and its end (1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class JointMap:
     pairs: tuple[JointPair, ...]  # in the order of the target's joints
     chains: tuple[JointChain, ...]
     twists: tuple[TwistFraction, ...]
-    unmapped_source: tuple[int, ...]  # joints that move nothing
+    unmapped_source: tuple[int, ...]  # joints that no target joint follows
     unmapped_target: tuple[int, ...]  # joints that stay at rest
     source: Anatomy
     target: Anatomy
@@ -79,31 +79,31 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     source_names, target_names = source.names, target.names
     yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
-    # Shown so that users find the key and its values.
+    # Written so that users see the key and its values.
     yield "others: none  # auto maps joints that are not named here, as without a file"
     yield "joints:"
-    chained = {j for chain in joint_map.chains for j in chain.target}
+    chain_joints = {j for chain in joint_map.chains for j in chain.target}
     chains = {chain.target[0]: chain for chain in joint_map.chains}
     for pair in joint_map.pairs:
         if pair.target in chains:
             chain = chains[pair.target]
-            left = _flow([source_names[j] for j in chain.source])
-            right = _flow([target_names[j] for j in chain.target])
-        elif pair.target in chained:
+            source_text = _flow([source_names[j] for j in chain.source])
+            target_text = _flow([target_names[j] for j in chain.target])
+        elif pair.target in chain_joints:
             continue
         else:
-            left, right = (
+            source_text, target_text = (
                 text(source_names[pair.source]),
                 text(target_names[pair.target]),
             )
         role = f", role: {pair.role}" if pair.role else ""
-        sure = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
-        comment = sure if pair.confidence < 1.0 else ""
-        yield f"- {{source: {left}, target: {right}{role}}}{comment}"
+        confidence_note = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
+        comment = confidence_note if pair.confidence < 1.0 else ""
+        yield f"- {{source: {source_text}, target: {target_text}{role}}}{comment}"
     if joint_map.twists:
         yield "twists:"
     for twist in joint_map.twists:
-        joint, bone = text(target_names[twist.joint]), text(target_names[twist.bone])
+        joint, bone = text(target_names[twist.target]), text(target_names[twist.bone])
         fraction = number(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped = {
@@ -117,17 +117,17 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
             yield from _wrapped(f"  {side}: [", list(map(text, names)))
 
 
-def _wrapped(head: str, names: Sequence[str]) -> Iterator[str]:
+def _wrapped(prefix: str, names: Sequence[str]) -> Iterator[str]:
     """Yield the wrapped lines of a list of names."""
-    line = head
+    line = prefix
     for i, name in enumerate(names):
-        last = i == len(names) - 1
-        item = f"{name}]" if last else f"{name},"
-        gap = "" if line == head or line.endswith(" ") else " "
-        if len(line) + len(gap) + len(item) > WIDTH and line != head:
+        is_last = i == len(names) - 1
+        item = f"{name}]" if is_last else f"{name},"
+        separator = "" if line == prefix or line.endswith(" ") else " "
+        if len(line) + len(separator) + len(item) > LINE_WIDTH and line != prefix:
             yield line
-            line, gap = " " * len(head), ""
-        line += f"{gap}{item}"
+            line, separator = " " * len(prefix), ""
+        line += f"{separator}{item}"
     yield line
 
 

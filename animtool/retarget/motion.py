@@ -1,7 +1,7 @@
 """Retargeting of takes from one skeleton onto another.
 
-A take is read twice, so that a long one is never fully in memory: foot contacts depend
-on all frames but need little data of each; the joints follow in the second pass.
+A take is read twice, so that a long take never has to fit into memory: foot contacts
+depend on all frames but need little data per frame; joints follow in the second pass.
 """
 
 from __future__ import annotations
@@ -48,42 +48,43 @@ from animtool.retarget.verdict import Verdict
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# Frames of a block: its arrays stay in the processor's cache. Blocks begin at the first
-# frame of a take, however it arrives.
-BLOCK = 1024
-# Most iterations of ankle compliance, and the tolerated error over the size of
-# the skeleton: each time leaves about a tenth.
-TRIES, CONVERGED = 5, 1e-5
-# Motions below this fraction of the skeleton, or rotations about its root, in
-# radians, count as static [1].
-STATIC = 1e-6
-# Numbers that differ by less are one but for rounding [1], [m].
+# Frames of a block: its arrays fit into the processor's cache. Blocks begin at the
+# first frame of a take, whatever the blocks of the input are.
+BLOCK_FRAMES = 1024
+# Maximum iterations of ankle compliance, and the tolerated error relative to the
+# skeleton's size: each iteration leaves about a tenth.
+MAX_ANKLE_ITERATIONS, ANKLE_TOLERANCE = 5, 1e-5
+# Motions below this fraction of the skeleton's size, or rotations about its root below
+# this in radians, count as static [1].
+STATIC_MOTION = 1e-6
+# Numbers that differ by less are equal up to rounding [1], [m].
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
 class _Posed:
-    """Frames of the target before its feet are placed."""
+    """Frames of the target before its feet are planted."""
 
-    source: FloatArray  # the source's joints, in the target's axes (F, J, 3) [m]
-    # Balls of its feet, or their ankles, in these axes (F, L, 3) [m].
+    source: FloatArray  # source joints in the target's axes (F, J, 3) [m]
+    # Balls of the source's feet, or ankles, in these axes (F, L, 3) [m].
     balls: FloatArray
     rotations: LocalRotations
     bones: FloatArray  # local translations (F or 1, K, 3) [m]
-    about: FloatArray  # joints about the middle of the hips (F, K, 3) [m]
-    hips: FloatArray  # that middle (F, 3) [m]
+    about: FloatArray  # joints relative to the middle of the hips (F, K, 3) [m]
+    hips: FloatArray  # the middle of the hips (F, 3) [m]
 
 
 class Retargeting:
     """A take being retargeted onto another rig.
 
     Attributes:
-        transfer: How the rig follows.
+        transfer: The transfer between the skeletons.
         standing: Which feet are planted, and when.
         clamped: Fraction of the frames so far in which limits clamp each joint.
-        moving: Joints of the source that move.
-        longest: Largest distance of its joints from their parents ``(J,)`` [m].
-        forced: Errors that are passed over on request.
+        moving: Moving joints of the source.
+        longest: Largest distance of the source's joints from their parents ``(J,)``
+            [m].
+        forced: Errors ignored on request.
     """
 
     def __init__(
@@ -101,13 +102,13 @@ class Retargeting:
         """Read the take once: the first pass.
 
         Args:
-            transfer: How the rig follows.
+            transfer: The transfer between the skeletons.
             joint_map: Which joints follow which.
-            motions: Of the source, block by block.
+            motions: Motion of the source, block by block.
             fps: Frames a second.
             lock: Whether planted feet stay in place.
-            same: Whether they do so on legs like those of the source, too; else such
-                legs move as the source's.
+            same: Whether this also applies to legs like those of the source; else such
+                legs move as the source's do.
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
         """
@@ -117,7 +118,7 @@ class Retargeting:
         self._start: tuple[FloatArray, FloatArray] | None = None
         # Moving joints of the source.
         self.moving: set[int] = set()
-        # Largest distance of its joints from their parents (J,) [m].
+        # Largest distance of the source's joints from their parents (J,) [m].
         self.longest: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
         self._stopped: list[dict[int, BoolArray]] = []
@@ -131,19 +132,19 @@ class Retargeting:
             for side in "lr"
             if hands and arm_of(transfer.target, side) and arm_of(transfer.source, side)
         )
-        tracks, reaches = self._tracks(motions, legs, arms)
+        tracks, leg_lengths = self._tracks(motions, legs, arms)
         feet = [
-            one.foot(transfer, side, fps)
-            for one, side in zip(tracks, legs, strict=True)
+            leg_tracks.foot(transfer, side, fps)
+            for leg_tracks, side in zip(tracks, legs, strict=True)
         ]
-        placed = None
+        planted = None
         if legs and lock and (same or not transfer.similar_legs):
-            placed = self._plant_feet(legs, tracks, feet, fps)
-        floor = _floor(transfer, feet, placed=placed is not None)
+            planted = self._plant_feet(legs, tracks, feet, fps)
+        floor = _floor(transfer, feet, placed=planted is not None)
         hand_goals = hand_contacts(
             transfer,
             arms,
-            reaches,
+            leg_lengths,
             self._hips,
             floor,
             fps,
@@ -152,7 +153,7 @@ class Retargeting:
         # Offset of gripped props (3,) [m].
         self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
         contacts = tuple(foot.contacts for foot in feet)
-        self.standing = Standing(legs, contacts, placed, hand_goals)
+        self.standing = Standing(legs, contacts, planted, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.standing)
         self._clamped_frames: dict[int, int] = {}
         self._frames = 0
@@ -165,48 +166,56 @@ class Retargeting:
         tracks: list[list[LegTracks]] = []
         reaches: list[list[ArmTracks]] = []
         hips = []
-        for motion in in_blocks(motions, BLOCK):
+        for motion in in_blocks(motions, BLOCK_FRAMES):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
             self._note_moving(motion)
-            posed = self._posed(motion, legs)
-            rotations = posed.rotations
-            parts = posed.source, rotations.world, posed.about
+            block = self._posed(motion, legs)
+            rotations = block.rotations
+            arm_arguments = block.source, rotations.world, block.about
             tracks.append(
                 [
                     LegTracks.of(
-                        transfer, side, parts[0], posed.balls[:, k], *parts[1:]
+                        transfer,
+                        side,
+                        arm_arguments[0],
+                        block.balls[:, k],
+                        *arm_arguments[1:],
                     )
                     for k, side in enumerate(legs)
                 ]
             )
-            reaches.append([ArmTracks.of(transfer, side, *parts) for side in arms])
-            hips.append(posed.hips)
-            kept = [
+            reaches.append(
+                [ArmTracks.of(transfer, side, *arm_arguments) for side in arms]
+            )
+            hips.append(block.hips)
+            frame_arrays = [
                 rotations.local,
                 rotations.world,
-                posed.bones,
-                posed.about,
-                posed.balls,
+                block.bones,
+                block.about,
+                block.balls,
             ]
-            self._spool.append([posed.source, *kept])
+            self._spool.append([block.source, *frame_arrays])
             self._stopped.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
-            [joined([each[k] for each in tracks]) for k in range(len(legs))],
-            [joined([each[k] for each in reaches]) for k in range(len(arms))],
+            [joined([track[k] for track in tracks]) for k in range(len(legs))],
+            [joined([track[k] for track in reaches]) for k in range(len(arms))],
         )
 
     def _note_moving(self, motion: Motion) -> None:
-        """Record the joints that move away from their first frame."""
+        """Record the joints that leave their pose of the first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
         longest = np.linalg.norm(values[0], axis=2).max(axis=0)
         self.longest = np.maximum(self.longest, longest)
-        far = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
-        same = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
-        moves = (far > STATIC * self.transfer.source.size) | (same < 1 - STATIC)
+        has_moved = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
+        quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
+        moves = (has_moved > STATIC_MOTION * self.transfer.source.size) | (
+            quaternion_dots < 1 - STATIC_MOTION
+        )
         self.moving.update(np.flatnonzero(moves).tolist())
 
     def _plant_feet(
@@ -220,8 +229,10 @@ class Retargeting:
         transfer = self.transfer
         up = up_index(transfer.target.rig)
         # The target's ground is the source's, scaled.
-        off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]
-        self._hips[:, up] += float(np.mean(off))
+        ground_offsets = [
+            foot.height - transfer.scale * foot.contacts.ground for foot in feet
+        ]
+        self._hips[:, up] += float(np.mean(ground_offsets))
         placed = plant_feet(self._hips, feet, fps, up)
         self._hips, self._swivels = within_limits(
             transfer.target, legs, tracks, placed, fps
@@ -238,13 +249,13 @@ class Retargeting:
         rotations = hinged(transfer, transfer.rotations(world))
         posed = local_rotations(transfer, rotations)
         bones = transfer.bones(world, local[0], posed.world)
-        about = about_hips(target, posed.world, bones, limbs_of(target))
+        relative = about_hips(target, posed.world, bones, limbs_of(target))
         hips = transfer.hips(positions)
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
-        parts = transfer.turned(positions), transfer.turned(balls)
-        return _Posed(*parts, posed, bones, about, hips)
+        source_points = transfer.turned(positions), transfer.turned(balls)
+        return _Posed(*source_points, posed, bones, relative, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:
@@ -262,7 +273,7 @@ class Retargeting:
     def blocks(self) -> Iterator[Motion]:
         """Yield the target's motion; call it once."""
         rig = self.transfer.target.rig
-        first: tuple[FloatArray, FloatArray] | None = None
+        first_rows: tuple[FloatArray, FloatArray] | None = None
         signs: FloatArray | None = None
         twists: FloatArray | None = None
         for clamped, arrays in zip(self._stopped, self._spool.drain(), strict=True):
@@ -273,9 +284,9 @@ class Retargeting:
             rotations = self._with_legs(rotations, hips, hip_relative, begin)
             rotations = self._with_arms(rotations, begin)
             self._frames += count
-            for j, many in rotations.clamped.items():
+            for j, frame_count in rotations.clamped.items():
                 self._clamped_frames[j] = self._clamped_frames.get(j, 0) + int(
-                    many.sum()
+                    frame_count.sum()
                 )
             local = rotations.local
             twists = distribute_twist(self.transfer, local, twists)
@@ -286,16 +297,21 @@ class Retargeting:
             translations[:, root] = path
             local = so3.align_signs(local, signs)
             signs = local[-1]
-            first = (
-                (translations[0].copy(), local[0].copy()) if first is None else first
+            first_rows = (
+                (translations[0].copy(), local[0].copy())
+                if first_rows is None
+                else first_rows
             )
             # Motion from rounding alone is removed.
-            for values, start in zip((translations, local), first, strict=True):
-                static = np.abs(values - start) < ROUNDING
-                np.copyto(values, start, where=static)
+            for values, first_row in zip(
+                (translations, local), first_rows, strict=True
+            ):
+                static = np.abs(values - first_row) < ROUNDING
+                np.copyto(values, first_row, where=static)
             self._meter.add(begin, forward(rig, translations, local), source, balls)
             yield Motion(
-                self._channel(translations, first[0]), self._channel(local, first[1])
+                self._channel(translations, first_rows[0]),
+                self._channel(local, first_rows[1]),
             )
 
     def _channel(self, values: FloatArray, first: FloatArray) -> Channel:
@@ -314,34 +330,42 @@ class Retargeting:
         legs = [leg_of(target, side) for side in self.standing.sides]
         goals = [ankle[begin : begin + len(hips)].copy() for ankle in placed.ankles]
         rows = np.arange(len(hips))
-        solved = self._solved(rotations, hips, about, goals, rows + begin)
-        for _ in range(TRIES - 1):
+        solution = self._solved(rotations, hips, about, goals, rows + begin)
+        for _ in range(MAX_ANKLE_ITERATIONS - 1):
             # If a limit stops the foot, the ankle yields so that the toe stays.
-            most = np.zeros(len(rows))
-            at = rows + begin
+            largest_error = np.zeros(len(rows))
+            output_frames = rows + begin
             for k, (_, _, foot, _) in enumerate(legs):
                 ball = target.balls.get(self.standing.sides[k])
-                if foot not in solved.clamped or ball is None:
+                if foot not in solution.clamped or ball is None:
                     continue
                 bone = ball.offset
-                if ball.joint >= 0:
-                    back = so3.conjugate(rotations.world[rows, foot])
-                    tip = about[rows, ball.joint] - about[rows, foot]
-                    bone = so3.rotate(back, tip)
-                requested, actual = placed.rotations[k][at], solved.world[rows, foot]
-                off = so3.rotate(requested, bone) - so3.rotate(actual, bone)
-                goal = placed.ankles[k][at] + placed.rolls[k][at, None] * off
-                most = np.maximum(most, np.abs(goal - goals[k][rows]).max(axis=1))
+                if ball.toe >= 0:
+                    inverse_rotation = so3.conjugate(rotations.world[rows, foot])
+                    tip = about[rows, ball.toe] - about[rows, foot]
+                    bone = so3.rotate(inverse_rotation, tip)
+                requested, actual = (
+                    placed.rotations[k][output_frames],
+                    solution.world[rows, foot],
+                )
+                toe_error = so3.rotate(requested, bone) - so3.rotate(actual, bone)
+                goal = (
+                    placed.ankles[k][output_frames]
+                    + placed.rolls[k][output_frames, None] * toe_error
+                )
+                largest_error = np.maximum(
+                    largest_error, np.abs(goal - goals[k][rows]).max(axis=1)
+                )
                 goals[k][rows] = goal
-            rows = rows[most > CONVERGED * target.size]
+            rows = rows[largest_error > ANKLE_TOLERANCE * target.size]
             if not len(rows):
                 break
             nearer = [goal[rows] for goal in goals]
-            again = self._solved(
+            corrected = self._solved(
                 rotations.rows(rows), hips[rows], about[rows], nearer, rows + begin
             )
-            solved.set_rows(rows, again)
-        return solved
+            solution.set_rows(rows, corrected)
+        return solution
 
     def _solved(
         self,
@@ -355,17 +379,17 @@ class Retargeting:
         target, placed = self.transfer.target, self.standing.placed
         assert placed is not None
         world = rotations.world.copy()
-        changed: set[int] = set()
+        changed_joints: set[int] = set()
         for k, side in enumerate(self.standing.sides):
             leg = leg_of(target, side)
             joints = hips[:, None] + about[:, leg[:3]]
-            both = world[:, leg[0]], world[:, leg[1]]
+            bone_rotations = world[:, leg[0]], world[:, leg[1]]
             world[:, leg[0]], world[:, leg[1]] = ankle_rotations(
-                target, side, joints, goals[k], both, self._swivels[k][frames]
+                target, side, joints, goals[k], bone_rotations, self._swivels[k][frames]
             )
             world[:, leg[2]] = placed.rotations[k][frames]
-            changed.update(leg[:3])
-        return local_rotations(self.transfer, world, rotations, changed)
+            changed_joints.update(leg[:3])
+        return local_rotations(self.transfer, world, rotations, changed_joints)
 
     def _with_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
         """Return rotations with arms that bring the hands to their contacts."""
@@ -388,8 +412,8 @@ def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor |
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
-    high = float(np.mean([foot.height for foot in feet]))
-    return Floor(ground, high if placed else transfer.scale * ground)
+    planted_height = float(np.mean([foot.height for foot in feet]))
+    return Floor(ground, planted_height if placed else transfer.scale * ground)
 
 
 Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
@@ -398,7 +422,7 @@ Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 def joined(parts: list[Tracks]) -> Tracks:
     """Return blocks of consecutive frames as one set of tracks."""
     names = parts[0].__dataclass_fields__
-    arrays = (np.concatenate([getattr(one, name) for one in parts]) for name in names)
+    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     return type(parts[0])(*arrays)
 
 
@@ -407,12 +431,12 @@ def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
     buffered: list[Motion] = []
     count = 0
     for motion in motions:
-        begin = 0
-        while begin < motion.frames:
-            end = min(begin + size - count, motion.frames)
-            buffered.append(motion.select(slice(begin, end)))
-            count += end - begin
-            begin = end
+        start = 0
+        while start < motion.frames:
+            end = min(start + size - count, motion.frames)
+            buffered.append(motion.select(slice(start, end)))
+            count += end - start
+            start = end
             if count == size:
                 yield Motion.concatenate(buffered)
                 buffered, count = [], 0
@@ -456,15 +480,16 @@ def transfer_of(
 
     Args:
         source: The rig of the takes.
-        target: The rig that they go onto.
+        target: The target rig.
         joint_map: Which joints follow which.
-        rest: Local turns of the source's joints in its rest pose ``(J, 4)``; None is
-            that of its rig.
-        as_rig: Whether the source rests as the target does, whatever its bones say.
+        rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
+            uses its rig's.
+        as_rig: Whether source and target rest in the same pose, whatever the bones look
+            like.
     """
-    ours = RoledSkeleton.of(source, joint_map.source.roles, rest)
-    theirs = RoledSkeleton.of(target, joint_map.target.roles)
-    return Transfer.of(ours, theirs, joint_map, as_rig=as_rig)
+    source_skeleton = RoledSkeleton.of(source, joint_map.source.roles, rest)
+    target_skeleton = RoledSkeleton.of(target, joint_map.target.roles)
+    return Transfer.of(source_skeleton, target_skeleton, joint_map, as_rig=as_rig)
 
 
 def retarget_take(
@@ -482,14 +507,16 @@ def retarget_take(
         take: The source.
         rig: The target.
         joint_map: Which joints follow which.
-        rest: Local turns of the source's joints in its rest pose ``(J, 4)``; None is
-            that of its rig.
+        rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
+            uses its rig's.
         lock: Whether planted feet stay in place.
         hands: Whether hands keep their contacts.
     """
     transfer = transfer_of(take.rig, rig, joint_map, rest)
     fps = float(take.clock.rate)
-    going = Retargeting(transfer, joint_map, [take.motion], fps, lock=lock, hands=hands)
-    motion = Motion.concatenate(list(going.blocks())).map(Channel.compact)
-    after = driven_take(replace(take, rig=rig, motion=motion))
-    return Retargeted(after, transfer, going.standing, going.report())
+    retargeting = Retargeting(
+        transfer, joint_map, [take.motion], fps, lock=lock, hands=hands
+    )
+    motion = Motion.concatenate(list(retargeting.blocks())).map(Channel.compact)
+    result = driven_take(replace(take, rig=rig, motion=motion))
+    return Retargeted(result, transfer, retargeting.standing, retargeting.report())

@@ -28,34 +28,35 @@ from animtool.retarget.roles import (
 )
 from animtool.rig.sides import SIDE_WORDS, pair_sides
 
-_FILE = resources.files("animtool.retarget") / "presets.yaml"
-# Namespaces, and prefixes that exporters set before every name.
+_PRESETS_FILE = resources.files("animtool.retarget") / "presets.yaml"
+# Namespaces, and prefixes that exporters put before every name.
 _NAMESPACE = re.compile(r"^.*[:|/]")
 _PREFIX = re.compile(
     r"^(mixamorig\d*[:_]?|(ValveBiped[._])?Bip0*\d+(?=[ _.])|CC_Base_|DEF-|ORG-"
     r"|J_(Bip|Adj)_|Robot_|Skeleton[ _]?\d+_)(?=.)"
 )
-# Words, in camel case or set off by other characters, and numbers.
+# Words, in camel case or separated by other characters, and numbers.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
 _SIDES = {**dict.fromkeys(SIDE_WORDS, "l"), **dict.fromkeys(SIDE_WORDS.values(), "r")}
-# Words of joints as such, and the letters of the middle, set off by other characters.
-_NOISE = re.compile(
+# Words for joints in general, and the letter for the middle, separated by other
+# characters.
+_FILLER = re.compile(
     r"(?<![^\W_])(joint|jnt|jt|bone|bn|link|def|bind|[jmcx])(?![^\W_])", re.IGNORECASE
 )
 _TWIST = re.compile(r"twist|roll|捩|(shoulder|elbow|hip|knee)part[0-9]")
-_ENDS = {"end", "nub", "tip", "site", "leaf", "effector", "vertex"}
-_CONTROLS = {
+_END_WORDS = {"end", "nub", "tip", "site", "leaf", "effector", "vertex"}
+_CONTROL_WORDS = {
     *("ik", "fk", "pole", "ctrl", "control", "ctl", "target", "helper", "prop"),
     *("props", "mch", "drv", "corrective", "share", "weapon", "gun", "camera"),
 }
-# Least fraction of names that share a common prefix.
-_SHARED = 0.6
-# Names of a convention that a skeleton must have to be of it.
+# Minimum fraction of names that share a common prefix.
+_MIN_PREFIX_FRACTION = 0.6
+# Number of names of a convention that a skeleton needs to match it.
 _MIN_NAMES = 6
-# The presets' entry for words that many conventions have.
+# Entry of the presets with words that many conventions use.
 WORDS = "words"
-# Vote of a word of many conventions, and of a word of another convention.
-_WORD_WEIGHT, _OTHER = 0.8, 0.6
+# Votes of a word that many conventions use, and of a word of another convention.
+_WORD_WEIGHT, _OTHER_WEIGHT = 0.8, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class ReadName:
 
     side: str  # ``l``, ``r`` or empty
     key: str  # its words in lower case, without prefix, side and separators
-    kind: str = ""  # `TWIST`, `END` or `CONTROL`, where a word says so
+    kind: str = ""  # `TWIST`, `END` or `CONTROL`, if a word says so
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,20 +74,20 @@ class Preset:
 
     name: str
     title: str
-    source: str  # where its names were read
-    complete: bool  # whether all names are from there; else a rule derives some
+    source: str  # where its names were found
+    complete: bool  # whether all names come from there; else some are derived by a rule
     keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
     joints: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
     def texts(self) -> frozenset[str]:
-        """All its names, unparsed."""
+        """All names of the convention, unparsed."""
         return frozenset(name for names in self.joints.values() for name in names)
 
 
 def _split(name: str) -> list[str]:
     text = unicodedata.normalize("NFKC", name)
-    return _WORD.findall(_NOISE.sub(" ", text)) or _WORD.findall(text)
+    return _WORD.findall(_FILLER.sub(" ", text)) or _WORD.findall(text)
 
 
 def _key(words: Sequence[str]) -> str:
@@ -97,7 +98,7 @@ def _side(words: Sequence[str]) -> tuple[str, list[str]]:
     """Return the side that a word states, and the remaining words."""
     for i, word in enumerate(words):
         side = _SIDES.get(word.lower(), "")
-        # A letter with a number is a vertebra, unless there is one of the other side.
+        # A letter with a number is a vertebra, unless the other side has one too.
         digit = len(word) == 1 and words[i + 1 : i + 2] and words[i + 1].isdigit()
         if side and not digit:
             return side, [*words[:i], *words[i + 1 :]]
@@ -106,20 +107,22 @@ def _side(words: Sequence[str]) -> tuple[str, list[str]]:
 
 def bare_names(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and without their common prefix."""
-    bare = [_NAMESPACE.sub("", name) or name for name in names]
-    bare = [_PREFIX.sub("", name) for name in bare]
+    without_namespace = [_NAMESPACE.sub("", name) or name for name in names]
+    without_namespace = [_PREFIX.sub("", name) for name in without_namespace]
     starts = Counter(
-        name[: mark.end()] for name in bare for mark in re.finditer(r"[ _.\-]+", name)
+        name[: mark.end()]
+        for name in without_namespace
+        for mark in re.finditer(r"[ _.\-]+", name)
     )
     common = [
         start
         for start, count in starts.items()
-        if count > max(_SHARED * len(bare), 2)
+        if count > max(_MIN_PREFIX_FRACTION * len(without_namespace), 2)
         and _split(start)
         and not any(word.lower() in _SIDES for word in _split(start))
     ]
     longest = max(common, key=len, default="")
-    return [name.removeprefix(longest) or name for name in bare]
+    return [name.removeprefix(longest) or name for name in without_namespace]
 
 
 def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
@@ -130,22 +133,22 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     >>> read_names(["lfemur", "rfemur"], [-1, -1])[1]
     ReadName(side='r', key='femur', kind='')
     """
-    bare = bare_names(names)
+    names_without_prefix = bare_names(names)
     sides = pair_sides(names, parents)
     partner = {j: int(sides.partners[j]) for j in range(len(names))}
-    left = set(sides.left)
-    read = []
-    for j, name in enumerate(bare):
+    left_joints = set(sides.left)
+    parsed = []
+    for j, name in enumerate(names_without_prefix):
         side, words = _side(_split(name))
-        shorter = _strip_side_letter(name, bare[partner[j]])
-        if shorter:
-            side, words = "l" if j in left else "r", _split(shorter)
-        read.append(ReadName(side, _key(words), _kind(name, words)))
-    return read
+        without_side_letter = _strip_side_letter(name, names_without_prefix[partner[j]])
+        if without_side_letter:
+            side, words = "l" if j in left_joints else "r", _split(without_side_letter)
+        parsed.append(ReadName(side, _key(words), _kind(name, words)))
+    return parsed
 
 
 def _strip_side_letter(name: str, other: str) -> str:
-    """Return a name without the letter that tells it from its partner; or ""."""
+    """Return a name without the letter that differs from its partner's; or ""."""
     differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
     if len(name) != len(other) or len(differ) != 1:
         return ""
@@ -154,17 +157,17 @@ def _strip_side_letter(name: str, other: str) -> str:
 
 def _kind(name: str, words: Sequence[str]) -> str:
     lower = [word.lower() for word in words if not word.isdigit()]
-    if name.startswith("__") or not _CONTROLS.isdisjoint(lower):
+    if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lower):
         return CONTROL
     if _TWIST.search("".join(map(str.lower, words))):
         return TWIST
-    return END if lower and (lower[-1] in _ENDS or lower[0] == "leaf") else ""
+    return END if lower and (lower[-1] in _END_WORDS or lower[0] == "leaf") else ""
 
 
 @cache
 def _tables() -> Mapping[str, Preset]:
     """Return the shipped conventions and the common words (`WORDS`), by name."""
-    raw: dict[str, Any] = yaml.load(_FILE.read_text("utf-8"), yaml.CSafeLoader)
+    raw: dict[str, Any] = yaml.load(_PRESETS_FILE.read_text("utf-8"), yaml.CSafeLoader)
     return {name: _preset(name, entry) for name, entry in raw.items()}
 
 
@@ -178,8 +181,10 @@ def _preset(name: str, entry: dict[str, Any]) -> Preset:
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
     for role, template in _templates(_with_fingers(entry)):
-        bare = _PREFIX.sub("", _NAMESPACE.sub("", template.replace("{s}", " ")))
-        keys.setdefault(_key(_split(bare)), set()).add(role)
+        stripped_name = _PREFIX.sub(
+            "", _NAMESPACE.sub("", template.replace("{s}", " "))
+        )
+        keys.setdefault(_key(_split(stripped_name)), set()).add(role)
         sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
         for word, side in sides:
             text = template.replace("{s}", word)
@@ -202,7 +207,7 @@ def _with_fingers(entry: Mapping[str, Any]) -> dict[str, Any]:
     digit, metacarpal = joints.pop("digit", ()), joints.pop("digit_0", None)
     for role, word in zip(DIGITS[len(DIGITS) - len(words) :], words, strict=True):
         joints[role] = [name.replace("{d}", word) for name in digit]
-        # A thumb has none: its metacarpal is its first joint.
+        # The thumb's metacarpal is its first joint.
         if metacarpal is not None and role != DIGITS[0]:
             joints[f"{role}_0"] = metacarpal.replace("{d}", word)
     return joints
@@ -236,14 +241,14 @@ def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None
     keys = {name.key for name in read if name.kind != CONTROL}
     scores = {
         name: (
-            # Names as they are, prefix and all, tell those apart that share words.
+            # Full names, including prefixes, distinguish conventions that share words.
             len(keys & preset.keys.keys())
             + 0.1 * len(preset.texts.intersection(names)),
             -len(preset.keys),
         )
         for name, preset in presets().items()
     }
-    name = max(scores, key=lambda each: scores[each])
+    name = max(scores, key=lambda candidate: scores[candidate])
     return presets()[name] if scores[name][0] >= _MIN_NAMES else None
 
 
@@ -251,20 +256,28 @@ def role_votes(
     read: Sequence[ReadName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the role votes of names: weights 0 to 1 for each of J joints."""
-    known, words = preset.keys if preset else {}, _tables()[WORDS].keys
+    tables, words = preset.keys if preset else {}, _tables()[WORDS].keys
     votes = []
     for name in read:
-        # The convention precedes what others mean by the word.
-        table, weight = (known, 1.0) if name.key in known else (words, _WORD_WEIGHT)
+        # The detected convention takes precedence over other meanings of the word.
+        table, weight = (tables, 1.0) if name.key in tables else (words, _WORD_WEIGHT)
         weights = dict.fromkeys(table.get(name.key, ()), weight)
         if weights:
-            others = dict.fromkeys(_limb_words().get(name.key, ()), _OTHER)
-            weights = {**others, **weights}
+            other_weights = dict.fromkeys(
+                _limb_words().get(name.key, ()), _OTHER_WEIGHT
+            )
+            weights = {**other_weights, **weights}
         suffix = f"_{name.side}" if name.side else ""
-        # Sorted: the order of a set differs from process to process.
-        sided = {role + suffix: weights[role] for role in sorted(weights)}
-        plain = name.kind in {"", TWIST}
-        votes.append({r: w for r, w in sided.items() if plain and r in ROLES})
+        # Sorted, since the order of a set differs between processes.
+        votes_with_side = {role + suffix: weights[role] for role in sorted(weights)}
+        may_vote = name.kind in {"", TWIST}
+        votes.append(
+            {
+                vote_role: vote_weight
+                for vote_role, vote_weight in votes_with_side.items()
+                if may_vote and vote_role in ROLES
+            }
+        )
     return votes
 
 

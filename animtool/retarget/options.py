@@ -17,7 +17,7 @@ class RetargetOptions:
     """Options of retargeting.
 
     Attributes:
-        free_feet: Whether feet may slide where they stand.
+        free_feet: Whether planted feet may slide.
         hold_hands: Whether hands keep their contacts with each other and the ground.
     """
 

@@ -16,6 +16,7 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roles import (
+    CONTROL,
     DIGITS,
     END,
     MITTEN,
@@ -27,6 +28,7 @@ from animtool.retarget.roles import (
     RoleSource,
     base_role,
 )
+from animtool.retarget.transfer import namesakes
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
@@ -42,8 +44,10 @@ _NEXT = {
     "shin": ("foot",),
     "foot": ("toe",),
 }
-# Twist joints belong to the bone that their name or position tells.
-_TWISTED = ("upper_arm", "forearm", "thigh", "shin")
+# Joints that other joints move, that end bones, or that are no part of the body.
+_NO_ROLE = frozenset({TWIST, END, CONTROL})
+# Twist joints belong to the bone given by their name or position.
+_TWIST_BONES = ("upper_arm", "forearm", "thigh", "shin")
 
 
 def map_joints(
@@ -60,15 +64,15 @@ def map_joints(
     """Return which target joints follow which source joints.
 
     Args:
-        source: The skeleton of a take, of J joints.
-        target: The rig that it goes onto, of K joints.
-        preset: The convention of the source's names; None finds it.
-        target_preset: That of the target's names.
-        map_file: A map file, or one that was read; its pairs go before all others.
-        mode: Which evidence pairs joints.
-        source_positions: Of the source's joints in a standing pose
-            ``(J, 3)`` [m], if its rest pose does not stand.
-        target_positions: Of the target's joints ``(K, 3)`` [m].
+        source: Skeleton of a take, of J joints.
+        target: The target rig, of K joints.
+        preset: Naming convention of the source; None detects it.
+        target_preset: Naming convention of the target.
+        map_file: A map file or its path; its pairs take precedence.
+        mode: Kind of evidence that pairs joints.
+        source_positions: Joint positions of the source in a standing pose ``(J, 3)``
+            [m], if its rest pose does not stand.
+        target_positions: Joint positions of the target ``(K, 3)`` [m].
 
     Raises:
         FormatError: The map file cannot be read, or names an unknown joint.
@@ -81,10 +85,10 @@ def map_joints(
     >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
     [(2, 0, 'hand_l')]
     """
-    stated: FileMap | None = None
+    entries: FileMap | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
-        stated = resolved_map(file, source, target)
+        entries = resolved_map(file, source, target)
     by_names = mode != "structure"
     anatomies = (
         anatomy(source, preset=preset, positions=source_positions, by_names=by_names),
@@ -96,33 +100,35 @@ def map_joints(
         ),
     )
     pairing = _Pairing((source, target), anatomies)
-    if stated is not None:
-        pairing.add_file(stated)
-    if stated is None or not stated.only:
+    if entries is not None:
+        pairing.add_file(entries)
+    if entries is None or not entries.is_exclusive:
         if mode == "rename":
             pairing.add_same_names()
         for role in ROLES:
             pairing.add_role(role, mode)
         if mode != "rename":
             pairing.add_mittens()
+        if by_names and mode != "rename" and source is not target:
+            pairing.add_remaining_names()
     pairs, chains = pairing.pairs, pairing.chains
-    if stated is not None and stated.twists is not None:
-        twists = stated.twists
+    if entries is not None and entries.twists is not None:
+        twists = entries.twists
     else:
         twists = _twists(target, anatomies[1], pairing)
     if not pairs:
         message = f"no joint of {source.name!r} maps to one of {target.name!r}"
         hint = "name a preset for each, or write a map file"
         raise OptionError(Fault("MAP004", message, hint=hint))
-    used = {pair.source for pair in pairs.values()}
-    used |= {j for chain in chains for j in chain.source}
-    driven = {*pairs, *(twist.joint for twist in twists)}
+    used_joints = {pair.source for pair in pairs.values()}
+    used_joints |= {j for chain in chains for j in chain.source}
+    driven_joints = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),
         twists,
-        _left(source, anatomies[0], used),
-        _left(target, anatomies[1], driven),
+        _left(source, anatomies[0], used_joints),
+        _left(target, anatomies[1], driven_joints),
         *anatomies,
         (
             *anatomies[0].notices,
@@ -139,7 +145,7 @@ def _crossed_sides(
     map_file: MapFile | Path | str | None,
 ) -> list[Fault]:
     """Return a warning about pairs of a left and a right joint (MAP108)."""
-    crossed = []
+    crossed_pairs = []
     for pair in pairs:
         source_roles, target_roles = (
             anatomies[0].roles[pair.source],
@@ -147,42 +153,45 @@ def _crossed_sides(
         )
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
-            crossed.append(f"{names[0]} to {names[1]}")
-    if not crossed:
+            crossed_pairs.append(f"{names[0]} to {names[1]}")
+    if not crossed_pairs:
         return []
-    sided = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
+    side_count = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
     message = (
-        f"{counted(len(crossed), 'joint')} of {sided} on the left and right follow the "
-        f"other side: {listed(crossed, 6)}"
+        f"{counted(len(crossed_pairs), 'joint')} of {side_count} on the left and right "
+        "follow the "
+        f"other side: {listed(crossed_pairs, 6)}"
     )
     hint = "swap the sides in the map; to mirror a take, use the mirror pass"
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file
-    where = None if path is None else str(path)
-    return [Fault("MAP108", message, where, (), hint, Severity.WARNING)]
+    file_path = None if path is None else str(path)
+    return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]
 
 
-def _left(rig: Rig, known: Anatomy, used: set[int]) -> tuple[int, ...]:
-    """Return the unmapped joints that are not mere bone ends."""
+def _left(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:
+    """Return the unmapped joints, without those that only mark a bone's end."""
     return tuple(
-        j for j in range(len(rig.joints)) if j not in used and known.roles[j] != END
+        j
+        for j in range(len(rig.joints))
+        if j not in used_joints and side.roles[j] != END
     )
 
 
 @dataclass(slots=True)
 class _Pairing:
-    """Pairs and chains collected so far; earlier pairs win."""
+    """Collects pairs and chains; earlier pairs take precedence."""
 
     rigs: tuple[Rig, Rig]
     anatomies: tuple[Anatomy, Anatomy]
     pairs: dict[int, JointPair] = field(default_factory=dict)  # by joint of the target
     chains: list[JointChain] = field(default_factory=list)
-    # Joints that a file keeps at rest, of both sides.
+    # Joints that a file keeps at rest, on both sides.
     ignored: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
 
-    def add_file(self, stated: FileMap) -> None:
+    def add_file(self, entries: FileMap) -> None:
         """Pair the joints that a map file names."""
-        self.ignored = stated.ignored
-        for entry in stated.entries:
+        self.ignored = entries.ignored
+        for entry in entries.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""
             self._add(role, entry.source, entry.target, RoleSource.FILE)
@@ -195,20 +204,34 @@ class _Pairing:
             if name in names and j not in self.pairs and j not in self.ignored[1]:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
+    def add_remaining_names(self) -> None:
+        """Pair joints of the same name that roles leave over on both sides."""
+        source, target = self.rigs
+        follows = np.full(len(target.joints), -1)
+        for pair in self.pairs.values():
+            follows[pair.target] = pair.source
+        used = {j for chain in self.chains for j in chain.source} | self.ignored[0]
+        for joint, other in namesakes(source, target, follows):
+            ends = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
+            free = other not in used and joint not in self.ignored[1]
+            if free and _NO_ROLE.isdisjoint(ends):
+                pair = JointPair(other, joint, "", RoleSource.NAME, 1.0)
+                self.pairs[joint] = pair
+
     def add_role(self, role: str, mode: MapMode) -> None:
         """Pair the remaining joints of one role."""
         source_joints, target_joints = (
             [
                 j
-                for j in known.chain(role)
-                if j not in ignored and (mode != "names" or _by_name(known, j))
+                for j in parsed.chain(role)
+                if j not in ignored and (mode != "names" or _by_name(parsed, j))
             ]
-            for known, ignored in zip(self.anatomies, self.ignored, strict=True)
+            for parsed, ignored in zip(self.anatomies, self.ignored, strict=True)
         )
         target_joints = [j for j in target_joints if j not in self.pairs]
         if mode == "rename":
-            taken = {pair.source for pair in self.pairs.values()}
-            source_joints = [j for j in source_joints if j not in taken]
+            used_sources = {pair.source for pair in self.pairs.values()}
+            source_joints = [j for j in source_joints if j not in used_sources]
             for k, j in zip(source_joints, target_joints, strict=False):
                 self._add(role, [k], [j])
         elif source_joints and target_joints and base_role(role) == "toe":
@@ -220,80 +243,94 @@ class _Pairing:
         self, role: str, source_joints: list[int], target_joints: list[int]
     ) -> None:
         """Pair the toes of a foot in order, from the inner side outwards."""
-        rows = [
-            _in_order(rig, known, role, chain)
-            for rig, known, chain in zip(
+        toe_rows = [
+            _in_order(rig, parsed, role, chain)
+            for rig, parsed, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
         ]
-        last = len(rows[0]) - 1
-        for i, toe in enumerate(rows[1]):
-            at = i / (len(rows[1]) - 1) if len(rows[1]) > 1 else 0.5
-            self._add(role, rows[0][int(at * last + 0.5)], toe)
+        last_index = len(toe_rows[0]) - 1
+        for i, toe in enumerate(toe_rows[1]):
+            fraction = i / (len(toe_rows[1]) - 1) if len(toe_rows[1]) > 1 else 0.5
+            self._add(role, toe_rows[0][int(fraction * last_index + 0.5)], toe)
 
     def add_mittens(self) -> None:
         """Pair fingers with a mitten chain, on either side."""
         for side in SIDES:
-            mittens = [known.chain(f"{MITTEN}_{side}") for known in self.anatomies]
-            first = [
-                [j for digit in DIGITS[1:] for j in known.chain(f"{digit}_1_{side}")]
-                for known in self.anatomies
+            mittens = [parsed.chain(f"{MITTEN}_{side}") for parsed in self.anatomies]
+            first_joints = [
+                [j for digit in DIGITS[1:] for j in parsed.chain(f"{digit}_1_{side}")]
+                for parsed in self.anatomies
             ]
             source_joints, target_joints = mittens
             if source_joints and not target_joints:
-                for j in first[1]:
+                for j in first_joints[1]:
                     if j not in self.pairs and j not in self.ignored[1]:
                         self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
             elif (
                 target_joints
                 and not source_joints
-                and first[0]
+                and first_joints[0]
                 and target_joints[0] not in self.pairs
             ):
-                middle = first[0][min(1, len(first[0]) - 1)]
-                self._add(f"{MITTEN}_{side}", [middle], target_joints[:1])
+                middle_finger = first_joints[0][min(1, len(first_joints[0]) - 1)]
+                self._add(f"{MITTEN}_{side}", [middle_finger], target_joints[:1])
 
     def _add(
         self,
         role: str,
-        ours: Sequence[int],
-        theirs: Sequence[int],
+        source_joints: Sequence[int],
+        target_joints: Sequence[int],
         evidence: RoleSource | None = None,
     ) -> None:
         """Pair two chains, and record them if either has several joints."""
-        at = [
-            _chain_fractions(rig, known, chain)
-            for rig, known, chain in zip(
-                self.rigs, self.anatomies, (ours, theirs), strict=True
+        positions = [
+            _chain_fractions(rig, parsed, chain)
+            for rig, parsed, chain in zip(
+                self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
         ]
-        if len(ours) > 1 or len(theirs) > 1:
-            chain = (tuple(ours), tuple(theirs), tuple(at[0]), tuple(at[1]))
+        if len(source_joints) > 1 or len(target_joints) > 1:
+            chain = (
+                tuple(source_joints),
+                tuple(target_joints),
+                tuple(positions[0]),
+                tuple(positions[1]),
+            )
             self.chains.append(JointChain(role, *chain))
-        for i, j in enumerate(theirs):
-            same = len(ours) == len(theirs)
-            k = ours[i] if same else ours[_nearest(at[0], at[1][i])]
-            ends = zip(self.anatomies, (k, j), strict=True)
-            sure, how = min(
+        for i, j in enumerate(target_joints):
+            is_same_length = len(source_joints) == len(target_joints)
+            k = (
+                source_joints[i]
+                if is_same_length
+                else source_joints[_nearest(positions[0], positions[1][i])]
+            )
+            joint_anatomies = zip(self.anatomies, (k, j), strict=True)
+            confidence, evidence_of_pair = min(
                 (
-                    (known.confidence[each], known.evidence[each])
-                    for known, each in ends
+                    (parsed.confidence[joint], parsed.evidence[joint])
+                    for parsed, joint in joint_anatomies
                 ),
                 key=lambda pair: pair[0],
             )
             if evidence is not None:
-                sure, how = 1.0, evidence
-            self.pairs[j] = JointPair(k, j, role, how, sure)
+                confidence, evidence_of_pair = 1.0, evidence
+            self.pairs[j] = JointPair(k, j, role, evidence_of_pair, confidence)
 
 
 def _in_order(
-    rig: Rig, known: Anatomy, role: str, joints: list[int]
+    rig: Rig, parsed: Anatomy, role: str, joints: list[int]
 ) -> list[list[int]]:
     """Return the joints of each toe of a foot, the innermost first."""
     tops = [j for j in joints if int(rig.parents[j]) not in joints]
-    toes = [[j for j in joints if top in rig.upwards(j)] for top in tops]
-    side, positions = role[-1:], rest_world(rig).positions[0]
-    feet = [known.chain(f"foot_{each}") for each in (side, "lr".replace(side, ""))]
+    toes = [
+        [j for j in joints if first_joint in rig.upwards(j)] for first_joint in tops
+    ]
+    side_suffix, positions = role[-1:], rest_world(rig).positions[0]
+    feet = [
+        parsed.chain(f"foot_{suffix}")
+        for suffix in (side_suffix, "lr".replace(side_suffix, ""))
+    ]
     if len(toes) < 2 or not all(feet):
         return toes
     inwards = positions[feet[1][0]] - positions[feet[0][0]]
@@ -308,18 +345,18 @@ def _by_name(known: Anatomy, joint: int) -> bool:
     }
 
 
-def _nearest(at: Sequence[float], position: float) -> int:
+def _nearest(starts: Sequence[float], position: float) -> int:
     """Return the last joint that begins at or before a position along its chain."""
-    return int(np.argmin(np.abs(np.asarray(at) - position)))
+    return int(np.argmin(np.abs(np.asarray(starts) - position)))
 
 
-def _chain_fractions(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
+def _chain_fractions(rig: Rig, parsed: Anatomy, chain: Sequence[int]) -> list[float]:
     """Return where the joints of a chain begin, as fractions of its length."""
     steps = [0.0, *(_distance(rig, a, b) for a, b in pairwise(chain))]
-    total = sum(steps) + _bone(rig, known, chain[-1])
-    if total <= 0 or max(steps) <= 0:
+    chain_length = sum(steps) + _bone(rig, parsed, chain[-1])
+    if chain_length <= 0 or max(steps) <= 0:
         return [i / len(chain) for i in range(len(chain))]
-    return [float(at) / total for at in np.cumsum(steps)]
+    return [float(distance) / chain_length for distance in np.cumsum(steps)]
 
 
 def _distance(rig: Rig, upper: int, lower: int) -> float:
@@ -329,32 +366,36 @@ def _distance(rig: Rig, upper: int, lower: int) -> float:
     return float(np.linalg.norm(rig.rest_translations[path], axis=1).sum())
 
 
-def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
+def _bone(rig: Rig, parsed: Anatomy, joint: int) -> float:
     """Return the length of a joint's bone: to the next role, else to its end [m]."""
-    role = known.roles[joint]
-    side = role.removeprefix(base_role(role))
+    role = parsed.roles[joint]
+    side_suffix = role.removeprefix(base_role(role))
     for name in _NEXT.get(base_role(role), ()):
-        below = [j for j in known.chain(name + side) if joint in rig.upwards(j)[1:]]
-        if below:
-            return _distance(rig, joint, below[0])
-    ends = [child.translation for child in rig.joints if child.parent == joint]
-    ends += rig.joints[joint].tips
-    return max((float(np.linalg.norm(end)) for end in ends), default=0.0)
+        next_joints = [
+            j for j in parsed.chain(name + side_suffix) if joint in rig.upwards(j)[1:]
+        ]
+        if next_joints:
+            return _distance(rig, joint, next_joints[0])
+    end_offsets = [child.translation for child in rig.joints if child.parent == joint]
+    end_offsets += rig.joints[joint].tips
+    return max(
+        (float(np.linalg.norm(end_offset)) for end_offset in end_offsets), default=0.0
+    )
 
 
 def _twists(
-    target: Rig, known: Anatomy, pairing: _Pairing
+    target: Rig, parsed: Anatomy, pairing: _Pairing
 ) -> tuple[TwistFraction, ...]:
     """Return the twist fractions of joints that lie along a bone."""
-    shares = []
-    for j, role in enumerate(known.roles):
+    fractions = []
+    for j, role in enumerate(parsed.roles):
         bone = target.joints[j].parent
         if role != TWIST or bone < 0 or j in {*pairing.pairs, *pairing.ignored[1]}:
             continue
-        if base_role(known.roles[bone]) not in _TWISTED:
+        if base_role(parsed.roles[bone]) not in _TWIST_BONES:
             continue
-        length = _bone(target, known, bone)
+        length = _bone(target, parsed, bone)
         offset = float(np.linalg.norm(target.joints[j].translation))
         fraction = min(offset / length, 1.0) if length > 0 else 0.5
-        shares.append(TwistFraction(j, bone, fraction))
-    return tuple(shares)
+        fractions.append(TwistFraction(j, bone, fraction))
+    return tuple(fractions)

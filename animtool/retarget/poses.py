@@ -14,10 +14,10 @@ from animtool.retarget.transfer import Transfer, middle_of_hips
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Sines of a bend below which a limb is straight, and above which it is bent.
-BENT = (0.05, 0.2)
-# Cosine above which a pin's axis is along its bone, which it twists.
-ALONG = 0.9
+# Sine of the bend below which a limb is straight, and above which it is bent.
+BEND_SINES = (0.05, 0.2)
+# Cosine above which a pin's axis is along its bone, so that it twists the bone.
+ALONG_BONE = 0.9
 # Limit violations below this are rounding.
 LIMIT_ROUNDING = 1e-6
 
@@ -34,12 +34,12 @@ def about_hips(
     """
     rig = target.rig
     positions = np.zeros((len(rotations), len(rig.joints), 3))
-    needed = set(joints)
+    needed_joints = set(joints)
     for j in range(len(rig.joints) - 1, -1, -1):
-        if j in needed:
-            needed.add(int(rig.parents[j]))
+        if j in needed_joints:
+            needed_joints.add(int(rig.parents[j]))
     for j, parent in enumerate(rig.parents.tolist()):
-        if parent >= 0 and j in needed:
+        if parent >= 0 and j in needed_joints:
             bone = so3.rotate(rotations[:, parent], bones[:, j])
             positions[:, j] = positions[:, parent] + bone
     return np.asarray(positions - middle_of_hips(target, positions)[:, None])
@@ -57,7 +57,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         parent = int(rig.parents[j])
         if joint.type is not JointType.PIN or parent < 0:
             continue
-        # Joints that follow none rest.
+        # Joints that follow none stay at rest.
         if rig.joints[parent].type is not JointType.BALL or transfer.follows[j] < 0:
             continue
         bone = target.bone(j)
@@ -66,22 +66,24 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         upper = so3.rotate(adjusted[:, parent], _unit(rig.rest_translations[j]))
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
         direction = so3.rotate(adjusted[:, j], bone_local)
-        rest = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
-        axis = so3.rotate(adjusted[:, parent], rest)
+        rest_axis = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
+        axis = so3.rotate(adjusted[:, parent], rest_axis)
         normal = np.cross(upper, direction)
         sine = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(sine, 1e-12)[:, None]
-        # It bends as its limits allow, or else towards the axis.
-        side = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+        # It bends as its limits allow, else towards the axis.
+        bend_sign = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
-            side = np.full_like(side, _bends(joint.limits))
-        across = axis - (axis * upper).sum(axis=1)[:, None] * upper
+            bend_sign = np.full_like(bend_sign, _bends(joint.limits))
+        perpendicular = axis - (axis * upper).sum(axis=1)[:, None] * upper
         angle = np.arctan2(
-            (np.cross(across, normal * side) * upper).sum(axis=1),
-            (across * normal * side).sum(axis=1),
+            (np.cross(perpendicular, normal * bend_sign) * upper).sum(axis=1),
+            (perpendicular * normal * bend_sign).sum(axis=1),
         )
-        bent = np.clip((sine - BENT[0]) / (BENT[1] - BENT[0]), 0.0, 1.0)
-        angle = angle * bent * bent * (3 - 2 * bent)
+        bend_weight = np.clip(
+            (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0]), 0.0, 1.0
+        )
+        angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
         twist = so3.from_axis_angle(upper, angle)
         adjusted[:, parent] = so3.multiply(twist, adjusted[:, parent])
     return adjusted
@@ -93,8 +95,8 @@ def _bends(limits: RangeLimit) -> float:
 
 
 def _unit(vector: FloatArray) -> FloatArray:
-    size = float(np.linalg.norm(vector))
-    return vector / size if size > 0 else np.array([0.0, 1.0, 0.0])
+    norm = float(np.linalg.norm(vector))
+    return vector / norm if norm > 0 else np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ class LocalRotations:
 
     local: FloatArray  # (F, K, 4)
     world: FloatArray  # the same in the world (F, K, 4)
-    clamped: dict[int, BoolArray]  # joints that limits clamp, and when (F,)
+    clamped: dict[int, BoolArray]  # joints that limits clamp, with the frames (F,)
 
     def rows(self, frames: IntArray) -> LocalRotations:
         """Return the rotations of some frames."""
@@ -121,52 +123,59 @@ class LocalRotations:
 def local_rotations(
     transfer: Transfer,
     rotations: FloatArray,
-    known: LocalRotations | None = None,
+    previous: LocalRotations | None = None,
     changed: Collection[int] = (),
 ) -> LocalRotations:
     """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
-    Joints below compensate for what a limit takes from a joint; joints that follow none
-    stay at rest.
+    Child joints compensate for what a limit takes away from a joint; joints that follow
+    none stay at rest.
 
     Args:
-        transfer: How the target follows.
-        rotations: Of its joints in the world.
-        known: Rotations of which only some joints are recomputed.
-        changed: These joints; joints below them change as well.
+        transfer: The transfer between the skeletons.
+        rotations: World rotations of the target's joints.
+        previous: Rotations of which only some joints are recomputed.
+        changed: The recomputed joints; their descendants change as well.
     """
     target = transfer.target
     rig = target.rig
-    if known is None:
+    if previous is None:
         local, world = np.zeros_like(rotations), np.zeros_like(rotations)
         clamped: dict[int, BoolArray] = {}
-        stale = set(range(len(rig.joints)))
+        outdated = set(range(len(rig.joints)))
     else:
-        local, world = known.local.copy(), known.world.copy()
-        clamped, stale = dict(known.clamped), set(changed)
+        local, world = previous.local.copy(), previous.world.copy()
+        clamped, outdated = dict(previous.clamped), set(changed)
     for j, joint in enumerate(rig.joints):
-        parent, rest = int(rig.parents[j]), rig.rest_rotations[j]
-        if parent in stale:
-            stale.add(j)
-        if j not in stale:
+        parent, rest_rotation = int(rig.parents[j]), rig.rest_rotations[j]
+        if parent in outdated:
+            outdated.add(j)
+        if j not in outdated:
             continue
-        above = world[:, parent] if parent >= 0 else None
-        back = so3.IDENTITY if above is None else so3.conjugate(above)
-        joint_local = rest[None]
+        parent_rotation = world[:, parent] if parent >= 0 else None
+        inverse_parent = (
+            so3.IDENTITY if parent_rotation is None else so3.conjugate(parent_rotation)
+        )
+        joint_local = rest_rotation[None]
         if transfer.follows[j] >= 0:
-            joint_local = so3.multiply(back, rotations[:, j])
-            twisted = _twisted(target, j)
-            if twisted >= 0:
-                below = so3.conjugate(rig.rest_rotations[twisted])
+            joint_local = so3.multiply(inverse_parent, rotations[:, j])
+            twisted_joint = _twisted(target, j)
+            if twisted_joint >= 0:
+                twisted_rest = so3.conjugate(rig.rest_rotations[twisted_joint])
                 joint_local = so3.multiply(
-                    back, so3.multiply(rotations[:, twisted], below)
+                    inverse_parent,
+                    so3.multiply(rotations[:, twisted_joint], twisted_rest),
                 )
-        joint_local, stopped = _within(joint, rest, joint_local)
+        joint_local, is_clamped = _within(joint, rest_rotation, joint_local)
         clamped.pop(j, None)
-        if stopped.any():
-            clamped[j] = np.broadcast_to(stopped, len(local)).copy()
+        if is_clamped.any():
+            clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
         local[:, j] = joint_local
-        world[:, j] = joint_local if above is None else so3.multiply(above, joint_local)
+        world[:, j] = (
+            joint_local
+            if parent_rotation is None
+            else so3.multiply(parent_rotation, joint_local)
+        )
     return LocalRotations(local, world, clamped)
 
 
@@ -175,37 +184,49 @@ def _twisted(target: RoledSkeleton, j: int) -> int:
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1
-    below = [k for k, parent in enumerate(rig.parents) if parent == j]
-    known = [k for k in below if target.roles[k] not in {"", "twist", "end"}]
-    if len(known) != 1 or target.roles[known[0]] == target.roles[j]:
+    children = [k for k, parent in enumerate(rig.parents) if parent == j]
+    children_with_role = [
+        k for k in children if target.roles[k] not in {"", "twist", "end"}
+    ]
+    if (
+        len(children_with_role) != 1
+        or target.roles[children_with_role[0]] == target.roles[j]
+    ):
         return -1
-    bone = _unit(rig.rest_translations[known[0]])
-    return known[0] if abs(float(bone @ np.array(joint.axis))) > ALONG else -1
+    bone = _unit(rig.rest_translations[children_with_role[0]])
+    return (
+        children_with_role[0]
+        if abs(float(bone @ np.array(joint.axis))) > ALONG_BONE
+        else -1
+    )
 
 
 def _within(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
-    free = np.zeros(len(local), np.bool_)
+    unclamped = np.zeros(len(local), np.bool_)
     limits = joint.limits
     if joint.type is JointType.FREE or (
         joint.type is JointType.BALL and limits is None
     ):
-        return local, free
+        return local, unclamped
     relative = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
         angle = swing_twist(relative, joint.axis)[1]
         if isinstance(limits, RangeLimit):
-            free = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
+            unclamped = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
             angle = limits.clamped(angle)
         relative = so3.from_axis_angle(np.array(joint.axis, np.float64), angle)
     elif isinstance(limits, BallLimit):
-        kept = limits.clamped(relative)
-        free, relative = so3.angle_between(kept, relative) > LIMIT_ROUNDING, kept
+        clamped_rotations = limits.clamped(relative)
+        unclamped, relative = (
+            so3.angle_between(clamped_rotations, relative) > LIMIT_ROUNDING,
+            clamped_rotations,
+        )
     else:
         relative = np.broadcast_to(so3.IDENTITY, relative.shape)
-    return so3.multiply(rest, relative), free
+    return so3.multiply(rest, relative), unclamped
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
@@ -218,36 +239,36 @@ def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
 
 
 def distribute_twist(
-    transfer: Transfer, local: FloatArray, before: FloatArray | None
+    transfer: Transfer, local: FloatArray, previous_angles: FloatArray | None
 ) -> FloatArray:
     """Give twist joints their fraction of the twist at the bone's end.
 
     Args:
-        transfer: How the target follows.
+        transfer: The transfer between the skeletons.
         local: Local rotations ``(F, K, 4)``, changed in place.
-        before: Angles of the frame before ``(T,)`` [rad], for continuity;
+        previous_angles: Angles of the previous frame ``(T,)`` [rad], for continuity;
             None at the beginning of a take.
 
     Returns:
         The angles of the last frame ``(T,)`` [rad].
     """
     rig = transfer.target.rig
-    last = np.zeros(len(transfer.twists))
-    for k, (joint, _, below, fraction) in enumerate(transfer.twists):
-        axis = _unit(rig.rest_translations[below])
+    last_angles = np.zeros(len(transfer.twists))
+    for k, (joint, _, next_joint, fraction) in enumerate(transfer.twists):
+        axis = _unit(rig.rest_translations[next_joint])
         relative = so3.multiply(
-            so3.conjugate(rig.rest_rotations[below]), local[:, below]
+            so3.conjugate(rig.rest_rotations[next_joint]), local[:, next_joint]
         )
-        below_axis = so3.rotate(so3.conjugate(rig.rest_rotations[below]), axis)
-        angle = swing_twist(relative, tuple(below_axis))[1]
-        if before is None:
+        next_axis = so3.rotate(so3.conjugate(rig.rest_rotations[next_joint]), axis)
+        angle = swing_twist(relative, tuple(next_axis))[1]
+        if previous_angles is None:
             angle = np.unwrap(angle)
         else:
-            angle = np.unwrap(np.concatenate([before[k : k + 1], angle]))[1:]
-        last[k] = angle[-1]
+            angle = np.unwrap(np.concatenate([previous_angles[k : k + 1], angle]))[1:]
+        last_angles[k] = angle[-1]
         rotation = so3.from_axis_angle(axis, fraction * angle)
         local[:, joint] = so3.multiply(rotation, rig.rest_rotations[joint])
-    return last
+    return last_angles
 
 
 def root_translations(
@@ -255,7 +276,7 @@ def root_translations(
     hips: FloatArray,
     rotations: FloatArray,
     bones: FloatArray,
-    about: FloatArray,
+    relative: FloatArray,
 ) -> tuple[int, FloatArray]:
     """Return the joint that moves the hips, and its local translations ``(F, 3)`` [m].
 
@@ -264,21 +285,25 @@ def root_translations(
         hips: The middle between the thighs ``(F, 3)`` [m].
         rotations: World rotations of all joints ``(F, K, 4)``.
         bones: Local translations ``(F or 1, K, 3)`` [m].
-        about: Joints about the middle of the hips ``(F, K, 3)`` [m].
+        relative: Joints relative to the middle of the hips ``(F, K, 3)`` [m].
     """
     rig = target.rig
     root = max(target.first("hips"), 0)
-    position = hips + about[:, root]
+    position = hips + relative[:, root]
     parent = int(rig.parents[root])
     if parent < 0:
         return root, position
-    above = np.zeros((len(hips), 3))
+    parent_positions = np.zeros((len(hips), 3))
     chain = []
     while parent >= 0:
         chain.append(parent)
         parent = int(rig.parents[parent])
     for j in reversed(chain):
-        outer = int(rig.parents[j])
+        ancestor = int(rig.parents[j])
         bone = bones[:, j]
-        above = above + (bone if outer < 0 else so3.rotate(rotations[:, outer], bone))
-    return root, so3.rotate(so3.conjugate(rotations[:, chain[0]]), position - above)
+        parent_positions = parent_positions + (
+            bone if ancestor < 0 else so3.rotate(rotations[:, ancestor], bone)
+        )
+    return root, so3.rotate(
+        so3.conjugate(rotations[:, chain[0]]), position - parent_positions
+    )

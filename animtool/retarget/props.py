@@ -16,22 +16,22 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.transforms import Track, Transforms, rotated_track
 from animtool.retarget.transfer import Transfer
 
-# A hand grips a prop in whose frame it moves by less than this fraction of an arm a
-# second,
-STEADY = 0.25
-# and is nearer to its origin than this many arms.
-NEAR = 1.5
-# A gripped prop moves farther than this fraction of an arm.
-TAKEN_ALONG = 0.1
-# Gaussian width of smoothing before speeds are taken [s].
-SMOOTH = 0.03
+# A hand grips a prop if it moves in the prop's frame by less than this fraction of an
+# arm length per second,
+GRIP_SPEED = 0.25
+# and is nearer to its origin than this many arm lengths.
+GRIP_DISTANCE = 1.5
+# A gripped prop moves farther than this fraction of an arm length.
+MIN_PROP_MOTION = 0.1
+# Gaussian width of smoothing before speeds are computed [s].
+SMOOTHING_SECONDS = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class PropMotion:
     """Motion of a prop in the target's axes, in all frames."""
 
-    track: int  # which of the take's it is
+    track: int  # index of the track in the take
     positions: FloatArray  # (F, 3) [m]
     rotations: FloatArray  # (F, 4)
 
@@ -39,21 +39,23 @@ class PropMotion:
         """Return when a hand grips the prop ``(F,)``.
 
         Args:
-            wrist: Of the source ``(F, 3)`` [m].
-            arm: Length of its arm [m].
+            wrist: Wrist of the source ``(F, 3)`` [m].
+            arm: Length of the source's arm [m].
             fps: Frames a second.
         """
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
         local = self.in_prop_frame(wrist)
-        speed = np.gradient(gaussian_smoothed(local, SMOOTH * fps), axis=0) * fps
-        steady = np.linalg.norm(speed, axis=1) < STEADY * arm
-        near = np.linalg.norm(local, axis=1) < NEAR * arm
-        gripped = without_short_runs(steady & near, fps)
-        for start, end in runs(gripped):
-            if np.ptp(self.positions[start:end], axis=0).max() < TAKEN_ALONG * arm:
-                gripped[start:end] = False
-        return gripped
+        speed = (
+            np.gradient(gaussian_smoothed(local, SMOOTHING_SECONDS * fps), axis=0) * fps
+        )
+        is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
+        is_near = np.linalg.norm(local, axis=1) < GRIP_DISTANCE * arm
+        is_gripped = without_short_runs(is_steady & is_near, fps)
+        for start, end in runs(is_gripped):
+            if np.ptp(self.positions[start:end], axis=0).max() < MIN_PROP_MOTION * arm:
+                is_gripped[start:end] = False
+        return is_gripped
 
     def in_prop_frame(self, points: FloatArray) -> FloatArray:
         """Return points in the prop's frame ``(F, 3)`` [m]."""
@@ -61,14 +63,14 @@ class PropMotion:
 
 
 class Props:
-    """The tracks of a take, and the times at which its frames show them."""
+    """The prop tracks of a take, and the track times of its frames."""
 
     def __init__(self, tracks: Sequence[Track]) -> None:
         self.tracks = tuple(tracks)
         self._times: list[Channel] = []
 
     def noting(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, recording the track times they show."""
+        """Yield blocks, recording their track times."""
         for block in blocks:
             assert block.track_times is not None
             self._times.append(block.track_times)
@@ -80,8 +82,14 @@ class Props:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
-                turned = rotated_track(track, transfer.upright).at(times[:, i])
-                motions.append(PropMotion(i, turned.translations, turned.rotations))
+                upright_transforms = rotated_track(track, transfer.upright).at(
+                    times[:, i]
+                )
+                motions.append(
+                    PropMotion(
+                        i, upright_transforms.translations, upright_transforms.rotations
+                    )
+                )
         return motions
 
     def with_gripped(
@@ -91,7 +99,7 @@ class Props:
 
         Args:
             gripped: Indices of the gripped tracks.
-            transfer: How the target follows.
+            transfer: The transfer between the skeletons.
             lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(

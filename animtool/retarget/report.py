@@ -23,7 +23,7 @@ from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import Verdict, verdict_of
 from animtool.rig.kinematics import WorldTransforms
 
-# Roles whose bones are compared, with the role that each ends at.
+# Roles whose bones are compared, with the role at the end of each bone.
 BONES = {
     "upper_arm": "forearm",
     "forearm": "hand",
@@ -34,14 +34,14 @@ BONES = {
 
 ARM = ("upper_arm", "forearm", "hand")
 
-# Largest values of a good take; above, viewers notice or the map is wrong.
+# Largest values of a good take; above these, viewers notice or the map is wrong.
 MAX_DRIFT = 1e-3  # [m]
 MAX_SOLE_ERROR = 1e-3  # [m]
 MAX_REACH_ERROR = 0.01  # of the arm
 MAX_ANGLE = np.radians(3.0)  # [rad]
 MAX_ACCELERATION = 1.25  # of the source's
 MAX_CLAMPED = 0.05  # of frames
-# A heel farther from its goal than this has yielded, over the size [1].
+# A heel farther from its goal than this fraction of the size has yielded [1].
 YIELDED_HEEL = 1e-4
 MAX_UNMAPPED = 0.2  # of the source's joints
 
@@ -51,8 +51,8 @@ class RetargetReport:
     """How well a take fits its rig; a score without data is NaN."""
 
     frames: int
-    scale: float  # lengths of the target's legs over those of the source's
-    pairs: int  # joints that follow one of the source
+    scale: float  # leg length of the target over that of the source
+    pairs: int  # joints that follow a source joint
     contacts: float  # fraction of frames in which a foot is planted
     # Distance of planted feet from the middle of their contact [m].
     drift_mean: float
@@ -60,41 +60,40 @@ class RetargetReport:
     source_drift_max: float  # of the source, scaled
     sole_error: float  # largest height error of planted feet [m]
     penetration: float  # deepest sole below its planted height [m]
-    # Of the distance of hands from shoulders, over the length of the arms, at most.
+    # Largest error of the hands' distance from the shoulders, over the arm length.
     reach_error: float
-    # How far hands that hold each other, or stand, are from where they are to be, at
-    # most [m].
+    # Largest distance of hands in contact from their goal [m].
     hand_error: float
-    # Between bones of both, without planted feet [rad].
+    # Angles between bones of both skeletons, without planted legs [rad].
     bone_angle_mean: float
     bone_angle_max: float
-    # The largest acceleration over that of the source, scaled as legs are, or as the
-    # way from the hips to the joint where that is more.
+    # Largest acceleration over that of the source, scaled by the legs, or by the path
+    # from the hips to the joint if that is longer.
     acceleration: float
-    lowered: float  # most that the hips sank so that legs reach [m]
-    held: Mapping[str, float]  # fraction of frames in which limits stop a joint
-    held_mean: float  # its mean over the paired joints without fingers
+    lowered: float  # largest distance that the hips sank so that legs reach [m]
+    held: Mapping[str, float]  # fraction of frames in which limits stop each joint
+    held_mean: float  # mean of these over the paired joints without fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Which feet and hands are in contact, and when."""
+    """Which feet and hands are in contact, and in which frames."""
 
-    sides: str  # of the legs that both skeletons have, such as "lr"
-    contacts: Sequence[FootContacts]  # of each
+    sides: str  # sides of the legs that both skeletons have, such as "lr"
+    contacts: Sequence[FootContacts]  # contacts of each of these feet
     placed: Placed | None  # None if feet are not planted
-    hands: Sequence[HandContact] = ()  # that keep their contacts
+    hands: Sequence[HandContact] = ()  # hands that keep their contacts
 
 
 class FitMeter:
     """Accumulates the fit of a take, block by block.
 
     Args:
-        transfer: How the rig follows.
-        found: Which joints follow which.
-        standing: Which feet are planted, in all frames.
+        transfer: The transfer between the skeletons.
+        joint_map: Which joints follow which.
+        standing: Planted feet in all frames.
     """
 
     def __init__(
@@ -104,14 +103,14 @@ class FitMeter:
         self._up = up_index(transfer.target.rig)
         self._frames = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
-        # is the ankle where none is known (F, 2, 2, 3).
+        # is the ankle if it is unknown (F, 2, 2, 3).
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach, self._hand = math.nan, 0.0
-        # Of each frame, by score.
+        # Per-frame values by score.
         self._values: dict[str, list[FloatArray]] = {}
         self._worst: dict[str, FloatArray] = {}
-        # The largest accelerations of both so far, and the last frames of both.
+        # Largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
         target_lengths = transfer.target.path_lengths[
@@ -122,14 +121,14 @@ class FitMeter:
         ]
         source_lengths = np.maximum(source_lengths, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
-        ratios = np.divide(
+        path_ratios = np.divide(
             target_lengths,
             source_lengths,
             out=np.zeros_like(target_lengths),
             where=source_lengths > 0,
         )
-        # Hands of arms that are longer, over the legs, go that much faster.
-        self._sizes = np.maximum(ratios, transfer.scale)[:, None]
+        # Hands of arms that are longer relative to the legs move faster by that ratio.
+        self._sizes = np.maximum(path_ratios, transfer.scale)[:, None]
 
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
@@ -137,48 +136,55 @@ class FitMeter:
         """Add the next block of frames.
 
         Args:
-            begin: The first of them.
-            world: Of the target's F frames and K joints [m].
-            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
-            balls: Those of the source's feet, in these axes ``(F, L, 3)`` [m].
+            begin: Index of the first frame of the block.
+            world: World positions of the target's K joints in F frames [m].
+            source: Source joints in the target's axes ``(F, J, 3)`` [m].
+            balls: Balls of the source's feet in these axes ``(F, L, 3)`` [m].
         """
         target = world.positions
         self._frames += len(target)
         part = slice(begin, begin + len(target))
         for k, side in enumerate(self._standing.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
-            tips, rows = (ball, balls[:, k]), []
-            for (skeleton, points, size), tip in zip(
-                self._both(target, source), tips, strict=True
+            tip_positions, foot_rows = (ball, balls[:, k]), []
+            for (skeleton, points, scale_factor), tip_position in zip(
+                self._both(target, source), tip_positions, strict=True
             ):
                 ankle = points[:, leg_of(skeleton, side)[2]]
-                rows.append(size * np.stack([ankle, tip], axis=1))
-            self._feet[k].append(np.stack(rows, axis=1))
+                foot_rows.append(scale_factor * np.stack([ankle, tip_position], axis=1))
+            self._feet[k].append(np.stack(foot_rows, axis=1))
         self._add_angles(part, target, source)
-        reach = _reach_errors(self._both(target, source))
-        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach)))
-        self._note("hands", reach)
+        reach_errors = _reach_errors(self._both(target, source))
+        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach_errors)))
+        self._note("hands", reach_errors)
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
-            off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.active[part]]
-            self._hand = max(self._hand, float(off.max(initial=0.0)))
+            hand_errors = np.linalg.norm(wrist - hand.goal[part], axis=1)[
+                hand.active[part]
+            ]
+            self._hand = max(self._hand, float(hand_errors.max(initial=0.0)))
         pairs = self._joint_map.pairs
-        now = [
+        current = [
             target[:, [pair.target for pair in pairs]],
             self._sizes * source[:, [pair.source for pair in pairs]],
         ]
         if self._last:
-            now = [np.concatenate(each) for each in zip(self._last, now, strict=True)]
-        self._last = [each[-2:].copy() for each in now]
-        if len(now[0]) > 2:
-            sizes = [
-                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(axis=1, initial=0)
-                for each in now
+            current = [
+                np.concatenate(previous)
+                for previous in zip(self._last, current, strict=True)
+            ]
+        self._last = [previous[-2:].copy() for previous in current]
+        if len(current[0]) > 2:
+            scale_factors = [
+                np.linalg.norm(np.diff(previous, 2, axis=0), axis=2).max(
+                    axis=1, initial=0
+                )
+                for previous in current
             ]
             self._fastest = np.maximum(
-                self._fastest, [each.max(initial=0.0) for each in sizes]
+                self._fastest, [previous.max(initial=0.0) for previous in scale_factors]
             )
-            self._note("acceleration", sizes[0])
+            self._note("acceleration", scale_factors[0])
 
     def _note(self, score: str, values: FloatArray) -> None:
         self._values.setdefault(score, []).append(values)
@@ -196,48 +202,54 @@ class FitMeter:
     def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
         """Add angles between bones of both skeletons; planted legs are left out."""
         standing = self._standing
-        total, count, most = self._angles
+        angle_sum, count, largest_angle = self._angles
         bends, counts = np.zeros((2, len(target)))
         for side in "lr":
-            for role, end in BONES.items():
+            for role, end_role in BONES.items():
                 directions = []
                 for skeleton, points, _ in self._both(target, source):
-                    first = skeleton.first(f"{role}_{side}")
-                    last = skeleton.first(f"{end}_{side}")
-                    if min(first, last) >= 0 and skeleton.separate(first, last):
-                        directions.append(points[:, last] - points[:, first])
+                    start_joint = skeleton.first(f"{role}_{side}")
+                    end_joint = skeleton.first(f"{end_role}_{side}")
+                    if min(start_joint, end_joint) >= 0 and skeleton.separate(
+                        start_joint, end_joint
+                    ):
+                        directions.append(points[:, end_joint] - points[:, start_joint])
                 if len(directions) < 2:
                     continue
-                across = np.linalg.norm(np.cross(directions[0], directions[1]), axis=1)
-                angle = np.arctan2(across, (directions[0] * directions[1]).sum(axis=1))
+                cross_length = np.linalg.norm(
+                    np.cross(directions[0], directions[1]), axis=1
+                )
+                angle = np.arctan2(
+                    cross_length, (directions[0] * directions[1]).sum(axis=1)
+                )
                 if role in {"thigh", "shin"} and side in standing.sides:
                     k = standing.sides.index(side)
-                    free = ~standing.contacts[k].any[part]
-                    bends[free] += angle[free]
-                    counts[free] += 1
-                    angle = angle[free]
+                    is_unplanted = ~standing.contacts[k].any[part]
+                    bends[is_unplanted] += angle[is_unplanted]
+                    counts[is_unplanted] += 1
+                    angle = angle[is_unplanted]
                 else:
                     bends += angle
                     counts += 1
-                total, count = total + float(angle.sum()), count + len(angle)
-                most = max(most, float(angle.max(initial=0.0)))
-        self._angles = total, count, most
+                angle_sum, count = angle_sum + float(angle.sum()), count + len(angle)
+                largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
+        self._angles = angle_sum, count, largest_angle
         self._note("limbs", bends / np.maximum(counts, 1))
 
     def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return where limits lift a heel whose toe is planted ``(F,)``."""
-        placed, contacts = self._standing.placed, self._standing.contacts[k]
-        if placed is None or not contacts.toe.any():
+        planted, contacts = self._standing.placed, self._standing.contacts[k]
+        if planted is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
-        off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
+        heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
         return np.asarray(
-            contacts.toe & (off > YIELDED_HEEL * self._transfer.target.size)
+            contacts.toe & (heel_distance > YIELDED_HEEL * self._transfer.target.size)
         )
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
-        """Add per-frame values of a score; the worst of several is kept."""
-        before = self._worst.get(score)
-        self._worst[score] = values if before is None else np.fmax(before, values)
+        """Add per-frame values of a score, keeping the worst per frame."""
+        previous = self._worst.get(score)
+        self._worst[score] = values if previous is None else np.fmax(previous, values)
 
     def verdict(
         self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
@@ -253,11 +265,13 @@ class FitMeter:
             name: np.concatenate(blocks) for name, blocks in self._values.items()
         } | self._worst
         if "acceleration" in values:
-            # Second differences stand at the frame in their middle.
-            fast = values["acceleration"] / max(float(self._fastest[1]), 1e-300)
-            values["acceleration"] = np.pad(fast, 1)
-        least = {"drift": report.source_drift_max}
-        return verdict_of(scores_of(report), values, least, forced)
+            # Second differences belong to their middle frame.
+            accelerations = values["acceleration"] / max(
+                float(self._fastest[1]), 1e-300
+            )
+            values["acceleration"] = np.pad(accelerations, 1)
+        source_values = {"drift": report.source_drift_max}
+        return verdict_of(scores_of(report), values, source_values, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return the fit of the frames so far.
@@ -267,41 +281,47 @@ class FitMeter:
         """
         transfer, joint_map, standing = self._transfer, self._joint_map, self._standing
         self._worst.clear()
-        drifts, others = [np.zeros(0)], [np.zeros(0)]
+        drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
         soles: list[float] = []
-        below: list[float] = []
+        depths: list[float] = []
         stands = 0.0
         for k, side in enumerate(standing.sides):
             feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
             stands += float(contacts.any.mean()) / len(standing.sides)
             has_toe = side in transfer.target.balls
-            both = has_toe and side in transfer.source.balls
+            both_balls = has_toe and side in transfer.source.balls
             heel = contacts.ankle & ~self._raised(k, feet[:, 0, 0])
             for joint, mask in enumerate((heel, contacts.toe)):
-                if joint == 0 or both:
+                if joint == 0 or both_balls:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))
-                    stood = contacts.toe if joint else contacts.ankle
-                    others.append(_drift(feet[:, 1, joint], stood, self._up))
+                    planted_heights = contacts.toe if joint else contacts.ankle
+                    source_drifts.append(
+                        _drift(feet[:, 1, joint], planted_heights, self._up)
+                    )
                     self._keep_worst("drift", drifts[-1])
-            sole = feet[:, 0, 1, self._up]
-            flat = contacts.toe if has_toe else contacts.any
-            if flat.any():
-                level = float(np.median(sole[flat]))
+            sole_height = feet[:, 0, 1, self._up]
+            is_flat = contacts.toe if has_toe else contacts.any
+            if is_flat.any():
+                level = float(np.median(sole_height[is_flat]))
                 if standing.placed is not None:
                     level = standing.placed.soles[k]
-                soles.append(float(np.abs(sole[flat] - level).max()))
-                self._keep_worst("soles", np.where(flat, np.abs(sole - level), 0.0))
-                below.append(level - float(sole.min()))
+                soles.append(float(np.abs(sole_height[is_flat] - level).max()))
+                self._keep_worst(
+                    "soles", np.where(is_flat, np.abs(sole_height - level), 0.0)
+                )
+                depths.append(level - float(sole_height.min()))
         drift, source_drift = (
-            each[~np.isnan(each)]
-            for each in (np.concatenate(drifts), np.concatenate(others))
+            drift_values[~np.isnan(drift_values)]
+            for drift_values in (np.concatenate(drifts), np.concatenate(source_drifts))
         )
-        total, count, max_angle = self._angles
+        angle_sum, count, max_angle = self._angles
         fastest, source_fastest = self._fastest.tolist()
         names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
-        driven = {j for j, joint in enumerate(joints) if joint.driven is not None}
-        placed = standing.placed
+        driven_joints = {
+            j for j, joint in enumerate(joints) if joint.driven is not None
+        }
+        planted = standing.placed
         return RetargetReport(
             self._frames,
             transfer.scale,
@@ -311,32 +331,40 @@ class FitMeter:
             float(drift.max()) if len(drift) else math.nan,
             float(source_drift.max()) if len(source_drift) else math.nan,
             max(soles, default=math.nan),
-            max([0.0, *below]) if below else math.nan,
+            max([0.0, *depths]) if depths else math.nan,
             self._reach,
             self._hand,
-            total / count if count else math.nan,
+            angle_sum / count if count else math.nan,
             max_angle if count else math.nan,
             fastest / source_fastest if source_fastest > 0 else math.nan,
-            0.0 if placed is None else placed.lowered,
+            0.0 if planted is None else planted.lowered,
             {names[j]: fraction for j, fraction in clamped.items()},
             _mean_clamped(joint_map, clamped),
             tuple(source_names[j] for j in joint_map.unmapped_source),
-            tuple(names[j] for j in joint_map.unmapped_target if j not in driven),
+            tuple(
+                names[j] for j in joint_map.unmapped_target if j not in driven_joints
+            ),
         )
 
 
 def scores_of(report: RetargetReport) -> PassScores:
     """Return the scores by which takes are compared, and the joints they concern."""
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
-    lost, stopped = len(report.unmapped_source), report.held_mean
+    unmapped_count, mean_clamped = len(report.unmapped_source), report.held_mean
     values = (
         ("drift", report.drift_max, length, MAX_DRIFT, 0.0),
         ("soles", report.sole_error, length, MAX_SOLE_ERROR, 0.0),
         ("hands", report.reach_error, fraction, MAX_REACH_ERROR, 0.0),
         ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_ANGLE, 0.0),
         ("acceleration", report.acceleration, ScoreUnit.RATIO, MAX_ACCELERATION, 1.0),
-        ("limits", stopped, fraction, MAX_CLAMPED, 0.0),
-        ("not mapped", lost / max(lost + report.pairs, 1), fraction, MAX_UNMAPPED, 0.0),
+        ("limits", mean_clamped, fraction, MAX_CLAMPED, 0.0),
+        (
+            "not mapped",
+            unmapped_count / max(unmapped_count + report.pairs, 1),
+            fraction,
+            MAX_UNMAPPED,
+            0.0,
+        ),
     )
     names = {
         "stopped by their limits": tuple(report.held),
@@ -345,7 +373,7 @@ def scores_of(report: RetargetReport) -> PassScores:
     }
     return PassScores(
         tuple(Score(*value) for value in values),
-        {what: joints for what, joints in names.items() if joints},
+        {score_name: joints for score_name, joints in names.items() if joints},
     )
 
 
@@ -361,32 +389,36 @@ def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
 
     NaN while nothing is planted.
     """
-    flat = [k for k in range(3) if k != up]
+    ground_positions = [k for k in range(3) if k != up]
     drift = np.full(len(points), math.nan)
     for start, end in runs(stands):
-        path = points[start:end][:, flat]
+        path = points[start:end][:, ground_positions]
         drift[start:end] = np.linalg.norm(path - path.mean(axis=0), axis=1)
     return drift
 
 
 def _reach_errors(
-    both: Sequence[tuple[RoledSkeleton, FloatArray, float]],
+    skeletons: Sequence[tuple[RoledSkeleton, FloatArray, float]],
 ) -> FloatArray:
-    """Return how much relative hand distance from the shoulder differs ``(F,)``.
+    """Return the error of the hands' relative distance from the shoulders ``(F,)``.
 
     NaN without a pair of arms.
     """
-    worst = np.full(len(both[0][1]), math.nan)
+    largest_errors = np.full(len(skeletons[0][1]), math.nan)
     for side in "lr":
-        shares = []
-        for skeleton, points, _ in both:
+        arm_fractions = []
+        for skeleton, points, _ in skeletons:
             arm = [skeleton.first(f"{role}_{side}") for role in ARM]
             if min(arm) < 0:
                 continue
             arms = points[:, arm]
             length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()
             if length > 0:
-                shares.append(np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1) / length)
-        if len(shares) == 2:
-            worst = np.fmax(worst, np.abs(shares[0] - shares[1]))
-    return worst
+                arm_fractions.append(
+                    np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1) / length
+                )
+        if len(arm_fractions) == 2:
+            largest_errors = np.fmax(
+                largest_errors, np.abs(arm_fractions[0] - arm_fractions[1])
+            )
+    return largest_errors

@@ -15,7 +15,7 @@ from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have no direction [1].
-NO_BONE = 1e-4
+MIN_BONE = 1e-4
 # Role at the end of each role's bone.
 _NEXT = {
     "upper_arm": "forearm",
@@ -30,7 +30,7 @@ _NEXT = {
 class Ball:
     """The point that a foot rolls over."""
 
-    joint: int  # the toe that begins there; -1 for none
+    toe: int  # index of the first joint of that toe; -1 for none
     offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
 
 
@@ -39,26 +39,31 @@ class RoledSkeleton:
     """A skeleton at rest, with the role of each joint."""
 
     rig: Rig
-    roles: tuple[str, ...]  # of each joint (J,)
+    roles: tuple[str, ...]  # role of each joint (J,)
     positions: FloatArray  # at rest (J, 3) [m]
     rotations: FloatArray  # at rest, in the world (J, 4)
-    # Balls of its feet by side, for a pair of skeletons.
+    # Balls of the feet by side, for a pair of skeletons.
     balls: Mapping[str, Ball] = field(default_factory=dict)
 
     @staticmethod
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` that replace rest."""
+        """Return a skeleton; local rotations ``pose`` ``(J, 4)`` replace its rest."""
         if pose is None:
-            rest = rest_world(rig)
+            rest_transforms = rest_world(rig)
         else:
-            rest = forward(rig, rig.rest_translations[None], pose[None])
-        return RoledSkeleton(rig, roles, rest.positions[0], rest.rotations[0])
+            rest_transforms = forward(rig, rig.rest_translations[None], pose[None])
+        return RoledSkeleton(
+            rig, roles, rest_transforms.positions[0], rest_transforms.rotations[0]
+        )
 
     def joint(self, role: str) -> int:
         """Return the last joint of a role; -1 for none."""
-        return max((j for j, each in enumerate(self.roles) if each == role), default=-1)
+        return max(
+            (j for j, joint_role in enumerate(self.roles) if joint_role == role),
+            default=-1,
+        )
 
     def first(self, role: str) -> int:
         """Return the first joint of a role; -1 for none."""
@@ -69,20 +74,20 @@ class RoledSkeleton:
 
         None for a joint without a bone.
         """
-        end, role = -1, self.roles[joint]
-        side, base = role[len(base_role(role)) :], base_role(role)
-        if base in _NEXT:
-            end = self.first(_NEXT[base] + side)
-        if end < 0:
-            below = [k for k, p in enumerate(self.rig.parents) if p == joint]
-            end = below[0] if len(below) == 1 else -1
-        ball = self.balls.get(role[-1:]) if base == "foot" else None
-        if end < 0 and ball is not None:
+        end_joint, role = -1, self.roles[joint]
+        side_suffix, role_name = role[len(base_role(role)) :], base_role(role)
+        if role_name in _NEXT:
+            end_joint = self.first(_NEXT[role_name] + side_suffix)
+        if end_joint < 0:
+            children = [k for k, p in enumerate(self.rig.parents) if p == joint]
+            end_joint = children[0] if len(children) == 1 else -1
+        ball = self.balls.get(role[-1:]) if role_name == "foot" else None
+        if end_joint < 0 and ball is not None:
             bone = so3.rotate(self.rotations[joint], ball.offset)
             return np.asarray(bone / np.linalg.norm(bone))
-        if end < 0 or not self.separate(joint, end):
+        if end_joint < 0 or not self.separate(joint, end_joint):
             return None
-        bone = self.positions[end] - self.positions[joint]
+        bone = self.positions[end_joint] - self.positions[joint]
         return np.asarray(bone / np.linalg.norm(bone))
 
     def offset(self, joint: int, below: int) -> FloatArray:
@@ -93,7 +98,7 @@ class RoledSkeleton:
     def separate(self, joint: int, other: int) -> bool:
         """Return whether two joints are at distinct positions at rest."""
         offset = self.positions[other] - self.positions[joint]
-        return float(np.linalg.norm(offset)) > NO_BONE * self.size
+        return float(np.linalg.norm(offset)) > MIN_BONE * self.size
 
     @property
     def size(self) -> float:
@@ -113,23 +118,25 @@ class RoledSkeleton:
 
     @property
     def facing(self) -> FloatArray | None:
-        """Left, up and forward of the upright body, rows ``(3, 3)``, if known."""
+        """Rows left, up and forward of the upright body ``(3, 3)``; None if unknown."""
         directions = []
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
-            left, right = map(self.first, pair)
-            if left >= 0 and right >= 0:
-                directions.append(self.positions[left] - self.positions[right])
-        low, high = self.first("hips"), self.first("head")
-        high = high if high >= 0 else self.joint("spine")
-        if not directions or low < 0 or high < 0:
+            left_side, right_side = map(self.first, pair)
+            if left_side >= 0 and right_side >= 0:
+                directions.append(
+                    self.positions[left_side] - self.positions[right_side]
+                )
+        hips, head = self.first("hips"), self.first("head")
+        head = head if head >= 0 else self.joint("spine")
+        if not directions or hips < 0 or head < 0:
             return None
-        left = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
-        up = self.positions[high] - self.positions[low]
-        up = up - (up @ left) * left
-        size = float(np.linalg.norm(up))
-        if not np.linalg.norm(directions[0]) or size <= NO_BONE * self.size:
+        left_side = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
+        up = self.positions[head] - self.positions[hips]
+        up = up - (up @ left_side) * left_side
+        height = float(np.linalg.norm(up))
+        if not np.linalg.norm(directions[0]) or height <= MIN_BONE * self.size:
             return None
-        return np.stack([left, up / size, np.cross(left, up / size)])
+        return np.stack([left_side, up / height, np.cross(left_side, up / height)])
 
     def leg(self, side: str) -> tuple[int, int, int, int] | None:
         """Return thigh, shin, foot and toe (-1 for none) of a side, if it has a leg."""

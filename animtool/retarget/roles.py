@@ -28,18 +28,18 @@ ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
 TWIST, END, CONTROL = "twist", "end", "control"
 
 
-# By names and structure; by names alone; by structure alone; or joints of the same name
-# or role one to one, for takes that only need other names.
+# Evidence for pairs: names and structure; names only; structure only; or joints of the
+# same name or role one to one, for takes that only need other names.
 MapMode: TypeAlias = Literal["auto", "names", "structure", "rename"]
 
 
 class RoleSource(StrEnum):
     """Evidence for the role of a joint."""
 
-    PRESET = "preset"  # its name is of a convention
-    NAME = "name"  # its name has a word that many conventions have
+    PRESET = "preset"  # its name belongs to a naming convention
+    NAME = "name"  # its name contains a word that many conventions use
     STRUCTURE = "structure"  # its position in the tree
-    FILE = "file"  # stated by a map file
+    FILE = "file"  # stated in a map file
     NONE = ""
 
 
@@ -51,12 +51,12 @@ class Anatomy:
     roles: tuple[str, ...]
     evidence: tuple[RoleSource, ...]  # ``(J,)``
     confidence: tuple[float, ...]  # 0 to 1 ``(J,)``
-    preset: str = ""  # the convention of the names; empty for none
+    preset: str = ""  # the naming convention; empty for none
     notices: tuple[Fault, ...] = ()
 
     def chain(self, role: str) -> tuple[int, ...]:
         """Return the joints of a role, parents before children."""
-        return tuple(j for j, each in enumerate(self.roles) if each == role)
+        return tuple(j for j, joint_role in enumerate(self.roles) if joint_role == role)
 
 
 def base_role(role: str) -> str:

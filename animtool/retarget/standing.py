@@ -1,4 +1,4 @@
-"""The axis a body stands along, for files that do not state the up axis.
+"""The axis along which a body stands, for files that do not state the up axis.
 
 It is inferred from limbs, trunk and head, independent of names, and from motion.
 """
@@ -14,35 +14,43 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import length_text
+from animtool.core.rates import rate_warning
+from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward, rest_size, rest_world
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import MAX_SIZE
 
-# Least cosine to an axis of a body that stands along it [1].
-STANDS = 0.8
-# Least fraction of frames of a body that stands throughout [1].
-MOSTLY = 0.9
-# Fraction of frames below which it stands by chance [1].
-SELDOM = 0.1
-# Least cosine between trunk and feet-to-hips direction of an upright body [1].
-UPRIGHT = 0.5
-# Least mean cosine of a trunk along an axis, and of legs across it [1].
-LEANS = 0.6
-# A lying body's lowest point varies by less than this fraction of its length [1].
-LEVEL = 0.06
-# Least cosine between arms and legs of a four-legged stance [1].
-ON_FOURS = 0.8
-# On the ground, the lowest joint is this near to 0 and not this far below it, over the
-# height, in this fraction of the frames: some jump [1].
-ON_GROUND, SUNK, OFTEN = 0.08, 0.02, 0.6
-# A walking body travels this far over the ground, and no farther up and down, over its
-# height [1].
+# Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
+CHOSEN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
+# Sizes of people [m].
+PERSON_METERS = (0.5, 3.0)
+# Minimum cosine to an axis for a body that stands along it [1].
+MIN_STANDING_COSINE = 0.8
+# Minimum fraction of standing frames of a body that stands throughout [1].
+MIN_STANDING_FRACTION = 0.9
+# Fraction of standing frames below which it stands by chance [1].
+CHANCE_FRACTION = 0.1
+# Minimum cosine between trunk and feet-to-hips direction of an upright body [1].
+MIN_UPRIGHT_COSINE = 0.5
+# Minimum mean cosine of a trunk to an axis, and of legs across it [1].
+MIN_TRUNK_COSINE = 0.6
+# The lowest point of a lying body varies by less than this fraction of its length [1].
+LYING_VARIATION = 0.06
+# Minimum cosine between arms and legs of a four-legged stance [1].
+MIN_FOURS_COSINE = 0.8
+# On the ground, the lowest joint is within the first distance of 0 and not farther
+# below it than the second, relative to the height, in this fraction of the frames,
+# since some bodies jump [1].
+GROUND_DISTANCE, GROUND_DEPTH, GROUND_FRACTION = 0.08, 0.02, 0.6
+# A walking body travels at least this far over the ground, and at most this far
+# vertically, relative to its height [1].
 MIN_TRAVEL, MAX_VERTICAL_TRAVEL = 0.6, 0.25
-# Frames sampled: at first, and of a long take.
+# Number of sampled frames: at first, and of a long take.
 FIRST_SAMPLES, MAX_SAMPLES = 3, 2000
 
 
@@ -51,9 +59,9 @@ class Stance:
     """How a body stands in a take.
 
     Attributes:
-        axis: The axis that it stands along, if it is not the up axis.
-        fraction: Of the frames in which it does.
-        upside_down: Whether it stands on its head in nearly all frames.
+        axis: The axis along which it stands, if that is not the up axis.
+        fraction: Fraction of the frames in which it stands along that axis.
+        upside_down: Whether the body is upside down in nearly all frames.
     """
 
     axis: UpAxis | None = None
@@ -65,27 +73,30 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     """Return the direction from feet to head ``(F, 3)``.
 
     Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
-    not a body. A four-legged body points away from its feet, however its trunk lies.
+    no body. A four-legged body points away from its feet, whatever the direction of its
+    trunk.
 
     Args:
-        roles: Of the joints ``(J,)``.
-        positions: Of these ``(F, J, 3)`` [m].
+        roles: Joint roles ``(J,)``.
+        positions: Joint positions ``(F, J, 3)`` [m].
     """
-    nothing = np.zeros((len(positions), 3))
+    no_direction = np.zeros((len(positions), 3))
     trunk = _trunk(roles, positions)
     if trunk is None:
-        return nothing
-    legs, arms = (_limbs(roles, positions, *ends) for ends in _LIMBS)
+        return no_direction
+    legs, arms = (_limbs(roles, positions, *limb_roles) for limb_roles in _LIMBS)
     if legs is None:
         return trunk
     up = (trunk * -legs).sum(axis=1)
-    axes = np.where(up[:, None] > UPRIGHT, _units(trunk - legs), nothing)
+    axes = np.where(
+        up[:, None] > MIN_UPRIGHT_COSINE, _units(trunk - legs), no_direction
+    )
     if arms is None:
         return axes
-    down = _units(legs + arms)
-    fours = (legs * arms).sum(axis=1) > ON_FOURS
-    fours &= np.abs((trunk * down).sum(axis=1)) < UPRIGHT
-    return np.where(fours[:, None], -down, axes)
+    down_directions = _units(legs + arms)
+    fours = (legs * arms).sum(axis=1) > MIN_FOURS_COSINE
+    fours &= np.abs((trunk * down_directions).sum(axis=1)) < MIN_UPRIGHT_COSINE
+    return np.where(fours[:, None], -down_directions, axes)
 
 
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
@@ -95,22 +106,22 @@ def _trunk(roles: Sequence[str], positions: FloatArray) -> FloatArray | None:
     """Return the vector from hips to head ``(F, 3)``; None if either is unknown."""
     if "hips" not in roles or "head" not in roles:
         return None
-    low, high = roles.index("hips"), roles.index("head")
+    hips, head = roles.index("hips"), roles.index("head")
     thighs = [roles.index(f"thigh_{s}") for s in "lr" if f"thigh_{s}" in roles]
-    start = positions[:, thighs if len(thighs) == 2 else [low]].mean(axis=1)
-    return _units(positions[:, high] - start)
+    hips_middle = positions[:, thighs if len(thighs) == 2 else [hips]].mean(axis=1)
+    return _units(positions[:, head] - hips_middle)
 
 
 def _limbs(
     roles: Sequence[str], positions: FloatArray, first: str, last: str
 ) -> FloatArray | None:
     """Return the mean vector along a pair of limbs ``(F, 3)``; None if unknown."""
-    pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
-    if not all({*pair} <= {*roles} for pair in pairs):
+    role_pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
+    if not all({*role_pair} <= {*roles} for role_pair in role_pairs):
         return None
     vectors = [
         _units(positions[:, roles.index(b)] - positions[:, roles.index(a)])
-        for a, b in pairs
+        for a, b in role_pairs
     ]
     return _units(vectors[0] + vectors[1])
 
@@ -127,38 +138,47 @@ def stance(
 
     It stands along another axis if it does in nearly all frames, or from the first
     frame on and at least as often as along the up axis. Rest pose, motion or ground
-    contact must confirm it: else the body lies.
+    contact must confirm that; otherwise the body lies down.
 
     Args:
-        roles: Of the joints ``(J,)``.
-        positions: Of these ``(F, J, 3)`` [m].
+        roles: Joint roles ``(J,)``.
+        positions: Joint positions ``(F, J, 3)`` [m].
         up: The assumed up axis.
-        rest: Positions of the joints at rest ``(J, 3)`` [m]; None where not known.
+        rest: Joint positions at rest ``(J, 3)`` [m]; None if unknown.
     """
-    axes, other = body_axes(roles, positions), _other(up)
-    along = axes @ np.array(other.vector) > STANDS
+    axes, other_axis = body_axes(roles, positions), _other(up)
+    is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     upright = axes @ np.array(up.vector)
-    fraction, upright_fraction = float(along.mean()), float((upright > STANDS).mean())
-    if float((upright < -STANDS).mean()) >= MOSTLY:
-        return Stance(fraction=float((upright < -STANDS).mean()), upside_down=True)
+    fraction, upright_fraction = (
+        float(is_along_other.mean()),
+        float((upright > MIN_STANDING_COSINE).mean()),
+    )
+    if float((upright < -MIN_STANDING_COSINE).mean()) >= MIN_STANDING_FRACTION:
+        return Stance(
+            fraction=float((upright < -MIN_STANDING_COSINE).mean()), upside_down=True
+        )
     rests = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
-    if rests @ np.array(other.vector) > STANDS:
-        starts = bool(along[0] or along[-1]) and fraction >= max(
-            upright_fraction, SELDOM
+    if rests @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
+        starts = bool(is_along_other[0] or is_along_other[-1]) and fraction >= max(
+            upright_fraction, CHANCE_FRACTION
         )
         along_other = (
-            starts or fraction >= MOSTLY or _leans(roles, positions, other, up)
+            starts
+            or fraction >= MIN_STANDING_FRACTION
+            or _leans(roles, positions, other_axis, up)
         )
-        return Stance(other, fraction) if along_other else Stance()
-    if fraction < MOSTLY and not (
-        along[0] and fraction >= max(upright_fraction, SELDOM)
+        return Stance(other_axis, fraction) if along_other else Stance()
+    if fraction < MIN_STANDING_FRACTION and not (
+        is_along_other[0] and fraction >= max(upright_fraction, CHANCE_FRACTION)
     ):
         return Stance()
-    standing = positions[along]
-    if _moves_over(positions, other, up) or _feet_on_ground(standing, other, up):
-        return Stance(other, fraction)
-    lies = fraction < MOSTLY or _on_one_level(standing, up)
-    return Stance() if lies else Stance(other, fraction)
+    standing = positions[is_along_other]
+    if _moves_over(positions, other_axis, up) or _feet_on_ground(
+        standing, other_axis, up
+    ):
+        return Stance(other_axis, fraction)
+    lies = fraction < MIN_STANDING_FRACTION or _on_one_level(standing, up)
+    return Stance() if lies else Stance(other_axis, fraction)
 
 
 def _leans(
@@ -172,66 +192,96 @@ def _leans(
     legs = _limbs(roles, positions, *_LIMBS[0])
     if trunk is None:
         return False
-    along, upright = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
-    below = 0.0 if legs is None else legs.mean(axis=0) @ np.array(up.vector)
-    return bool(along > LEANS and upright < UPRIGHT and below > -LEANS)
+    cosines, upright = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
+    legs_along_up = 0.0 if legs is None else legs.mean(axis=0) @ np.array(up.vector)
+    return bool(
+        cosines > MIN_TRUNK_COSINE
+        and upright < MIN_UPRIGHT_COSINE
+        and legs_along_up > -MIN_TRUNK_COSINE
+    )
 
 
 def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
     """Return whether the lowest joint keeps its height, as for a lying body."""
-    size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
-    low = (positions @ np.array(up.vector)).min(axis=1)
-    return float(np.quantile(low, 1 - SELDOM) - np.quantile(low, SELDOM)) < LEVEL * size
+    body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
+    lowest = (positions @ np.array(up.vector)).min(axis=1)
+    return (
+        float(
+            np.quantile(lowest, 1 - CHANCE_FRACTION)
+            - np.quantile(lowest, CHANCE_FRACTION)
+        )
+        < LYING_VARIATION * body_size
+    )
 
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether feet are at 0 of an axis while the body is not at 0 of up."""
     spans = np.ptp(positions, axis=1).max(axis=1)
-    size = float(np.median(spans))
-    feet = (positions @ np.array(axis.vector)).min(axis=1) / size
-    low = (positions @ np.array(up.vector)).min(axis=1) / size
-    stands = float((np.abs(feet) < ON_GROUND).mean()) >= OFTEN
+    body_size = float(np.median(spans))
+    feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
+    lowest = (positions @ np.array(up.vector)).min(axis=1) / body_size
+    stands = float((np.abs(feet) < GROUND_DISTANCE).mean()) >= GROUND_FRACTION
     # A lying body has nothing below the ground.
-    lies = float(((low > -SUNK) & (low < ON_GROUND)).mean()) >= OFTEN
+    lies = (
+        float(((lowest > -GROUND_DEPTH) & (lowest < GROUND_DISTANCE)).mean())
+        >= GROUND_FRACTION
+    )
     return stands and not lies
 
 
 def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether a body travels across an axis as a walking one does."""
     middle = positions.mean(axis=1)
-    size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
+    body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     spans = np.ptp(middle, axis=0)
-    high = float(spans @ np.array(axis.vector))
+    travel_along_axis = float(spans @ np.array(axis.vector))
     # A lying body does not travel along the assumed up axis.
-    far = float(spans @ np.array(up.vector))
-    return far > MIN_TRAVEL * size and high < MAX_VERTICAL_TRAVEL * size
+    travel_along_up = float(spans @ np.array(up.vector))
+    return (
+        travel_along_up > MIN_TRAVEL * body_size
+        and travel_along_axis < MAX_VERTICAL_TRAVEL * body_size
+    )
 
 
-def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
+def stands_along(
+    rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
+) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not state it. ``roles`` of the joints ``(J,)``.
+    BVH files do not state it.
+
+    Args:
+        rig: Of J joints.
+        motion: The take.
+        roles: Of the joints ``(J,)``.
+        downwards: Whether it stands along the axis with the head at its negative end,
+            as a take does that was turned from the wrong axis.
     """
     if not _other_is_longer(rig, motion):
         return None
-    every = max(motion.frames // MAX_SAMPLES, 1)
-    frames = motion.select(slice(0, motion.frames, every))
-    positions = forward(rig, frames.translations.dense(), frames.rotations.dense())
-    rest = rest_world(rig).positions[0]
-    return stance(roles, positions.positions, rig.up, rest).axis
+    frame_step = max(motion.frames // MAX_SAMPLES, 1)
+    frames = motion.select(slice(0, motion.frames, frame_step))
+    world = forward(rig, frames.translations.dense(), frames.rotations.dense())
+    positions, rest = world.positions, rest_world(rig).positions[0]
+    if downwards:
+        mirror = 1.0 - 2.0 * np.array(_other(rig.up).vector)
+        positions, rest = positions * mirror, rest * mirror
+    return stance(roles, positions, rig.up, rest).axis
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     """Return whether any sampled pose extends farther along the other axis than up."""
     if not rig.joints or not motion.frames:
         return False
-    some = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
-    up, other = np.array(rig.up.vector), np.array(_other(rig.up).vector)
-    for frame in sorted(set(some.tolist())):
-        one = motion.select(slice(frame, frame + 1))
-        pose = forward(rig, one.translations.dense(), one.rotations.dense())
+    sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
+    up_vector, other_vector = np.array(rig.up.vector), np.array(_other(rig.up).vector)
+    for frame in sorted(set(sampled_frames.tolist())):
+        single_frame = motion.select(slice(frame, frame + 1))
+        pose = forward(
+            rig, single_frame.translations.dense(), single_frame.rotations.dense()
+        )
         spans = np.ptp(pose.positions[0], axis=0)
-        if spans @ other > spans @ up:
+        if spans @ other_vector > spans @ up_vector:
             return True
     return False
 
@@ -241,33 +291,57 @@ def lying_notice(
     rig: Rig,
     motion: Motion,
     severity: Severity = Severity.NOTE,
+    up: UpAxis | None = None,
 ) -> list[Fault]:
-    """Return a notice that a body stands along another axis than up (MOT214)."""
+    """Return a notice that a body stands along another axis than up (MOT214).
+
+    up: The axis that the user chose.
+    """
     if not _other_is_longer(rig, motion):
         return []
     from animtool.retarget.anatomy import anatomy
 
-    axis = stands_along(rig, motion, anatomy(rig).roles)
+    roles, sign = anatomy(rig).roles, ""
+    axis = stands_along(rig, motion, roles)
+    read_as = axis
+    if axis is None and up is not None:
+        axis = stands_along(rig, motion, roles, downwards=True)
+        read_as, sign = _other(up), "-"
     if axis is None:
         return []
-    message = f"the body stands along {axis}, but the up axis is {rig.up}"
-    hint = f"read it with {argument('source.up', axis)}"
+    message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
+    hint = f"read it with {argument('source.up', read_as)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 
 
 def with_source_warnings(
-    path: Path, stream: TakeStream, up: UpAxis | None = None
+    path: Path,
+    stream: TakeStream,
+    up: UpAxis | None = None,
+    unit: LengthUnit | None = None,
 ) -> TakeStream:
-    """Return a stream with warnings about its rate and its up axis.
+    """Return a stream with warnings about its rate, its size and its up axis.
 
-    MOT214 follows from its first block: a warning if the user chose the axis ``up`` or
-    markers were solved, and a note for a BVH, which states none. Other files state
-    theirs.
+    ``unit`` and ``up`` are those that the user chose.
+
+    MOT214 is determined from the first block: a warning if the user chose the axis
+    ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
+    state it.
     """
-    rate, known = stream.fps / stream.step, {one.code for one in stream.notices}
-    wrong = [] if "BVH105" in known else rate_warning(rate, "source.fps")
-    stream.notices.extend(replace(one, path=str(path)) for one in wrong)
+    rate, known_codes = (
+        stream.fps / stream.step,
+        {notice.code for notice in stream.notices},
+    )
+    reader = reader_of(path)
+    has_rate = reader is not None and "fps" in reader.options
+    rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
+    if known_codes.isdisjoint({"BVH105", "TAKE009"}):
+        stream.notices.extend(
+            replace(notice, path=str(path)) for notice in rate_warnings
+        )
     form = stream.details.get("format")
+    if unit is not None and "RIG217" not in known_codes and form != "markers":
+        stream.notices.extend(_size_warning(path, stream.rig, unit))
     if up is None and form not in {"BVH", "markers"}:
         return stream
     severity = Severity.NOTE if up is None and form == "BVH" else Severity.WARNING
@@ -275,10 +349,29 @@ def with_source_warnings(
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
             if i == 0:
-                stream.notices.extend(lying_notice(path, stream.rig, block, severity))
+                notices = lying_notice(path, stream.rig, block, severity, up)
+                stream.notices.extend(notices)
             yield block
 
     return replace(stream, blocks=blocks())
+
+
+def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
+    """Return a warning that a chosen unit gives an implausible size (RIG217)."""
+    size = rest_size(rig)
+    low = CHOSEN_SIZES[len(rig.joints) >= MIN_JOINTS]
+    if not size or low <= size <= MAX_SIZE:
+        return []
+    message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
+    fitting = [
+        str(other)
+        for other in LengthUnit
+        if PERSON_METERS[0] <= size / unit.meters * other.meters <= PERSON_METERS[1]
+    ]
+    hint = f"remove {argument('source.unit')} if the file states its unit"
+    if fitting:
+        hint = f"use {argument('source.unit', fitting[0])}, or {hint}"
+    return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
 
 
 def _other(up: UpAxis) -> UpAxis:

@@ -1,6 +1,6 @@
-"""Limbs, hands and trunk of a skeleton, found from its tree and bone lengths.
+"""Limbs, hands and trunk of a skeleton, detected from its tree and bone lengths.
 
-Names, where they tell anything, are votes that the same search weighs.
+Names, if informative, are votes in the same search.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 
-# Bones shorter than this fraction of the skeleton have no length.
-_ZERO = 1e-4
-# Limbs of a pair differ in reach by less than this fraction.
+# Bones shorter than this fraction of the skeleton have zero length.
+_MIN_BONE = 1e-4
+# The reaches of two paired limbs differ by less than this fraction.
 _PAIR_TOLERANCE = 0.15
-# Least reach of a pair of limbs over the skeleton's size.
-_LIMB = 0.2
-# Most joints of a limb to assign; time grows with the fourth power.
+# Minimum reach of a pair of limbs relative to the skeleton's size.
+_MIN_LIMB_REACH = 0.2
+# Maximum number of joints of a limb to assign; time grows with the fourth power.
 _MAX_LIMB_JOINTS = 16
 # Largest cosine between trunk and legs of a standing body.
-_UPRIGHT = -0.7
-# Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
-_ALONG = 0.97
+_MAX_UPRIGHT_COSINE = -0.7
+# Cosine above which a leaf lies along its sibling's bone, as a twist joint does.
+_MIN_TWIST_COSINE = 0.97
 
 
-# Two like subtrees below one joint.
+# Two similar subtrees below one joint.
 Pair = tuple[int, int]
 
 
@@ -48,8 +48,8 @@ class SkeletonTree:
     rig: Rig
     # Joint positions in the searched pose ``(J, 3)`` [m], world.
     positions: FloatArray
-    last_bones: FloatArray  # at rest, zero for none ``(J, 3)`` [m], world
-    kinds: tuple[str, ...]  # of joints that have no role, by their names ``(J,)``
+    last_bones: FloatArray  # at rest, zero if there is none ``(J, 3)`` [m], world
+    kinds: tuple[str, ...]  # of joints without a role, by their names ``(J,)``
     votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
 
     @classmethod
@@ -57,26 +57,28 @@ class SkeletonTree:
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
     ) -> SkeletonTree:
         """Return the tree of a skeleton at rest."""
-        rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        rest_transforms = forward(
+            rig, rig.rest_translations[None], rig.rest_rotations[None]
+        )
         tips = np.zeros((len(rig.joints), 3))
         for j, joint in enumerate(rig.joints):
             if joint.tips:
                 farthest = max(joint.tips, key=lambda tip: sum(x * x for x in tip))
-                tips[j] = rest.linear[0, j] @ np.asarray(farthest)
-        return cls(rig, rest.positions[0], tips, tuple(kinds), tuple(votes))
+                tips[j] = rest_transforms.linear[0, j] @ np.asarray(farthest)
+        return cls(rig, rest_transforms.positions[0], tips, tuple(kinds), tuple(votes))
 
     @cached_property
     def children(self) -> list[list[int]]:
         """Children of each joint, without controls that carry no joint with a role."""
-        below: list[list[int]] = [[] for _ in self.rig.joints]
-        used = [kind != CONTROL for kind in self.kinds]
-        for j in range(len(used) - 1, -1, -1):
+        child_lists: list[list[int]] = [[] for _ in self.rig.joints]
+        is_used = [kind != CONTROL for kind in self.kinds]
+        for j in range(len(is_used) - 1, -1, -1):
             parent = self.rig.joints[j].parent
-            if used[j] and parent >= 0:
-                below[parent].insert(0, j)
+            if is_used[j] and parent >= 0:
+                child_lists[parent].insert(0, j)
                 # A control above a joint with a role is an extra bone.
-                used[parent] |= bool(self.votes[j]) or bool(below[j])
-        return below
+                is_used[parent] |= bool(self.votes[j]) or bool(child_lists[j])
+        return child_lists
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -121,18 +123,18 @@ class SkeletonTree:
 
     def common(self, joints: Sequence[int]) -> int:
         """Return the lowest common ancestor of joints; -1 for none."""
-        shared = set(self.rig.upwards(joints[0]))
+        common_ancestors = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
-            shared &= set(self.rig.upwards(j))
-        return max(shared, default=-1)
+            common_ancestors &= set(self.rig.upwards(j))
+        return max(common_ancestors, default=-1)
 
     def limb_children(self, joint: int) -> list[int]:
         """Return the children that continue a limb: no bone ends, no twist joints."""
-        below = [c for c in self.children[joint] if not self._is_end(c)]
-        if len(below) < 2:
-            return below
-        longest = max(below, key=self.extent)
-        return [c for c in below if c == longest or not self._along(c, longest)]
+        children = [c for c in self.children[joint] if not self._is_end(c)]
+        if len(children) < 2:
+            return children
+        longest = max(children, key=self.extent)
+        return [c for c in children if c == longest or not self._along(c, longest)]
 
     def _is_end(self, joint: int) -> bool:
         if self.children[joint] or self.votes[joint]:
@@ -144,25 +146,25 @@ class SkeletonTree:
         tips = self.rig.joints[joint].tips
         if not tips or not self._marked or self.children[joint]:
             return False
-        return float(self.tips[joint]) <= _ZERO * self.size
+        return float(self.tips[joint]) <= _MIN_BONE * self.size
 
     @cached_property
     def _marked(self) -> bool:
         """Whether leaves with a zero-length bone are bone ends, not joints.
 
         Some files give no last bone a length; there, fingers of four joints show that
-        the last ones are ends.
+        the last joints are ends.
         """
-        leaves = [j for j, below in enumerate(self.children) if not below]
-        if any(self.tips[j] > _ZERO * self.size for j in leaves):
+        leaves = [j for j, children in enumerate(self.children) if not children]
+        if any(self.tips[j] > _MIN_BONE * self.size for j in leaves):
             return True
         return sum(self._run(leaf) >= 4 for leaf in leaves) >= 6
 
     def _run(self, leaf: int) -> int:
         """Return the number of joints from a leaf up to the start of its chain."""
-        above = self.rig.upwards(leaf)
-        forks = [i for i, j in enumerate(above) if len(self.children[j]) > 1]
-        return min(forks, default=len(above))
+        ancestors = self.rig.upwards(leaf)
+        forks = [i for i, j in enumerate(ancestors) if len(self.children[j]) > 1]
+        return min(forks, default=len(ancestors))
 
     def _along(self, leaf: int, other: int) -> bool:
         """Return whether a joint lies on its sibling's bone, or at the joint itself."""
@@ -171,11 +173,11 @@ class SkeletonTree:
         if self.children[leaf] or self.rig.joints[leaf].tips:
             return False
         length, bone = float(self.lengths[leaf]), float(self.lengths[other])
-        if length <= _ZERO * self.size:
+        if length <= _MIN_BONE * self.size:
             return True
         offsets = self.rig.rest_translations
         cosine = float(offsets[leaf] @ offsets[other]) / max(length * bone, 1e-30)
-        return cosine > _ALONG and length <= 1.05 * bone
+        return cosine > _MIN_TWIST_COSINE and length <= 1.05 * bone
 
     def extent(self, joint: int) -> float:
         """Return the longest path length from a joint's parent through it [m]."""
@@ -184,51 +186,59 @@ class SkeletonTree:
     def heaviest(self, joint: int) -> list[int]:
         """Return the longest path down from a joint, itself first."""
         path = [joint]
-        while below := self.limb_children(path[-1]):
-            path.append(max(below, key=self.extent))
+        while children := self.limb_children(path[-1]):
+            path.append(max(children, key=self.extent))
         return path
 
     def branches(self, path: Sequence[int]) -> tuple[int, int]:
         """Return the joint of a path with the most branches, and their number."""
         counts = [len(self.limb_children(j)) for j in path]
-        most = max(counts)
-        return path[counts.index(most)], most
+        largest = max(counts)
+        return path[counts.index(largest)], largest
 
 
 def limb_pairs(body: SkeletonTree) -> tuple[Pair | None, Pair | None]:
     """Return the pairs of legs and of arms, as far as the tree shows them."""
-    outer: list[Pair] = []
+    outer_pairs: list[Pair] = []
     for pair in sorted(_pairs(body), key=lambda pair: -body.extent(pair[0])):
-        above = set(body.rig.upwards(pair[0]))
-        if not any(above & set(other) for other in outer):
-            outer.append(pair)
-    if len(outer) > 1:
-        return max(permutations(outer[:4], 2), key=lambda two: _leg_score(body, *two))
-    if outer:
-        hand = max(body.branches(body.heaviest(c))[1] for c in outer[0])
-        return (None, outer[0]) if hand >= 4 else (outer[0], None)
+        ancestors = set(body.rig.upwards(pair[0]))
+        if not any(ancestors & set(kept_pair) for kept_pair in outer_pairs):
+            outer_pairs.append(pair)
+    if len(outer_pairs) > 1:
+        return max(
+            permutations(outer_pairs[:4], 2),
+            key=lambda pair_of_joints: _leg_score(body, *pair_of_joints),
+        )
+    if outer_pairs:
+        hand = max(body.branches(body.heaviest(joint))[1] for joint in outer_pairs[0])
+        return (None, outer_pairs[0]) if hand >= 4 else (outer_pairs[0], None)
     return None, None
 
 
 def _pairs(body: SkeletonTree) -> list[Pair]:
     """Return pairs of similar subtrees, each joint with its most similar one."""
     pairs = []
-    for below in body.children:
-        long = [
+    for children in body.children:
+        long_children = [
             c
-            for c in below
-            if body.counts[c] > 1 and body.extent(c) >= _LIMB * body.size
+            for c in children
+            if body.counts[c] > 1 and body.extent(c) >= _MIN_LIMB_REACH * body.size
         ]
-        for a, b in combinations(sorted(long, key=body.extent)[-_MAX_LIMB_JOINTS:], 2):
-            low, high = sorted((body.extent(a), body.extent(b)))
-            fewer, more = sorted((body.counts[a], body.counts[b]))
-            if high - low <= _PAIR_TOLERANCE * high and more <= 1.2 * fewer + 2:
-                pairs.append((more - fewer, high - low, (a, b)))
-    best: list[Pair] = []
+        for a, b in combinations(
+            sorted(long_children, key=body.extent)[-_MAX_LIMB_JOINTS:], 2
+        ):
+            shorter, longer = sorted((body.extent(a), body.extent(b)))
+            fewer_joints, more_joints = sorted((body.counts[a], body.counts[b]))
+            if (
+                longer - shorter <= _PAIR_TOLERANCE * longer
+                and more_joints <= 1.2 * fewer_joints + 2
+            ):
+                pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
+    best_pairs: list[Pair] = []
     for _, _, pair in sorted(pairs):
-        if not any(set(pair) & set(other) for other in best):
-            best.append(pair)
-    return best
+        if not any(set(pair) & set(accepted) for accepted in best_pairs):
+            best_pairs.append(pair)
+    return best_pairs
 
 
 def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
@@ -238,12 +248,15 @@ def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
     score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
     score += float(np.sign(len(paths[1]) - len(paths[0])))
     fingers = [
-        max(body.branches(body.heaviest(c))[1] for c in pair) for pair in (legs, arms)
+        max(body.branches(body.heaviest(child))[1] for child in pair)
+        for pair in (legs, arms)
     ]
     score += 1.5 * float(np.sign(fingers[1] - fingers[0]))
-    # The head is another branch where the arms are.
-    long = [c for c in body.children[chest] if body.extent(c) > 0.04 * body.size]
-    score += 0.5 * (len(long) > 2)
+    # On the side of the arms, the head is another branch.
+    long_branches = [
+        child for child in body.children[chest] if body.extent(child) > 0.04 * body.size
+    ]
+    score += 0.5 * (len(long_branches) > 2)
     return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
 
 
@@ -258,7 +271,7 @@ def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
     hips, chest = body.common(legs), body.common(arms)
     trunk = positions[chest] - positions[hips]
-    # Toes and hands point anywhere: mean limb positions are more reliable.
+    # Toes and hands point anywhere; mean limb positions are more reliable.
     drops = [
         positions[body.path(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
     ]
@@ -267,7 +280,9 @@ def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     if min(lengths) <= 0.05 * body.size:
         return None
     cosine = float(trunk @ drop) / (lengths[0] * lengths[1])
-    return trunk / lengths[0] - drop / lengths[1] if cosine < _UPRIGHT else None
+    return (
+        trunk / lengths[0] - drop / lengths[1] if cosine < _MAX_UPRIGHT_COSINE else None
+    )
 
 
 def left_of(
@@ -277,7 +292,7 @@ def left_of(
     if up is None:
         is_y = body.rig.up is UpAxis.Y
         up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
-    # A body standing along an axis faces that axis's conventional forward.
+    # A body that stands along an axis faces that axis's conventional forward direction.
     axis = int(np.argmax(np.abs(up)))
     forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
     unit = np.eye(3)[axis] * np.sign(up[axis])
@@ -288,7 +303,7 @@ def left_of(
         tip = body.last_bones[toe] if at_rest else np.zeros(3)
         for bone in (bones, tip):
             level = bone - unit * float(bone @ unit)
-            # A leaning shin or ankle does not tell where feet point.
+            # A leaning shin or ankle does not show where feet point.
             if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
                 feet += level
     if np.linalg.norm(feet) > 0.01 * body.size:
@@ -300,14 +315,16 @@ def left_of(
 class LimbShape:
     """Names and typical bone lengths of a limb's joints."""
 
-    roles: tuple[str, ...]  # before it, its two long bones, its end, beyond it
+    roles: tuple[
+        str, ...
+    ]  # before the limb, its two long bones, its end, beyond the end
     ratio: float  # of the upper long bone to the lower one
-    before: float  # length before it, of the upper bone's
-    end: float  # length from the end's joint on, of the lower bone's
+    before: float  # length before the limb, relative to the upper bone
+    end: float  # length from the end's joint on, relative to the lower bone
     led: bool  # whether most skeletons have a joint above it
 
 
-# How far the logarithms of those lengths vary.
+# Standard deviations of the logarithms of these lengths.
 _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 
 
@@ -319,75 +336,89 @@ def split_limb(
     Args:
         body: The skeleton.
         path: Joints of the limb, downwards.
-        limb: What it is.
-        branch: The joint where the end begins, where the tree shows it.
+        limb: Shape of the limb.
+        branch: The joint where the end begins, if the tree shows it.
     """
     beyond, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
     n = len(path)
-    at = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
-    best, best_score = [""] * n, -np.inf
-    for upper, lower, end in combinations_with_replacement(range(n + 1), 3):
-        for last in range(min(end + 1, n), n + 1):
-            parts = [0, upper, lower, end, last, n]
+    distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
+    best_labels, best_score = [""] * n, -np.inf
+    for upper, lower, end_index in combinations_with_replacement(range(n + 1), 3):
+        for after_end in range(min(end_index + 1, n), n + 1):
+            boundaries = [0, upper, lower, end_index, after_end, n]
             labels = [
                 role
-                for role, (a, b) in zip(limb.roles, pairwise(parts), strict=True)
+                for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
-            score = _named(body, path, labels) + _shaped(at, parts, limb)
+            score = _named(body, path, labels) + _shaped(distances, boundaries, limb)
             if branch >= 0:
-                score += 4.0 if end < n and path[end] == branch else -4.0
-            elif not limb.led and end < n - 1:
-                score += _bend(body, [path[lower], path[end], path[end + 1]])
+                score += 4.0 if end_index < n and path[end_index] == branch else -4.0
+            elif not limb.led and end_index < n - 1:
+                score += _bend(
+                    body, [path[lower], path[end_index], path[end_index + 1]]
+                )
             if score > best_score:
-                best, best_score = labels, score
-    return best + [""] * len(beyond)
+                best_labels, best_score = labels, score
+    return best_labels + [""] * len(beyond)
 
 
 def _named(body: SkeletonTree, path: Sequence[int], labels: Sequence[str]) -> float:
     """Return how well names agree with roles; a role's first joint counts most."""
-    score, before = 0.0, ""
+    score, previous = 0.0, ""
     for j, label in zip(path, labels, strict=True):
         votes = body.votes[j]
         if label in votes:
-            score += (20.0 if label != before else 12.0) * votes[label]
+            score += (20.0 if label != previous else 12.0) * votes[label]
         elif votes:
             score -= 12.0
-        before = label
+        previous = label
     return score
 
 
-def _shaped(at: FloatArray, parts: Sequence[int], limb: LimbShape) -> float:
+def _shaped(distances: FloatArray, boundaries: Sequence[int], limb: LimbShape) -> float:
     """Return how well a limb's lengths and joint counts fit a human one."""
-    _, upper, lower, end, _, n = parts
-    counts = [b - a for a, b in pairwise(parts)]
+    _, upper, lower, end_index, _, n = boundaries
+    counts = [b - a for a, b in pairwise(boundaries)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
     score -= 0.5 * abs(counts[0] - limb.led)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
-    before, up = float(at[upper] - at[0]), float(at[lower] - at[upper])
-    low, behind = float(at[end] - at[lower]), float(at[n] - at[end])
-    if up > 0 and low > 0:
-        score -= _off(up / low, limb.ratio, _RATIO_SPREAD)
-    elif at[n] > 0:
+    length_before, upper_length = (
+        float(distances[upper] - distances[0]),
+        float(distances[lower] - distances[upper]),
+    )
+    lower_length, end_length = (
+        float(distances[end_index] - distances[lower]),
+        float(distances[n] - distances[end_index]),
+    )
+    if upper_length > 0 and lower_length > 0:
+        score -= _ratio_penalty(upper_length / lower_length, limb.ratio, _RATIO_SPREAD)
+    elif distances[n] > 0:
         score -= 8.0
-    if before > 0 and up > 0:
-        score -= _off(max(before / up, 0.3 * limb.before), limb.before, _BEFORE_SPREAD)
-    if behind > 0 and low > 0:
-        least = 0.0 if end < n and limb.roles[4] else limb.end
-        score -= _off(max(behind / low, least), limb.end, _END_SPREAD)
+    if length_before > 0 and upper_length > 0:
+        score -= _ratio_penalty(
+            max(length_before / upper_length, 0.3 * limb.before),
+            limb.before,
+            _BEFORE_SPREAD,
+        )
+    if end_length > 0 and lower_length > 0:
+        min_end = 0.0 if end_index < n and limb.roles[4] else limb.end
+        score -= _ratio_penalty(
+            max(end_length / lower_length, min_end), limb.end, _END_SPREAD
+        )
     return float(score)
 
 
-def _off(value: float, expected: float, spread: float) -> float:
+def _ratio_penalty(value: float, expected: float, deviation: float) -> float:
     """Return half the squared deviation of a ratio, in spreads, up to 12."""
-    return min(0.5 * float(np.log(value / expected) / spread) ** 2, 12.0)
+    return min(0.5 * float(np.log(value / expected) / deviation) ** 2, 12.0)
 
 
 def _bend(body: SkeletonTree, joints: Sequence[int]) -> float:
     """Return 0 to 1: how much the path through three joints bends, as at an ankle."""
-    first, second = np.diff(body.positions[list(joints)], axis=0)
-    size = float(np.linalg.norm(first) * np.linalg.norm(second))
-    if size <= 0:
+    first_bone, second_bone = np.diff(body.positions[list(joints)], axis=0)
+    length_product = float(np.linalg.norm(first_bone) * np.linalg.norm(second_bone))
+    if length_product <= 0:
         return 0.0
-    return float(np.clip(1.0 - (first @ second) / size, 0.0, 1.0))
+    return float(np.clip(1.0 - (first_bone @ second_bone) / length_product, 0.0, 1.0))

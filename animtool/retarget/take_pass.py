@@ -33,9 +33,8 @@ from animtool.motion.passes import (
     Scope,
     TakePart,
 )
-from animtool.motion.take import Take, TakeStream
+from animtool.motion.take import TakeStream
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.legs import leg_of
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, transfer_of
 from animtool.retarget.options import RetargetOptions
@@ -55,16 +54,16 @@ from animtool.rig.kinematics import forward
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Thresholds for how much of a take has to be paired.
+# Thresholds for the part of a take that has to be paired.
 
 # Bones of a complete limb.
 LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
-# Least fraction of a take's moving joints that are paired [1].
-PAIRED = 1 / 3
+# Minimum fraction of a take's moving joints that are paired [1].
+MIN_PAIRED = 1 / 3
 # Joints irrelevant to body motion: some takes have hundreds of them.
 _DETAIL = {*FINGERS, MITTEN, "toe", "jaw", "eye", TWIST, END, CONTROL}
-_ENDS = {"head", "hand", "foot"}
-MAX_NAMED = 6
+_END_ROLES = {"head", "hand", "foot"}
+MAX_LISTED = 6
 # A bone shorter than this fraction of its rest length has no length [1].
 NO_LENGTH = 1e-4
 
@@ -77,25 +76,30 @@ def insufficient_pairs(
     Args:
         source: The skeleton of the take, of J joints.
         joint_map: Which joints follow which.
-        follows: Which joint of the source each of the target follows ``(K,)``.
-        moving: Joints of the source that move; where none does, all count.
+        follows: Source joint of each target joint ``(K,)``.
+        moving: Moving joints of the source; if none moves, all count.
     """
     roles = joint_map.source.roles
-    used = {pair.source for pair in joint_map.pairs} | {*follows.tolist()}
-    used |= {j for chain in joint_map.chains for j in chain.source}
+    used_joints = {pair.source for pair in joint_map.pairs} | {*follows.tolist()}
+    used_joints |= {j for chain in joint_map.chains for j in chain.source}
     limbs = _limbs(roles)
-    intact = [name for name, joints in limbs.items() if used.issuperset(joints)]
-    body = _body(source, roles)
-    counts = [j for j in body if j in moving] or body
-    paired = [j for j in counts if j in used]
-    if len(paired) >= PAIRED * len(counts) and (intact or not limbs):
+    intact_limbs = [
+        name for name, joints in limbs.items() if used_joints.issuperset(joints)
+    ]
+    body_joints = _body(source, roles)
+    counted_joints = [j for j in body_joints if j in moving] or body_joints
+    paired_joints = [j for j in counted_joints if j in used_joints]
+    if len(paired_joints) >= MIN_PAIRED * len(counted_joints) and (
+        intact_limbs or not limbs
+    ):
         return None
     message = (
-        f"{len(paired)} of {counted(len(counts), 'moving joint')} of {source.name!r} "
+        f"{len(paired_joints)} of {counted(len(counted_joints), 'moving joint')} of "
+        f"{source.name!r} "
         f"are paired"
     )
-    if limbs and not intact:
-        message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
+    if limbs and not intact_limbs:
+        message += f", and none of its limbs ({listed(sorted(limbs), MAX_LISTED)})"
     hint = (
         "write a map file, or retarget what is paired with "
         f"{argument('force_fit', True)}, "
@@ -116,19 +120,23 @@ def zero_length_limbs(
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
-    lost = (longest <= NO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
+    has_collapsed = (
+        (longest <= NO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
+    )
     bones = sorted(
         {
             j
             for joints in _limbs(roles).values()
-            for bottom, top in ((joints[-1], joints[0]),)
-            for j in source.upwards(bottom)
-            if lost[j] and j != top and top in source.upwards(j)
+            for end_joint, start_joint in ((joints[-1], joints[0]),)
+            for j in source.upwards(end_joint)
+            if has_collapsed[j]
+            and j != start_joint
+            and start_joint in source.upwards(j)
         }
     )
     if not bones:
         return None
-    names = listed([repr(source.names[j]) for j in bones], MAX_NAMED)
+    names = listed([repr(source.names[j]) for j in bones], MAX_LISTED)
     message = (
         f"{counted(len(bones), 'limb bone')} of {source.name!r} have zero length in "
         f"every frame, but up to {length_text(float(lengths[bones].max()))} at rest: "
@@ -148,7 +156,7 @@ def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | 
     if not limbs:
         return None
     message = f"no joint of {source.name!r} maps to one of {target.name!r}, and none "
-    message += f"of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
+    message += f"of its limbs ({listed(sorted(limbs), MAX_LISTED)})"
     return Fault("MAP010", message, hint="choose another rig, or write a map file")
 
 
@@ -164,11 +172,11 @@ def _limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
 
 
 def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
-    """Return the joints of a skeleton without fingers, toes, face and twists."""
+    """Return the joints of a skeleton except fingers, toes, face and twist joints."""
     joints = []
     for j, role in enumerate(roles):
-        ends = {base_role(roles[k]) for k in rig.upwards(j)[1:]} & _ENDS
-        if base_role(role) not in _DETAIL and not (ends and not role):
+        end_roles = {base_role(roles[k]) for k in rig.upwards(j)[1:]} & _END_ROLES
+        if base_role(role) not in _DETAIL and not (end_roles and not role):
             joints.append(j)
     return joints
 
@@ -193,49 +201,50 @@ def onto_rig(
 
     Args:
         stream: The take.
-        rig: The rig that it goes onto.
-        options: How.
-        same: Whether feet are held on legs like those of the source, too.
+        rig: The target rig.
+        options: Retargeting options.
+        same: Whether feet are also planted on legs like those of the source.
         props: Tracks of the take that hands may grip.
 
     Raises:
         FormatError: The map file cannot be read, or names an unknown joint; or
             too little is paired (MAP010), or limbs have no length (MAP011).
-        OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
-            (MAP006).
+        OptionError: Nothing maps (MAP004), or the take lacks the rest frame (MAP006).
     """
     _check_bound(options)
     as_rig = options.rest == "rig"
     frame = None if isinstance(options.rest, str) else options.rest
-    rest, blocks = _rest(stream.blocks, frame)
-    first = next(blocks)
-    joint_map = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
+    rest_rotations, blocks = _rest(stream.blocks, frame)
+    first_block = next(blocks)
+    joint_map = _paired(
+        stream.rig, rig, options, _positions(stream.rig, first_block, rest_rotations)
+    )
     notices = list(joint_map.notices)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
-    stands = stands_along(source, first, joint_map.source.roles)
-    if stands is not None and stream.details.get("up_choice") == "stated":
-        message = f"the body stands along {stands}, but the up axis is {source.up}"
-        hint = f"read it with {argument('source.up', stands)}"
+    stance_axis = stands_along(source, first_block, joint_map.source.roles)
+    if stance_axis is not None and stream.details.get("up_choice") == "stated":
+        message = f"the body stands along {stance_axis}, but the up axis is {source.up}"
+        hint = f"read it with {argument('source.up', stance_axis)}"
         notices.append(Fault("MOT214", message, hint=hint, severity=Severity.WARNING))
-    elif stands is not None:
+    elif stance_axis is not None:
         message = (
-            f"the body stands along {stands}, though the take's up axis is "
+            f"the body stands along {stance_axis}, though the take's up axis is "
             f"{source.up}; "
         )
-        message += f"using {stands} up"
+        message += f"using {stance_axis} up"
         hint = (
-            f"confirm with {argument('source.up', stands)}, or write "
+            f"confirm with {argument('source.up', stance_axis)}, or write "
             f"{argument('source.up', source.up)} if it lies"
         )
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
-        source = replace(source, up=stands)
-    transfer = transfer_of(source, rig, joint_map, rest, as_rig=as_rig)
+        source = replace(source, up=stance_axis)
+    transfer = transfer_of(source, rig, joint_map, rest_rotations, as_rig=as_rig)
     notices += _scale_warnings(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
-    motions = chain([first], blocks)
-    hands = options.hold_hands
+    motions = chain([first_block], blocks)
+    keep_hands = options.hold_hands
     retargeting = Retargeting(
         transfer,
         joint_map,
@@ -243,20 +252,22 @@ def onto_rig(
         fps,
         lock=lock,
         same=same,
-        hands=hands,
+        hands=keep_hands,
         props=props,
     )
-    lacking = insufficient_pairs(
+    missing_pairs = insufficient_pairs(
         source, joint_map, transfer.follows, retargeting.moving
     )
     if options.map is not None:
-        lacking = None
-    lacking = zero_length_limbs(source, joint_map, retargeting.longest) or lacking
-    if lacking is not None and not options.force_fit and not same:
-        raise FormatError(lacking)
-    retargeting.forced = [] if lacking is None else [lacking]
+        missing_pairs = None
+    missing_pairs = (
+        zero_length_limbs(source, joint_map, retargeting.longest) or missing_pairs
+    )
+    if missing_pairs is not None and not options.force_fit and not same:
+        raise FormatError(missing_pairs)
+    retargeting.forced = [] if missing_pairs is None else [missing_pairs]
     contacts = retargeting.standing.contacts if lock else ()
-    if contacts and not any(each.any.any() for each in contacts):
+    if contacts and not any(foot_contacts.any.any() for foot_contacts in contacts):
         message = "no foot is planted in any frame: none is held"
         hint = "does the take show a person with legs, for more than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
@@ -280,9 +291,9 @@ def _paired(
     except OptionError as error:
         if error.code == "MAP004":
             roles = anatomy(source, preset=options.preset, positions=positions).roles
-            nothing = nothing_paired(source, roles, target)
-            if nothing is not None:
-                raise FormatError(nothing) from error
+            unpaired_fault = nothing_paired(source, roles, target)
+            if unpaired_fault is not None:
+                raise FormatError(unpaired_fault) from error
         raise
 
 
@@ -310,22 +321,24 @@ def _rest(
 def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
     """Return joint positions in a standing pose ``(J, 3)`` [m].
 
-    That of the rest pose, or of the first frame if the skeleton has no rest pose.
+    The pose is the rest pose, or the first frame if the skeleton has no rest pose.
     """
-    start = first.select(slice(0, 1))
-    rotations = start.rotations.dense() if rest is None else rest[None]
-    return np.asarray(forward(rig, start.translations.dense(), rotations).positions[0])
+    first_frame = first.select(slice(0, 1))
+    rotations = first_frame.rotations.dense() if rest is None else rest[None]
+    return np.asarray(
+        forward(rig, first_frame.translations.dense(), rotations).positions[0]
+    )
 
 
-# Size ratios that a child, a giant or a doll explains; beyond them it is rather a
-# wrong unit, the smallest of which but one is a factor of 10.
+# Size ratios that a child, a giant or a doll explains; beyond these, a wrong unit is
+# more likely, since units mostly differ by a factor of 10 or more.
 LIKELY_SCALES = (1 / 9, 9.0)
 
 
 def _scale_warnings(scale: float) -> list[Fault]:
     """Return a warning if rig and take differ in size by an order of magnitude."""
-    low, high = LIKELY_SCALES
-    if low <= scale <= high:
+    smallest, largest = LIKELY_SCALES
+    if smallest <= scale <= largest:
         return []
     message = f"the rig is {scale:.3g} times the size of the person in the take"
     hint = (
@@ -353,20 +366,25 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     if props is not None:
         stream = replace(stream, blocks=props.noting(stream.blocks))
     # Other tracks pass through; frames stay unchanged.
-    beyond = PassthroughTracks(stream) if stream.tracks else None
-    source = stream if beyond is None else beyond.stream
+    passthrough = PassthroughTracks(stream) if stream.tracks else None
+    source = stream if passthrough is None else passthrough.stream
     retargeting, _, notices = onto_rig(source, rig, settings, props=props)
     context.notices.extend(notices)
     blocks = checked_blocks(retargeting, settings, stream.notices)
-    done = replace(source, rig=rig, blocks=_scored(retargeting, blocks, context))
-    if beyond is None:
-        return done
-    done = beyond.restore(done)
+    retargeted = replace(source, rig=rig, blocks=_scored(retargeting, blocks, context))
+    if passthrough is None:
+        return retargeted
+    retargeted = passthrough.restore(retargeted)
     if props is None:
-        return done
-    gripped = {track for hand in retargeting.standing.hands for track in hand.props}
+        return retargeted
+    gripped_tracks = {
+        track for hand in retargeting.standing.hands for track in hand.props
+    }
     return replace(
-        done, tracks=props.with_gripped(gripped, retargeting.transfer, retargeting.lift)
+        retargeted,
+        tracks=props.with_gripped(
+            gripped_tracks, retargeting.transfer, retargeting.lift
+        ),
     )
 
 
@@ -393,8 +411,8 @@ def checked_blocks(
         return
     for score in scores_of(retargeting.report()).scores:
         if score.excess > options.warn_above:
-            good = replace(score, value=score.usual).text
-            message = f"{score.name} {score.text}; a good take has up to {good}"
+            good_text = replace(score, value=score.usual).text
+            message = f"{score.name} {score.text}; a good take has up to {good_text}"
             hint = "the report names the joints; check limits, map and rest pose"
             file = None if path is None else str(path)
             fault = Fault("MAP107", message, file, (), hint, Severity.WARNING)
@@ -425,66 +443,4 @@ PASS = Pass(
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),
     changes=MOTION_PARTS | {TakePart.RIG, TakePart.TRACKS},
-)
-
-
-@dataclass(frozen=True, slots=True)
-class FeetOptions:
-    """How feet are identified.
-
-    Attributes:
-        map: A map file that names leg and foot joints; None detects them.
-    """
-
-    map: Path | None = None
-
-
-def no_body_warning(error: OptionError) -> Fault:
-    """Return a warning that a take has no body, if that is the cause of an error."""
-    if error.code != "MAP004":
-        raise error
-    message = "no person was recognised in the take: it is unchanged"
-    hint = "name its joints in a map file, or skip what needs a person"
-    return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
-
-
-def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take with planted feet locked in place; legs and hips adapt."""
-    path = None if options.map is None else context.folder / options.map
-    settings = RetargetOptions(map=path)
-    try:
-        retargeting, _, notices = onto_rig(
-            TakeStream.of(take), take.rig, settings, same=True
-        )
-    except OptionError as error:
-        context.notices.append(no_body_warning(error))
-        return take
-    context.notices.extend(notices)
-    if retargeting.standing.placed is None:
-        return take
-    motion = Motion.concatenate(list(retargeting.blocks()))
-    context.scores.append(scores_of(retargeting.report()))
-    skeleton = retargeting.transfer.target
-    legs = {leg_of(skeleton, side)[0] for side in retargeting.standing.sides}
-    for j, parent in enumerate(take.rig.parents.tolist()):
-        if parent in legs:
-            legs.add(j)
-    joints, root = np.array(sorted(legs)), np.array([max(skeleton.first("hips"), 0)])
-    old = take.motion
-    locked = replace(
-        old,
-        rotations=old.rotations.put(joints, motion.rotations.gather(joints)),
-        translations=old.translations.put(root, motion.translations.gather(root)),
-    )
-    return replace(take, motion=locked)
-
-
-FEET = Pass(
-    "feet",
-    "Hold planted feet in place",
-    FeetOptions,
-    Scope.CLIP,
-    lock_feet,
-    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
-    changes=frozenset({TakePart.JOINTS}),
 )

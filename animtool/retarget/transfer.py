@@ -13,16 +13,16 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.retarget.balls import balls_of
 from animtool.retarget.map import JointMap
-from animtool.retarget.roled_skeleton import NO_BONE, RoledSkeleton
+from animtool.retarget.roled_skeleton import MIN_BONE, RoledSkeleton
 from animtool.retarget.roles import base_role
-from animtool.retarget.standing import STANDS
+from animtool.retarget.standing import MIN_STANDING_COSINE
 from animtool.rig.skeleton import Rig
 
-# Roles whose bones point along the source's, whatever their rest pose.
+# Roles whose bones point along the source's bones, whatever their rest pose.
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
-# Deviations from rest below this, over the skeleton, are rounding [1].
-NO_MOVE = 1e-9
-# Bones with lengths that differ by less, over the leg, are equal [1].
+# Deviations from rest below this fraction of the skeleton are rounding [1].
+MIN_DEVIATION = 1e-9
+# Bones whose lengths differ by less than this fraction of the leg are equal [1].
 EQUAL_LENGTHS = 1e-6
 
 
@@ -34,10 +34,10 @@ class Transfer:
     target: RoledSkeleton
     # Rotation from the source's up axis to the target's (4,).
     upright: FloatArray
-    # Lengths of the target over those of the source.
+    # Length ratio of the target to the source.
     scale: float
-    # For each target joint (K,): the source joint it follows, -1 for none;
-    # and the next in its chain, with its weight.
+    # For each target joint (K,): the source joint that it follows, -1 for none; the
+    # next one in its chain, and the weight of that.
     follows: IntArray
     after: IntArray
     fraction: FloatArray
@@ -70,25 +70,34 @@ class Transfer:
         for chain in joint_map.chains:
             if len(chain.source) == len(chain.target):
                 positions = list(zip(chain.target, chain.source, strict=True))
-                for joint, other in positions:
-                    follows[joint] = after[joint] = other
+                for joint, source_joint in positions:
+                    follows[joint] = after[joint] = source_joint
                 continue
             middles = _middles(chain.source_at)
-            for joint, at in zip(chain.target, _middles(chain.target_at), strict=True):
-                k = int(np.searchsorted(middles, at))
-                low, high = max(k - 1, 0), min(k, len(middles) - 1)
-                gap = middles[high] - middles[low]
-                follows[joint], after[joint] = chain.source[low], chain.source[high]
-                fraction[joint] = (at - middles[low]) / gap if gap > 0 else 0.0
-        for joint, other in _namesakes(source.rig, target.rig, follows):
-            follows[joint] = after[joint] = other
+            for joint, position in zip(
+                chain.target, _middles(chain.target_at), strict=True
+            ):
+                k = int(np.searchsorted(middles, position))
+                lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)
+                spacing = middles[upper_index] - middles[lower_index]
+                follows[joint], after[joint] = (
+                    chain.source[lower_index],
+                    chain.source[upper_index],
+                )
+                fraction[joint] = (
+                    (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
+                )
+        for joint, source_joint in namesakes(source.rig, target.rig, follows):
+            follows[joint] = after[joint] = source_joint
         aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
         twists = []
         for twist in joint_map.twists:
-            below = _below(target, twist.bone)
-            if below >= 0:
-                twists.append((twist.joint, twist.bone, below, twist.fraction))
-        scale = _scale(source, target)
+            twisting_joint = _below(target, twist.bone)
+            if twisting_joint >= 0:
+                twists.append(
+                    (twist.target, twist.bone, twisting_joint, twist.fraction)
+                )
+        scale = _scale(source, target, follows)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
         )
@@ -97,17 +106,17 @@ class Transfer:
     def similar_legs(self) -> bool:
         """Whether legs and feet of both skeletons are the same up to scale."""
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
-        both = self.target, self.source
+        skeletons = self.target, self.source
         for side in sides:
-            balls = [each.balls.get(side) for each in both]
-            # Feet with other toes roll differently, even if they are as long.
-            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+            balls = [foot_ball.balls.get(side) for foot_ball in skeletons]
+            # Feet with other toes roll differently, even if they are equally long.
+            if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
-            bones = [each.leg_bones(side) for each in both]
+            bones = [foot_ball.leg_bones(side) for foot_ball in skeletons]
             if len(bones[0]) != len(bones[1]):
                 return False
-            off = np.abs(bones[0] - self.scale * bones[1])
-            if (off > EQUAL_LENGTHS * bones[0].sum()).any():
+            length_errors = np.abs(bones[0] - self.scale * bones[1])
+            if (length_errors > EQUAL_LENGTHS * bones[0].sum()).any():
                 return False
         return bool(sides)
 
@@ -117,7 +126,7 @@ class Transfer:
         Args:
             world: World rotations of the source ``(F, J, 4)``.
 
-        Joints that follow none move with their parents.
+        Joints that follow no source joint move with their parents.
         """
         rig = self.target.rig
         changed = so3.multiply(world, so3.conjugate(self.source.rotations))
@@ -126,15 +135,17 @@ class Transfer:
             changed = so3.multiply(changed, so3.conjugate(self.upright))
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
-            first = self.follows[j]
-            if first < 0:
-                rest = rig.rest_rotations[j]
-                above = world_rotations[:, parent] if parent >= 0 else so3.IDENTITY
-                world_rotations[:, j] = so3.multiply(above, rest)
+            source_joint = self.follows[j]
+            if source_joint < 0:
+                rest_rotation = rig.rest_rotations[j]
+                parent_rotations = (
+                    world_rotations[:, parent] if parent >= 0 else so3.IDENTITY
+                )
+                world_rotations[:, j] = so3.multiply(parent_rotations, rest_rotation)
                 continue
             del joint
-            rotation = changed[:, first]
-            if self.after[j] != first:
+            rotation = changed[:, source_joint]
+            if self.after[j] != source_joint:
                 fraction = np.full(len(world), self.fraction[j])
                 rotation = so3.slerp(rotation, changed[:, self.after[j]], fraction)
             world_rotations[:, j] = so3.multiply(rotation, self.aligned[j])
@@ -150,34 +161,45 @@ class Transfer:
 
         Args:
             world: World rotations of the source ``(F, J, 4)``.
-            translations: Local, of the source ``(F, J, 3)`` [m].
+            translations: Local translations of the source ``(F, J, 3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
         """
-        ours, theirs = self.source.rig, self.target.rig
-        off = translations - ours.rest_translations
-        moves = np.abs(off).max(axis=(0, 2)) > NO_MOVE * self.source.size
-        local_translations = theirs.rest_translations[None]
+        source_rig, target_rig = self.source.rig, self.target.rig
+        deviations = translations - source_rig.rest_translations
+        moves = np.abs(deviations).max(axis=(0, 2)) > MIN_DEVIATION * self.source.size
+        local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
-        for joint, other in enumerate(self.follows.tolist()):
-            above, below = int(theirs.parents[joint]), int(ours.parents[max(other, 0)])
-            if other < 0 or not moves[other] or min(above, below) < 0 or joint == hips:
+        for joint, source_joint in enumerate(self.follows.tolist()):
+            target_parent, source_parent = (
+                int(target_rig.parents[joint]),
+                int(source_rig.parents[max(source_joint, 0)]),
+            )
+            if (
+                source_joint < 0
+                or not moves[source_joint]
+                or min(target_parent, source_parent) < 0
+                or joint == hips
+            ):
                 continue
             if len(local_translations) == 1:
                 local_translations = np.repeat(
                     local_translations, len(rotations), axis=0
                 )
             offset = so3.rotate(
-                self.upright, so3.rotate(world[:, below], off[:, other])
+                self.upright,
+                so3.rotate(world[:, source_parent], deviations[:, source_joint]),
             )
-            back = so3.conjugate(rotations[:, above])
-            local_translations[:, joint] += self.scale * so3.rotate(back, offset)
+            inverse_rotations = so3.conjugate(rotations[:, target_parent])
+            local_translations[:, joint] += self.scale * so3.rotate(
+                inverse_rotations, offset
+            )
         return np.asarray(local_translations)
 
     def hips(self, positions: FloatArray) -> FloatArray:
         """Return the middle between the thighs of the target ``(F, 3)`` [m].
 
         Args:
-            positions: Of the source's joints ``(F, J, 3)`` [m].
+            positions: Positions of the source's joints ``(F, J, 3)`` [m].
         """
         return self.scale * self.turned(middle_of_hips(self.source, positions))
 
@@ -196,13 +218,16 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
-def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+def namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
-    used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
+    used_joints, names = (
+        {*follows.tolist()},
+        {name: j for j, name in enumerate(source.names)},
+    )
     return [
         (joint, names[name])
         for joint, name in enumerate(target.names)
-        if follows[joint] < 0 and name in names and names[name] not in used
+        if follows[joint] < 0 and name in names and names[name] not in used_joints
     ]
 
 
@@ -213,8 +238,8 @@ def _middles(at: Sequence[float]) -> FloatArray:
 
 def _below(skeleton: RoledSkeleton, bone: int) -> int:
     """Return the joint whose rotation twists a bone: the next below it with a role."""
-    below = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
-    with_role = [k for k in below if skeleton.roles[k] not in {"", "twist", "end"}]
+    children = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
+    with_role = [k for k in children if skeleton.roles[k] not in {"", "twist", "end"}]
     return with_role[0] if with_role else -1
 
 
@@ -234,23 +259,26 @@ def _aligned(
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
     heading = _heading(source, target, upright, up)
     rotations = so3.multiply(heading, target.rotations)
-    for j, first in enumerate(follows.tolist() if not as_rig else []):
-        base = base_role(target.roles[j])
-        if first < 0:
+    for j, source_joint in enumerate(follows.tolist() if not as_rig else []):
+        role = base_role(target.roles[j])
+        if source_joint < 0:
             continue
-        bone, other = target.bone(j), source.bone(first)
-        if bone is None or other is None:
+        bone, source_bone = target.bone(j), source.bone(source_joint)
+        if bone is None or source_bone is None:
             continue
-        bone, other = so3.rotate(heading, bone), so3.rotate(upright, other)
-        if base == "foot":
-            bone, other = (flat - (flat @ up) * up for flat in (bone, other))
-            sizes = np.linalg.norm(bone), np.linalg.norm(other)
-            if min(sizes) < NO_BONE:
+        bone, source_bone = so3.rotate(heading, bone), so3.rotate(upright, source_bone)
+        if role == "foot":
+            bone, source_bone = (
+                horizontal - (horizontal @ up) * up
+                for horizontal in (bone, source_bone)
+            )
+            sizes = np.linalg.norm(bone), np.linalg.norm(source_bone)
+            if min(sizes) < MIN_BONE:
                 continue
-            bone, other = bone / sizes[0], other / sizes[1]
-        elif base not in _POINTING and base[:-2] not in _FINGERS:
+            bone, source_bone = bone / sizes[0], source_bone / sizes[1]
+        elif role not in _POINTING and role[:-2] not in _FINGERS:
             continue
-        rotations[j] = so3.multiply(so3.between(bone, other), rotations[j])
+        rotations[j] = so3.multiply(so3.between(bone, source_bone), rotations[j])
     return rotations
 
 
@@ -261,14 +289,20 @@ def _heading(
 
     A standing body rotates about the vertical alone, so that soles stay level.
     """
-    ours, theirs = source.facing, target.facing
-    if ours is None or theirs is None:
+    source_facing, target_facing = source.facing, target.facing
+    if source_facing is None or target_facing is None:
         return so3.IDENTITY
-    ours = so3.rotate(upright, ours)
-    if min(float(ours[1] @ up), float(theirs[1] @ up)) < STANDS:
-        return so3.from_matrix(ours.T @ theirs)
-    old, new = (flat - (flat @ up) * up for flat in (theirs[2], ours[2]))
-    angle = np.arctan2(np.cross(old, new) @ up, old @ new)
+    source_facing = so3.rotate(upright, source_facing)
+    if (
+        min(float(source_facing[1] @ up), float(target_facing[1] @ up))
+        < MIN_STANDING_COSINE
+    ):
+        return so3.from_matrix(source_facing.T @ target_facing)
+    target_up, source_up = (
+        horizontal - (horizontal @ up) * up
+        for horizontal in (target_facing[2], source_facing[2])
+    )
+    angle = np.arctan2(np.cross(target_up, source_up) @ up, target_up @ source_up)
     return so3.from_axis_angle(up, angle)
 
 
@@ -277,19 +311,20 @@ BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
-def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
+def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> float:
     """Return the ratio of target leg length to source leg length.
 
-    Without legs, of the path lengths from the hips to the rest of the body.
+    Without legs, of the path lengths from the hips to the rest of the body; without a
+    body, from the root to all joints that follow another.
     """
-    pairs = [
+    leg_lengths = [
         (target.leg_length(side), source.leg_length(side))
         for side in "lr"
         if target.leg(side) and source.leg(side)
     ]
-    if not pairs:
+    if not leg_lengths:
         path_lengths = target.path_lengths, source.path_lengths
-        pairs = [
+        leg_lengths = [
             (
                 float(path_lengths[0][target.first(role)]),
                 float(path_lengths[1][source.first(role)]),
@@ -297,5 +332,16 @@ def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY and role in target.roles
         ]
-    ours, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
-    return ours / other if other > 0 and ours > 0 else 1.0
+        followers = np.flatnonzero(follows >= 0)
+        leg_lengths = leg_lengths or [
+            (float(path_lengths[0][j]), float(path_lengths[1][follows[j]]))
+            for j in followers
+        ]
+    target_length, source_length = (
+        sum(lengths) for lengths in zip((0.0, 0.0), *leg_lengths, strict=True)
+    )
+    return (
+        target_length / source_length
+        if source_length > 0 and target_length > 0
+        else 1.0
+    )

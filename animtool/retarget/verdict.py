@@ -14,15 +14,16 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameRange
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.scores import PassScores, Score
 
 # Scores above this multiple of a good take's value need a look [1].
-LOOK = 3.0
-# Limbs farther off the source's on average are another motion [rad].
-UNLIKE = np.radians(30.0)
-# Runs of frames nearer to each other are joined [frames].
-NEAR = 4
+LOOK_FACTOR = 3.0
+# Mean limb deviation from the source above which it is another motion [rad].
+MAX_LIMB_DEVIATION = np.radians(30.0)
+# Runs of frames nearer to each other than this are joined [frames].
+JOIN_FRAMES = 4
 
 
 class TakeStatus(StrEnum):
@@ -38,27 +39,27 @@ class FrameNumbers:
     """Frame numbering of an output.
 
     Attributes:
-        start: Number of the first.
-        step: From one frame of the take to the next.
-        first: First that the output has; None is that of the take.
-        last: Likewise.
+        start: Number of the first frame.
+        step: Increment between frames of the take.
+        frames: Numbers in the output; None uses all of the take.
 
-    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), 1001, 1010).run(48, 60)
+    >>> ten = FrameRange(1001, 1010)
+    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), ten).run(48, 60)
     (1010, 1010)
     """
 
     start: Fraction = Fraction(1)
     step: Fraction = Fraction(1)
-    first: int | None = None
-    last: int | None = None
+    frames: FrameRange | None = None
 
     def run(self, first: int, last: int) -> tuple[int, int] | None:
         """Return output numbers of a run of frames from 0; None if all are cut."""
-        low = math.floor(self.start + first * self.step)
-        high = math.ceil(self.start + last * self.step)
-        low = low if self.first is None else max(low, self.first)
-        high = high if self.last is None else min(high, self.last)
-        return (low, high) if low <= high else None
+        first_number = math.floor(self.start + first * self.step)
+        last_number = math.ceil(self.start + last * self.step)
+        if self.frames is not None:
+            first_number = max(first_number, self.frames.first)
+            last_number = min(last_number, self.frames.last)
+        return (first_number, last_number) if first_number <= last_number else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +68,8 @@ class VerdictReason:
 
     Attributes:
         what: The score, or the fault.
-        text: Its value with unit; empty for none.
-        frames: First and last frames concerned, from 0; empty if it is
-            everywhere.
+        text: Its value with unit; empty if it has none.
+        frames: First and last index of each run of frames; empty if it concerns all.
     """
 
     what: str
@@ -77,7 +77,7 @@ class VerdictReason:
     frames: tuple[tuple[int, int], ...] = ()
 
     def numbered(self, numbers: FrameNumbers) -> VerdictReason | None:
-        """Return it with an output's frame numbers; None if they are all cut."""
+        """Return the reason with an output's frame numbers; None if all are cut."""
         if not self.frames:
             return self
         runs = [numbers.run(first, last) for first, last in self.frames]
@@ -95,47 +95,50 @@ class Verdict:
 
     def numbered(self, numbers: FrameNumbers) -> Verdict:
         """Return the verdict on the frames of an output, in its numbering."""
-        numbered = [reason.numbered(numbers) for reason in self.reasons]
-        reasons = tuple(reason for reason in numbered if reason is not None)
-        good = self.status is TakeStatus.LOOK and not reasons
-        return Verdict(TakeStatus.GOOD if good else self.status, reasons)
+        reasons_in_output = [reason.numbered(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in reasons_in_output if reason is not None)
+        is_good = self.status is TakeStatus.LOOK and not reasons
+        return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)
 
 
 def verdict_of(
     scores: PassScores,
     values: Mapping[str, FloatArray],
-    least: Mapping[str, float],
+    source_values: Mapping[str, float],
     forced: Sequence[Fault] = (),
 ) -> Verdict:
     """Return whether a take is usable.
 
     Args:
-        scores: Of the full take.
+        scores: Scores of the full take.
         values: Per-frame values of some of them ``(F,)``.
-        least: Values of the source itself for some of them.
+        source_values: Values of the source itself for some of them.
         forced: Errors ignored on request.
     """
     if forced:
-        why = tuple(VerdictReason(fault.message) for fault in forced)
-        return Verdict(TakeStatus.UNUSABLE, why)
+        look_reasons = tuple(VerdictReason(fault.message) for fault in forced)
+        return Verdict(TakeStatus.UNUSABLE, look_reasons)
     by_name = {score.name: score for score in scores.scores}
     limbs = by_name["limbs"]
-    if limbs.value > UNLIKE:
+    if limbs.value > MAX_LIMB_DEVIATION:
         return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
-    worse = [(s, _bound(s, least.get(s.name, math.nan))) for s in scores.scores]
-    worse = [(score, bound) for score, bound in worse if score.value > bound]
-    worse.sort(key=lambda each: -each[0].excess)
+    excess = [
+        (score_name, _bound(score_name, source_values.get(score_name.name, math.nan)))
+        for score_name in scores.scores
+    ]
+    excess = [(score, bound) for score, bound in excess if score.value > bound]
+    excess.sort(key=lambda reason: -reason[0].excess)
     reasons = tuple(
         VerdictReason(score.name, score.text, _runs(values, score.name, bound))
-        for score, bound in worse
+        for score, bound in excess
     )
     return Verdict(TakeStatus.LOOK if reasons else TakeStatus.GOOD, reasons)
 
 
-def _bound(score: Score, least: float) -> float:
+def _bound(score: Score, source_values: float) -> float:
     """Return the value above which a score needs a look."""
-    bound = score.ideal + LOOK * (score.usual - score.ideal)
-    return bound if math.isnan(least) else max(bound, least)
+    bound = score.ideal + LOOK_FACTOR * (score.usual - score.ideal)
+    return bound if math.isnan(source_values) else max(bound, source_values)
 
 
 def _runs(
@@ -145,5 +148,5 @@ def _runs(
     samples = values.get(name)
     if samples is None:
         return ()
-    near = merge_runs(runs(samples > bound), NEAR)
-    return tuple((first, end - 1) for first, end in near)
+    joined_runs = merge_runs(runs(samples > bound), JOIN_FRAMES)
+    return tuple((first, end - 1) for first, end in joined_runs)

@@ -26,12 +26,12 @@ from animtool.rig.schema import AttachModel
 
 Shape = tuple[int | None, ...]
 
-# Roles of arrays that count something, and hold whole numbers.
-_COUNTING = frozenset({"faces", "indices", "pins", "vertices"})
-# Keys of the file that are not named like the role of their array.
+# Array roles that count something and contain whole numbers.
+_INTEGER_ROLES = frozenset({"faces", "indices", "pins", "vertices"})
+# Keys of the file that differ from the role of their array.
 _KEYS = {"strands": "points"}
-# What fills a triangle among quadrangles, and so on.
-NO_CORNER = -1
+# Fills the missing corner of a triangle among quadrangles, and so on.
+MISSING_CORNER = -1
 # Placeholder of a refused array.
 NO_ARRAY = LoadedArray(np.zeros(0))
 
@@ -42,8 +42,8 @@ class ArrayReader:
 
     document: Document  # the file
     roots: Sequence[Path]  # folders that references may lead into
-    archives: Archives  # opens the files, for as long as arrays are looked at
-    # Where names of files lead that have been followed.
+    archives: Archives  # opens the files, while arrays are checked
+    # Resolved paths of the file names seen so far.
     paths: dict[str, Path] = field(default_factory=dict)
 
     def array(
@@ -83,16 +83,16 @@ class ArrayReader:
 
     def _fits(self, at: Location, ref: ArrayRef, role: str, shape: Shape) -> bool:
         header = self.archives.header(ref.path, ref.key)
-        fits = len(header.shape) == len(shape) and all(
-            want is None or want == got
-            for want, got in zip(shape, header.shape, strict=True)
+        is_match = len(header.shape) == len(shape) and all(
+            expected_size is None or expected_size == size
+            for expected_size, size in zip(shape, header.shape, strict=True)
         )
-        if not fits:
+        if not is_match:
             expected = ", ".join("any" if n is None else str(n) for n in shape)
             message = f"{ref.text!r} has shape {header.shape}, not ({expected})"
             self.document.add("RIG019", at, message)
             return False
-        if role in _COUNTING and header.kind not in "iu":
+        if role in _INTEGER_ROLES and header.kind not in "iu":
             message = f"{ref.text!r} contains floats, not whole numbers"
             self.document.add("RIG019", at, message)
             return False
@@ -117,38 +117,38 @@ class ArrayReader:
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
     """Return the first fault in an array's values, or None."""
-    if role in _COUNTING:
-        free = np.zeros(values.shape, bool)
+    if role in _INTEGER_ROLES:
+        is_optional = np.zeros(values.shape, bool)
         if role == "faces":
-            free[:, 3:] = values[:, 3:] == NO_CORNER
-        wrong = (values < 0) if count is None else (values < 0) | (values >= count)
-        spot = _first(wrong & ~free)
-        if spot is None:
+            is_optional[:, 3:] = values[:, 3:] == MISSING_CORNER
+        is_wrong = (values < 0) if count is None else (values < 0) | (values >= count)
+        index = _first(is_wrong & ~is_optional)
+        if index is None:
             return None
-        most = "" if count is None else f" to {count - 1}"
-        return f"contains {values[spot]} at {list(spot)}, not 0{most}"
-    spot = _first(~np.isfinite(values))
-    if spot is not None:
-        return f"contains {values[spot]} at {list(spot)}, not a finite number"
+        range_text = "" if count is None else f" to {count - 1}"
+        return f"contains {values[index]} at {list(index)}, not 0{range_text}"
+    index = _first(~np.isfinite(values))
+    if index is not None:
+        return f"contains {values[index]} at {list(index)}, not a finite number"
     if role == "strands":
         return _strand_fault(values)
     return _weight_fault(values) if role == "weights" else None
 
 
 def _strand_fault(values: npt.NDArray[Any]) -> str | None:
-    spot = _first((values[:, 1:] == values[:, :-1]).all(axis=-1))
-    if spot is None:
+    index = _first((values[:, 1:] == values[:, :-1]).all(axis=-1))
+    if index is None:
         return None
-    strand, point = spot
+    strand, point = index
     return f"has points {point} and {point + 1} of strand {strand} at the same position"
 
 
 def _weight_fault(values: npt.NDArray[Any]) -> str | None:
-    spot = _first(values < 0)
-    if spot is not None:
-        return f"contains {values[spot]} at {list(spot)}, a negative weight"
-    spot = _first(np.asarray(~values.any(axis=1)))
-    return None if spot is None else f"gives vertex {spot[0]} no weight"
+    index = _first(values < 0)
+    if index is not None:
+        return f"contains {values[index]} at {list(index)}, a negative weight"
+    index = _first(np.asarray(~values.any(axis=1)))
+    return None if index is None else f"gives vertex {index[0]} no weight"
 
 
 def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
@@ -159,14 +159,14 @@ def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
 
 Check = Callable[[Location, str], object]
 
-# The keys that an attachment of a kind wants, and those that it takes beside.
+# Required and optional keys of each kind of attachment.
 _ATTACH_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     AttachKind.SPRING_CHAIN: (("joints",), ()),
     AttachKind.CLOTH: (("mesh",), ("pins",)),
     AttachKind.STRANDS: (("joint", "points"), ()),
 }
 # A kind this similar to a known one is a misspelling, not a custom kind.
-SLIP = 0.8
+MISSPELLING_SIMILARITY = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ class AttachmentReader:
 
     document: Document  # the file
     arrays: ArrayReader  # checks the arrays that the file refers to
-    # Number of points of each mesh; None where it is not known.
+    # Number of points of each mesh; None if unknown.
     vertices: Mapping[str, int | None]
     check_joint: Check  # records an unknown joint
     check_mesh: Check  # records an unknown mesh
@@ -194,12 +194,12 @@ class AttachmentReader:
         pins = None
         if entry.pins is not None:
             count = self.vertices.get(entry.mesh or "")
-            spot = (*at, "pins")
-            pins = self.arrays.array(spot, entry.pins, "pins", (None,), count)
+            pins_location = (*at, "pins")
+            pins = self.arrays.array(pins_location, entry.pins, "pins", (None,), count)
         points = None
         if entry.points is not None:
-            spot, shape = (*at, "points"), (None, None, 3)
-            points = self.arrays.array(spot, entry.points, "strands", shape)
+            pins_location, shape = (*at, "points"), (None, None, 3)
+            points = self.arrays.array(pins_location, entry.points, "strands", shape)
         return Attachment(
             entry.name, entry.kind, joints, entry.mesh or "", pins, points
         )
@@ -208,24 +208,28 @@ class AttachmentReader:
         """Record the missing and unsupported keys of an attachment's kind."""
         if self.document.is_placeholder((*at, "kind")):
             return
-        wants, takes = _ATTACH_KEYS.get(
+        required, optional = _ATTACH_KEYS.get(
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
         )
-        every = ("joints", "joint", "mesh", "pins", "points")
-        present = [key for key in every if getattr(entry, key) is not None]
-        hint = f"its keys are {', '.join((*wants, *takes))}"
+        all_keys = ("joints", "joint", "mesh", "pins", "points")
+        set_keys = [key for key in all_keys if getattr(entry, key) is not None]
+        hint = f"its keys are {', '.join((*required, *optional))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
             hint = nearest(entry.kind, kinds)
-            if similar(entry.kind, kinds, SLIP):
+            if similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
-        for key in wants:
-            sure = not self.document.is_placeholder((*at, key))
-            if key not in present and sure and "attach" not in self.document.partial:
+        for key in required:
+            is_certain = not self.document.is_placeholder((*at, key))
+            if (
+                key not in set_keys
+                and is_certain
+                and "attach" not in self.document.partial
+            ):
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)
-        for key in present:
-            if key not in (*wants, *takes):
+        for key in set_keys:
+            if key not in (*required, *optional):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*at, key), message, hint)

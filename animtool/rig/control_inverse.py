@@ -1,4 +1,4 @@
-"""Solve control values from targets: the inverse of `animtool.rig.controls`."""
+"""Solves control values from targets: the inverse of `animtool.rig.controls`."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.rig.controls import Control, evaluate_controls
 
-# Sweeps over the controls, each followed by Newton steps on all of them.
+# Number of sweeps over the controls, each followed by Newton steps on all of them.
 SWEEPS = 4
 NEWTON_STEPS = 12
-# Grid points of a control's range besides its curves' corners.
-GRID = 9
+# Grid points of a control's range, in addition to the corners of its curves.
+GRID_POINTS = 9
 # Finite-difference step, as a fraction of a control's range.
-DIFFERENCE = 1e-7
+DIFFERENCE_STEP = 1e-7
 # Residuals below this fraction of the tolerance are converged.
-CONVERGED = 1e-6
-# Stands for non-finite residuals, in tolerances; its square is finite.
-HUGE = 1e30
-# Angles tried as the reference for revolutions.
+CONVERGED_RATIO = 1e-6
+# Replaces non-finite residuals, in tolerances; its square is finite.
+HUGE_RESIDUAL = 1e30
+# Number of angles that are tried as the reference for revolutions.
 MAX_ANCHORS = 3
-# Frames solved at once: their arrays of slopes stay below some 20 MB.
+# Frames solved at once, so that their slope arrays stay below some 20 MB.
 FRAMES_AT_ONCE = 1024
 
 
@@ -32,17 +32,17 @@ class SolvedControls:
     """Control values that reproduce joints and shapes."""
 
     values: dict[str, FloatArray]  # keyed value of every control, ``(F,)``
-    # Controls whose value follows from what they drive, in the rig's order.
-    kept: tuple[str, ...]
-    # Controls that left their start value unexplained: what they drive also moves by
-    # itself, or moves as no value of theirs makes it move.
+    # Controls whose value is determined by their targets, in the rig's order.
+    solved_names: tuple[str, ...]
+    # Controls reset to their start value, because their targets also move
+    # independently, or in a way that no value explains.
     released: tuple[str, ...]
 
 
 def keyed_values(
     controls: Sequence[Control], reached: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return keys for control values ``(F,)``, less what other controls add.
+    """Return keys for control values ``(F,)``, minus what other controls add.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -71,35 +71,39 @@ def solve_controls(
 ) -> SolvedControls:
     """Return control values within their ranges that drive targets to goals.
 
-    Controls that share a target, or read each other, are solved together: sweeps of the
-    nearest point on each control's own polyline find the segments, Newton steps on all
-    of them the values. A control is kept where everything that it drives comes out
-    within the tolerance > 0 in every frame. The others go back to their start, and
-    those that they shared a target with are solved again. A control that only drives
-    other controls stays at its start where the others do.
+    Controls that share a target, or read each other, are solved together: sweeps find
+    each control's segment by the nearest point on its own polyline, then Newton steps
+    on all of them find the values. A control is solved if all its targets come out
+    within the tolerance > 0 in every frame. The others are reset to their start, and
+    those that shared a target with them are solved again. A control that only drives
+    other controls stays at its start if those do.
 
-    ``targets`` is what all controls add to each target ``(F,)`` [rad], [m], [1]; those
-    that it lacks are unconstrained. ``start`` is the keyed value of every control
-    ``(F,)``, not limited to the ranges; from ``keyed`` targets, which get keys of their
-    own, no control is solved.
+    ``targets``: total contribution of all controls to each target ``(F,)`` [rad], [m],
+    [1]; targets that it lacks are unconstrained. ``start``: keyed value of every
+    control ``(F,)``, not limited to the ranges. No control is solved from ``keyed``
+    targets, which get their own keys.
 
-    Limits: where several values drive alike, the one found depends on the start.
+    Limits: if several values have the same effect, the result depends on the start.
     """
     values = {name: np.array(value, np.float64) for name, value in start.items()}
-    kept: set[str] = set()
+    solved_names: set[str] = set()
     released: set[str] = set()
     for group in _groups(controls):
-        part = [control for control in controls if control.name in group]
-        problem = _Problem(part, targets, tolerances, keyed)
-        start_values = {control.name: values[control.name] for control in part}
-        solved, loose = _solved_group(problem, start_values)
+        group_controls = [control for control in controls if control.name in group]
+        problem = _Problem(group_controls, targets, tolerances, keyed)
+        start_values = {
+            control.name: values[control.name] for control in group_controls
+        }
+        solved, unsolved = _solved_group(problem, start_values)
         values |= solved
-        released |= loose
-        kept |= {control.name for control in part if control.drives} - loose
+        released |= unsolved
+        solved_names |= {
+            control.name for control in group_controls if control.drives
+        } - unsolved
     order = [control.name for control in controls]
     return SolvedControls(
         values,
-        tuple(name for name in order if name in kept),
+        tuple(name for name in order if name in solved_names),
         tuple(name for name in order if name in released),
     )
 
@@ -110,41 +114,43 @@ def _solved_group(
     """Solve a group of coupled controls; return values and released controls."""
     if not problem.unexplained(start):
         return start, set()
-    free = [name for name in start if name not in problem.masters]
-    values = problem.solve(start, free)
-    for other in (*problem.on_revolutions(start, free), problem):
-        if not other.unexplained(values):
+    solvable = [name for name in start if name not in problem.masters]
+    values = problem.solve(start, solvable)
+    for shifted_problem in (*problem.on_revolutions(start, solvable), problem):
+        if not shifted_problem.unexplained(values):
             break
-        names = [*start] if other is problem and problem.masters else free
-        trial = other.solve(start if other is not problem else values, names)
-        if not other.unexplained(trial):
+        names = [*start] if shifted_problem is problem and problem.masters else solvable
+        trial = shifted_problem.solve(
+            start if shifted_problem is not problem else values, names
+        )
+        if not shifted_problem.unexplained(trial):
             values = trial
     released: set[str] = set()
     while True:
-        broken = problem.unexplained(values)
-        loose = {name for name in free if problem.targets[name] & broken}
-        if not loose:
+        unexplained = problem.unexplained(values)
+        unsolved = {name for name in solvable if problem.targets[name] & unexplained}
+        if not unsolved:
             values, released = _solved_again(problem, values, released)
             return _simplest(problem, values, start), released
-        released |= loose
-        free = [name for name in free if name not in loose]
-        values |= {name: start[name] for name in loose}
-        values = problem.solve(values, free)
+        released |= unsolved
+        solvable = [name for name in solvable if name not in unsolved]
+        values |= {name: start[name] for name in unsolved}
+        values = problem.solve(values, solvable)
 
 
 def _solved_again(
     problem: _Problem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Solve again the controls that were released because of others."""
-    left = set(released)
+    remaining = set(released)
     for control in problem.controls:
         name = control.name
-        if name in left:
+        if name in remaining:
             trial = problem.solve(values, [name])
-            broken = problem.unexplained(trial)
-            if not problem.targets[name] & broken:
-                values, left = trial, left - {name}
-    return values, left
+            unexplained = problem.unexplained(trial)
+            if not problem.targets[name] & unexplained:
+                values, remaining = trial, remaining - {name}
+    return values, remaining
 
 
 def _simplest(
@@ -154,10 +160,10 @@ def _simplest(
 
     Samples in float32 leave rounding noise on static controls.
     """
-    broken = problem.unexplained(values)
+    unexplained = problem.unexplained(values)
     for name, value in start.items():
         trial = {**values, name: value}
-        if (values[name] != value).any() and problem.unexplained(trial) <= broken:
+        if (values[name] != value).any() and problem.unexplained(trial) <= unexplained:
             values = trial
     return values
 
@@ -166,13 +172,13 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return the names of controls that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
-        touched = {control.name}
+        affected = {control.name}
         for drive in control.drives:
-            touched.add(drive.target)
-            touched.update([] if drive.expression is None else drive.expression.names)
-        for name in touched:
+            affected.add(drive.target)
+            affected.update([] if drive.expression is None else drive.expression.names)
+        for name in affected:
             links.setdefault(name.removeprefix("control/"), set()).update(
-                other.removeprefix("control/") for other in touched
+                affected_name.removeprefix("control/") for affected_name in affected
             )
     names = [control.name for control in controls]
     groups: list[set[str]] = []
@@ -182,10 +188,10 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
             continue
         group, pending = set(), [name]
         while pending:
-            one = pending.pop()
-            if one not in group:
-                group.add(one)
-                pending.extend(links.get(one, ()))
+            name_in_group = pending.pop()
+            if name_in_group not in group:
+                group.add(name_in_group)
+                pending.extend(links.get(name_in_group, ()))
         visited |= group
         groups.append(group & set(names))
     return groups
@@ -209,8 +215,8 @@ class _Problem:
             for control in controls
         }
         self.targets = _reached_targets(controls, direct)
-        every = sorted({t for targets in self.targets.values() for t in targets})
-        self.order = [target for target in every if target in goals]
+        all_targets = sorted({t for targets in self.targets.values() for t in targets})
+        self.order = [target for target in all_targets if target in goals]
         self.goals = goals
         self.tolerances = tolerances
         self.masters = {
@@ -225,13 +231,17 @@ class _Problem:
         """Yield the problem with goal angles shifted by revolutions."""
         angles = [target for target in self.order if target.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
-            alone = self._of({anchor: self.goals[anchor]})
-            driven = evaluate_controls(self.controls, alone.solve(start, free)).targets
-            turned = dict(self.goals)
+            single_target = self._of({anchor: self.goals[anchor]})
+            driven_values = evaluate_controls(
+                self.controls, single_target.solve(start, free)
+            ).targets
+            shifted_goals = dict(self.goals)
             for target in angles:
-                revolutions = np.round((driven[target] - turned[target]) / (2 * np.pi))
-                turned[target] = turned[target] + 2 * np.pi * revolutions
-            yield self._of(turned)
+                revolutions = np.round(
+                    (driven_values[target] - shifted_goals[target]) / (2 * np.pi)
+                )
+                shifted_goals[target] = shifted_goals[target] + 2 * np.pi * revolutions
+            yield self._of(shifted_goals)
 
     def _of(self, targets: Mapping[str, FloatArray]) -> _Problem:
         return _Problem(self.controls, targets, self.tolerances, self.keyed)
@@ -243,26 +253,34 @@ class _Problem:
         *,
         modulo: bool = False,
     ) -> FloatArray:
-        """Return goals less driven values, in tolerances ``(F, T)``."""
-        driven = evaluate_controls(self.controls, values).targets
-        rows = []
+        """Return goals minus driven values, in tolerances ``(F, T)``."""
+        driven_values = evaluate_controls(self.controls, values).targets
+        columns = []
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.order:
-                off = self.goals[target][frames] - driven[target]
+                difference = self.goals[target][frames] - driven_values[target]
                 if modulo and target.endswith(".angle"):
-                    off = off - 2 * np.pi * np.round(off / (2 * np.pi))
-                rows.append(off / self.tolerances[target])
-        stacked = np.stack(np.broadcast_arrays(*rows), axis=-1)
-        return np.asarray(np.nan_to_num(stacked.clip(-HUGE, HUGE), nan=HUGE))
+                    difference = difference - 2 * np.pi * np.round(
+                        difference / (2 * np.pi)
+                    )
+                columns.append(difference / self.tolerances[target])
+        stacked = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        return np.asarray(
+            np.nan_to_num(
+                stacked.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL), nan=HUGE_RESIDUAL
+            )
+        )
 
     def unexplained(self, values: Mapping[str, FloatArray]) -> set[str]:
-        """Return the targets that are off by more than their tolerance."""
+        """Return the targets that are missed by more than their tolerance."""
         if not self.order:
             return set()
         residuals = self.residuals(values, modulo=True)
-        worst = np.abs(residuals).max(axis=0, initial=0.0)
-        off = {t for t, most in zip(self.order, worst, strict=True) if most > 1.0}
-        return off | (self.keyed & {*self.order})
+        largest = np.abs(residuals).max(axis=0, initial=0.0)
+        missed = {
+            t for t, residual in zip(self.order, largest, strict=True) if residual > 1.0
+        }
+        return missed | (self.keyed & {*self.order})
 
     def solve(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
@@ -270,10 +288,10 @@ class _Problem:
         """Return the start with the values of some controls solved for."""
         values = {name: value.copy() for name, value in start.items()}
         for _ in range(SWEEPS if free else 0):
-            off = np.abs(self.residuals(values)).max(axis=1)
-            wrong = np.flatnonzero(off > CONVERGED)
-            for begin in range(0, len(wrong), FRAMES_AT_ONCE):
-                frames = wrong[begin : begin + FRAMES_AT_ONCE]
+            largest_residuals = np.abs(self.residuals(values)).max(axis=1)
+            open_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
+            for start_index in range(0, len(open_frames), FRAMES_AT_ONCE):
+                frames = open_frames[start_index : start_index + FRAMES_AT_ONCE]
                 for name in free:
                     values[name][frames] = self._nearest(values, name, frames)
                 self._newton(values, free, frames)
@@ -284,101 +302,116 @@ class _Problem:
     ) -> FloatArray:
         """Return the best value of one control ``(F,)``, the others fixed.
 
-        Its effect is taken as linear between the points of a grid.
+        Its effect is taken as linear between grid points.
         """
         grid = _grid(self.by_name[name])
-        rest = {other: value[frames] for other, value in values.items()}
+        other_values = {
+            control_name: value[frames] for control_name, value in values.items()
+        }
         bounded = self.by_name[name].low is not None
-        rows = []
-        for point in grid:
-            trial = {**rest, name: np.full(len(frames), point)}
-            rows.append(self.residuals(trial, frames))
-        corners = np.stack(rows)  # (K, F, T)
+        residual_rows = []
+        for grid_value in grid:
+            trial = {**other_values, name: np.full(len(frames), grid_value)}
+            residual_rows.append(self.residuals(trial, frames))
+        corners = np.stack(residual_rows)  # (K, F, T)
         segments = np.diff(corners, axis=0)
         lengths = np.einsum("kft,kft->kf", segments, segments)
         # In units of the segment, from its start.
-        along = -np.einsum("kft,kft->kf", corners[:-1], segments)
-        along = np.divide(along, lengths, out=np.zeros_like(along), where=lengths > 0)
-        low, high = np.zeros((2, len(along), 1))
-        high += 1.0
+        fraction = -np.einsum("kft,kft->kf", corners[:-1], segments)
+        fraction = np.divide(
+            fraction, lengths, out=np.zeros_like(fraction), where=lengths > 0
+        )
+        low_bounds, high_bounds = np.zeros((2, len(fraction), 1))
+        high_bounds += 1.0
         if not bounded:
-            low[0], high[-1] = -np.inf, np.inf
-        along = np.clip(along, low, high)
-        left = corners[:-1] + along[..., None] * segments
-        costs = np.einsum("kft,kft->kf", left, left)
-        now = rest[name]
-        # Of equally good segments, the current one.
+            low_bounds[0], high_bounds[-1] = -np.inf, np.inf
+        fraction = np.clip(fraction, low_bounds, high_bounds)
+        remaining = corners[:-1] + fraction[..., None] * segments
+        costs = np.einsum("kft,kft->kf", remaining, remaining)
+        current_values = other_values[name]
+        # Of equally good segments, prefer the current one.
         middle = (grid[:-1] + grid[1:])[:, None] / 2
-        far = np.abs(middle - now) / max(float(np.ptp(grid)), 1e-300)
-        best = np.argmin(costs * (1 + 1e-12 * far) + 1e-30 * far, axis=0)
-        column = np.arange(len(best))
+        distance = np.abs(middle - current_values) / max(float(np.ptp(grid)), 1e-300)
+        best_segments = np.argmin(
+            costs * (1 + 1e-12 * distance) + 1e-30 * distance, axis=0
+        )
+        column = np.arange(len(best_segments))
         steps = np.diff(grid)
-        return np.asarray(grid[best] + along[best, column] * steps[best])
+        return np.asarray(
+            grid[best_segments] + fraction[best_segments, column] * steps[best_segments]
+        )
 
     def _newton(
         self, values: dict[str, FloatArray], free: Sequence[str], frames: IntArray
     ) -> None:
         """Minimize the residual over some controls by Gauss-Newton, in place."""
         bounds = [_bounds(self.by_name[name]) for name in free]
-        low, high = np.array(bounds).T
-        now = np.stack([values[name][frames] for name in free], axis=-1)
-        rest = {name: value[frames] for name, value in values.items()}
+        low_bounds, high_bounds = np.array(bounds).T
+        current = np.stack([values[name][frames] for name in free], axis=-1)
+        other_values = {name: value[frames] for name, value in values.items()}
 
-        def off(at: FloatArray) -> FloatArray:
-            moved = dict(zip(free, at.T, strict=True))
-            return self.residuals({**rest, **moved}, frames)
+        def residual_at(point: FloatArray) -> FloatArray:
+            values_at = dict(zip(free, point.T, strict=True))
+            return self.residuals({**other_values, **values_at}, frames)
 
-        residual = off(now)
+        residual = residual_at(current)
         cost = (residual**2).sum(axis=1)
         for _ in range(NEWTON_STEPS):
-            step = self._step(off, now, residual, free, (low, high))
-            moved = False
+            step = self._step(
+                residual_at, current, residual, free, (low_bounds, high_bounds)
+            )
+            has_moved = False
             for fraction in (1.0, 0.5, 0.125):
-                trial = np.clip(now + fraction * step, low, high)
-                trial = np.where((low <= now) & (now <= high), trial, now)
-                residuals = off(trial)
+                trial = np.clip(current + fraction * step, low_bounds, high_bounds)
+                trial = np.where(
+                    (low_bounds <= current) & (current <= high_bounds), trial, current
+                )
+                residuals = residual_at(trial)
                 costs = (residuals**2).sum(axis=1)
-                better = costs < cost
-                now[better], cost[better] = trial[better], costs[better]
-                residual[better] = residuals[better]
-                moved = moved or bool(better.any())
-                step[better] = 0.0
-            if not moved or np.abs(residual).max(initial=0.0) <= CONVERGED:
+                is_better = costs < cost
+                current[is_better], cost[is_better] = trial[is_better], costs[is_better]
+                residual[is_better] = residuals[is_better]
+                has_moved = has_moved or bool(is_better.any())
+                step[is_better] = 0.0
+            if not has_moved or np.abs(residual).max(initial=0.0) <= CONVERGED_RATIO:
                 break
         for i, name in enumerate(free):
-            values[name][frames] = now[:, i]
+            values[name][frames] = current[:, i]
 
     def _step(
         self,
-        off: Callable[[FloatArray], FloatArray],
-        now: FloatArray,
+        residual_at: Callable[[FloatArray], FloatArray],
+        current: FloatArray,
         residual: FloatArray,
         free: Sequence[str],
         bounds: tuple[FloatArray, FloatArray],
     ) -> FloatArray:
         """Return the Gauss-Newton step ``(F, C)`` of least length.
 
-        Controls at an end of their range are fixed if the step leads outside.
+        Controls at a bound are fixed if the step leads outside.
         """
         slopes = np.zeros((*residual.shape, len(free)))
         for i, name in enumerate(free):
             grid = _grid(self.by_name[name])
-            width = DIFFERENCE * float(np.ptp(grid))
-            # Away from the nearer end, so that the quotient stays on a segment.
-            sign = np.where(now[:, i] > (grid[0] + grid[-1]) / 2, -1.0, 1.0)
-            moved = now.copy()
-            moved[:, i] += sign * width
-            change = off(moved) - residual
-            slopes[:, :, i] = change / (moved[:, i] - now[:, i])[:, None]
-        step = np.zeros_like(now)
+            increment = DIFFERENCE_STEP * float(np.ptp(grid))
+            # Away from the nearer end, so that the difference quotient stays on one
+            # segment.
+            direction = np.where(current[:, i] > (grid[0] + grid[-1]) / 2, -1.0, 1.0)
+            displaced = current.copy()
+            displaced[:, i] += direction * increment
+            change = residual_at(displaced) - residual
+            slopes[:, :, i] = change / (displaced[:, i] - current[:, i])[:, None]
+        step = np.zeros_like(current)
         for _ in range(1 + len(free)):
             inverse = np.linalg.pinv(slopes, rcond=1e-9)
             step = -np.einsum("fct,ft->fc", inverse, residual)
-            low, high = bounds
-            stuck = ((now <= low) & (step < 0)) | ((now >= high) & (step > 0))
-            if not stuck.any():
+            low_bounds, high_bounds = bounds
+            is_blocked = ((current <= low_bounds) & (step < 0)) | (
+                (current >= high_bounds) & (step > 0)
+            )
+            if not is_blocked.any():
                 break
-            slopes = np.where(stuck[:, None], 0.0, slopes)
+            slopes = np.where(is_blocked[:, None], 0.0, slopes)
         return step
 
 
@@ -391,18 +424,18 @@ def _reached_targets(
         for drive in control.drives:
             for name in [] if drive.expression is None else drive.expression.names:
                 moves.setdefault(name, set()).add(drive.target)
-    grown = True
-    while grown:
-        grown = False
+    has_grown = True
+    while has_grown:
+        has_grown = False
         for name, targets in moves.items():
-            more = {
-                further
+            reached = {
+                indirect
                 for target in targets
                 if target.startswith("control/")
-                for further in moves.get(target.removeprefix("control/"), ())
+                for indirect in moves.get(target.removeprefix("control/"), ())
             }
-            grown = grown or not more <= targets
-            moves[name] = targets | more
+            has_grown = has_grown or not reached <= targets
+            moves[name] = targets | reached
     return {
         control.name: {t for t in moves[control.name] if not t.startswith("control/")}
         for control in controls
@@ -417,10 +450,18 @@ def _bounds(control: Control) -> tuple[float, float]:
 def _grid(control: Control) -> FloatArray:
     """Return values of a control between which its effect is nearly linear."""
     corners = {x for drive in control.drives for x, _ in drive.curve}
-    low, high = control.low, control.high
-    if low is None or high is None:
+    range_low, range_high = control.low, control.high
+    if range_low is None or range_high is None:
         corners |= {control.default - 1.0, control.default, control.default + 1.0, 0.0}
         return np.array(sorted(corners))
-    corners |= {control.default, -1.0, 0.0, 1.0, *np.linspace(low, high, GRID).tolist()}
-    inside = sorted({float(np.clip(x, low, high)) for x in corners})
-    return np.array(inside if len(inside) > 1 else [low, low + 1.0])
+    corners |= {
+        control.default,
+        -1.0,
+        0.0,
+        1.0,
+        *np.linspace(range_low, range_high, GRID_POINTS).tolist(),
+    }
+    grid_corners = sorted({float(np.clip(x, range_low, range_high)) for x in corners})
+    return np.array(
+        grid_corners if len(grid_corners) > 1 else [range_low, range_low + 1.0]
+    )

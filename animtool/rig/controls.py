@@ -21,28 +21,28 @@ class Drive:
     # ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being ``angle``,
     # ``slide``, ``rotation.x|y|z`` (of a rotation vector) or ``translation.x|y|z``.
     target: str
-    # Of control names; None where there is a curve.
+    # Expression over control names; None if there is a curve.
     expression: Expression | None = None
-    # Points (control value, target value), ascending, joined as `curve_values` says.
+    # Points (control value, target value), ascending, joined as in `curve_values`.
     curve: tuple[tuple[float, float], ...] = ()
-    # What a value of 1 means: radians or metres of the file's unit, or 1.
+    # Size of a value of 1: radians or metres per unit of the file, or 1.
     unit: float = 1.0
-    smooth: bool = False  # whether a cubic joins the points, and not straight lines
+    smooth: bool = False  # whether a cubic joins the points, instead of straight lines
 
     @property
     def of_length(self) -> bool:
-        """Whether its target is a length."""
+        """Whether the target is a length."""
         kind, _, name = self.target.partition("/")
         slides = name.endswith(f".{SLIDE}")
         return kind == "joint" and (slides or ".translation." in name)
 
     @property
     def of_angle(self) -> bool:
-        """Whether its target is an angle."""
+        """Whether the target is an angle."""
         return self.target.startswith("joint/") and not self.of_length
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return its contribution, from the values of all controls."""
+        """Return the contribution, given the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
         return curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
@@ -52,19 +52,19 @@ class Drive:
 class Control:
     """A named value."""
 
-    name: str  # A Python identifier, as expressions name it
-    low: float | None = None  # least value that is meant; None is no limit
-    high: float | None = None  # largest value that is meant
-    default: float = 0.0  # its value where nothing sets it
+    name: str  # a Python identifier, as used in expressions
+    low: float | None = None  # lower end of the intended range; None for no limit
+    high: float | None = None  # upper end of the intended range
+    default: float = 0.0  # value without keys and drives
     drives: tuple[Drive, ...] = ()  # what it moves
-    driven: Driver | None = None  # what its value is, in place of keys
+    driven: Driver | None = None  # driver of its value, instead of keys
 
 
 class ControlCycleError(ValueError):
     """Controls drive each other in a cycle.
 
     Attributes:
-        cycle: Their names, the first one again at the end.
+        cycle: Names of the controls; the first one again at the end.
     """
 
     def __init__(self, cycle: list[str]) -> None:
@@ -75,16 +75,19 @@ class ControlCycleError(ValueError):
 def evaluation_order(controls: Sequence[Control]) -> list[str]:
     """Return the control names in dependency order.
 
-    A control depends on those that drive it, and on all that their expressions read.
+    A control depends on the controls that drive it, and on all that their expressions
+    read.
     """
-    needs: dict[str, dict[str, None]] = {control.name: {} for control in controls}
+    dependencies: dict[str, dict[str, None]] = {
+        control.name: {} for control in controls
+    }
     for control in controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
-            if kind == "control" and name in needs:
-                needs[name] |= dict.fromkeys(_reads(control.name, drive))
+            if kind == "control" and name in dependencies:
+                dependencies[name] |= dict.fromkeys(_reads(control.name, drive))
     try:
-        return list(TopologicalSorter(needs).static_order())
+        return list(TopologicalSorter(dependencies).static_order())
     except CycleError as error:
         raise ControlCycleError(list(error.args[1])) from error
 
@@ -97,12 +100,12 @@ def _reads(control: str, drive: Drive) -> tuple[str, ...]:
 class DrivenValues:
     """Values of controls and their contributions to targets."""
 
-    # Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
+    # Value of every control, ``(F,)``, or ``(1,)`` if constant.
     controls: dict[str, FloatArray]
-    # What is added to each joint part or shape, by target.
+    # Contribution to each joint part or shape, by target.
     targets: dict[str, FloatArray]
-    # What each control came to before it was brought into its range.
-    reached: dict[str, FloatArray]
+    # Value of each control before clamping to its range.
+    unclamped: dict[str, FloatArray]
 
 
 def evaluate_controls(
@@ -113,32 +116,32 @@ def evaluate_controls(
 ) -> DrivenValues:
     """Evaluate controls and their contributions to joints and shapes.
 
-    A control is its keyed value ``(F,)``, else its default, and what others add to it;
-    with ``clamp`` brought into its range before it drives others. What several add to
-    one target is summed, in the rig's order. Values that are not finite are left as
-    they are: the caller looks.
+    A control is its keyed value ``(F,)``, else its default, plus what others add to it;
+    with ``clamp``, it is clamped to its range before it drives others. Contributions to
+    one target are summed in the rig's order. Values that are not finite are kept; the
+    caller has to check.
     """
     values = {
         control.name: np.asarray(keyed.get(control.name, [control.default]), np.float64)
         for control in controls
     }
     by_name = {control.name: control for control in controls}
-    into: dict[str, list[tuple[str, Drive]]] = {}
+    drives_of: dict[str, list[tuple[str, Drive]]] = {}
     for control in controls:
         for drive in control.drives:
-            into.setdefault(drive.target, []).append((control.name, drive))
-    reached: dict[str, FloatArray] = {}
+            drives_of.setdefault(drive.target, []).append((control.name, drive))
+    unclamped: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
-        for driver, drive in into.pop(f"control/{name}", ()):
+        for driver, drive in drives_of.pop(f"control/{name}", ()):
             values[name] = values[name] + drive.evaluate(driver, values)
-        reached[name] = values[name]
-        low, high = by_name[name].low, by_name[name].high
-        if clamp and low is not None and high is not None:
-            values[name] = np.clip(values[name], low, high)
+        unclamped[name] = values[name]
+        range_low, range_high = by_name[name].low, by_name[name].high
+        if clamp and range_low is not None and range_high is not None:
+            values[name] = np.clip(values[name], range_low, range_high)
     targets: dict[str, FloatArray] = {}
-    for target, drives in into.items():
-        total = np.zeros(1)
+    for target, drives in drives_of.items():
+        contribution = np.zeros(1)
         for driver, drive in drives:
-            total = total + drive.evaluate(driver, values)
-        targets[target] = total
-    return DrivenValues({name: values[name] for name in by_name}, targets, reached)
+            contribution = contribution + drive.evaluate(driver, values)
+        targets[target] = contribution
+    return DrivenValues({name: values[name] for name in by_name}, targets, unclamped)

@@ -1,4 +1,4 @@
-"""The drivers of a rig file: their expressions and curves, and what they read."""
+"""The drivers of a rig file: expressions, curves and inputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_driver(
 ) -> Driver | None:
     """Return a file's driver without checking its inputs; record faults.
 
-    ``units``: the file's length [m] and angle [rad]; ``unit``: of its value.
+    ``units``: the file's length [m] and angle [rad]; ``unit``: unit of its value.
     """
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"
@@ -79,8 +79,8 @@ def ascending_faults(
     document: Document, at: Location, values: list[float]
 ) -> Iterator[int]:
     """Record and yield the points of a curve that do not ascend."""
-    for k, before in list(document.descents(at, values, 0)):
-        message = f"{values[k]:g} is not greater than {values[before]:g}"
+    for k, previous in list(document.descents(at, values, 0)):
+        message = f"{values[k]:g} is not greater than {values[previous]:g}"
         document.add("RIG016", (*at, k), message, "values ascend")
         yield k
 
@@ -101,17 +101,17 @@ class DriverCheck:
         """Record unknown inputs, conflicting motion and cycles of drivers."""
         faults = False
         for target, driver in _drivers(self.rig):
-            at = self._at(target)
+            location = self._at(target)
             for name in driver.names:
-                faults = self._reads(at, name) or faults
+                faults = self._reads(location, name) or faults
         if faults:
             return
         try:
             order = driving_order(self.rig)
         except DriverCycleError as error:
-            driven = {target for target, _ in _drivers(self.rig)}
-            # Cycles of drives alone are RIG014.
-            driven_in_cycle = [name for name in error.cycle if name in driven]
+            driven_targets = {target for target, _ in _drivers(self.rig)}
+            # Cycles of drives alone are reported as RIG014.
+            driven_in_cycle = [name for name in error.cycle if name in driven_targets]
             local = [
                 name
                 for name in driven_in_cycle
@@ -131,8 +131,8 @@ class DriverCheck:
         joint, _ = split_coordinate(name)
         open_names = self.has_unnamed["joints" if joint else "controls"]
         missing = joint not in self.rig.names if joint else True
-        known = not (joint in self.untyped or (missing and open_names))
-        if fault is not None and known:
+        is_known = not (joint in self.untyped or (missing and open_names))
+        if fault is not None and is_known:
             self._note(fault.code, at, fault.message, fault.hint)
         return fault is not None
 
@@ -152,8 +152,8 @@ class DriverCheck:
         key = {"joint": "joints", "shape": "shapes", "control": "controls"}[kind]
         for i, entry in enumerate(getattr(self.model, key)):
             if name in {entry.name, getattr(entry, "mirror", None)}:
-                driven = getattr(entry, "driven", None) is not None
-                return (key, i, "driven") if driven else (key, i)
+                is_driven = getattr(entry, "driven", None) is not None
+                return (key, i, "driven") if is_driven else (key, i)
         return None
 
 
@@ -171,26 +171,26 @@ def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
 def _conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
     """Yield driven targets with another source of motion, with message and hint.
 
-    ``order``: all that is driven.
+    ``order``: all driven targets.
     """
-    driven = {target for target, _ in _drivers(rig)}
+    driven_targets = {target for target, _ in _drivers(rig)}
     for joint in rig.joints:
         if joint.driven is not None and joint.mimic is not None:
             message = f"{joint.name!r} has both a driver and a mimic"
             yield f"joint/{joint.name}", message, "the expr may read the other joint"
-    moved = {target.removeprefix("control/") for target in order}
+    driven_controls = {target.removeprefix("control/") for target in order}
     for control in rig.controls:
         for drive in control.drives:
             target = drive.target
             if target.startswith("joint/"):
                 name = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
                 target = f"joint/{name}"
-                by = sorted(moved.intersection(reads(control, drive)))
-                if by:
-                    message = f"control {by[0]!r} is driven, but drives {name!r}"
+                drivers = sorted(driven_controls.intersection(reads(control, drive)))
+                if drivers:
+                    message = f"control {drivers[0]!r} is driven, but drives {name!r}"
                     hint = "give the joint a driver; it may read the control"
-                    yield f"control/{by[0]}", message, hint
+                    yield f"control/{drivers[0]}", message, hint
                     continue
-            if target in driven:
+            if target in driven_targets:
                 message = f"control {control.name!r} drives what a driver sets"
                 yield target, message, "let the driver read the control"

@@ -1,8 +1,9 @@
 """Evaluation order and dependencies of a rig's drivers.
 
-Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
-and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
-limits, the twist, the angle of the swing, and the parts of the swing's rotation vector.
+Drivers read coordinates of joints: the angle of a pin; the slide of a prismatic joint;
+and for a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
+limits, the twist, the angle of the swing, and the components of the swing's rotation
+vector.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
 # A twist axis this close to a main axis removes that swing component [1].
-ALONG = 1e-9
-# Where a rig keeps its plan.
-_KEPT = "_driver_plan"
-# Of each driven part of a rig: what drives it.
+AXIS_TOLERANCE = 1e-9
+# Attribute that caches a rig's plan.
+_CACHE_ATTRIBUTE = "_driver_plan"
+# The driver of a part of a rig.
 Driven = Driver | Mimic
 
 
@@ -41,13 +42,13 @@ class DriverCycleError(ValueError):
     """Drivers depend on each other in a cycle.
 
     Attributes:
-        cycle: Targets such as ``joint/elbow``, the first one again at the end.
+        cycle: Targets such as ``joint/elbow``; the first one again at the end.
     """
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        shown = circle([name.partition("/")[2] for name in cycle])
-        super().__init__(f"what is driven depends on itself: {shown}")
+        cycle_text = circle([name.partition("/")[2] for name in cycle])
+        super().__init__(f"what is driven depends on itself: {cycle_text}")
 
 
 def readable_parts(joint: Joint) -> list[str]:
@@ -62,8 +63,10 @@ def readable_parts(joint: Joint) -> list[str]:
         return [SLIDE]
     if joint.type is not JointType.BALL or not isinstance(joint.limits, BallLimit):
         return []
-    across = np.abs(joint.limits.axes[0]) < 1 - ALONG
-    swings = [name for name, is_free in zip(SWINGS, across, strict=True) if is_free]
+    swing_exists = np.abs(joint.limits.axes[0]) < 1 - AXIS_TOLERANCE
+    swings = [
+        name for name, is_free in zip(SWINGS, swing_exists, strict=True) if is_free
+    ]
     twists = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
     return [*twists, SWING, *swings]
 
@@ -72,10 +75,10 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     """Return the fault of a name that no driver can read, or None."""
     joint, part = split_coordinate(name)
     if not joint:
-        known = [control.name for control in rig.controls]
-        if name in known:
+        control_names = [control.name for control in rig.controls]
+        if name in control_names:
             return None
-        message, hint = f"unknown control {name!r}", _near(name, known)
+        message, hint = f"unknown control {name!r}", _near(name, control_names)
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"
@@ -101,67 +104,73 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
     elif part == TWIST and rig_joint.type is JointType.BALL:
         message = f"the twist of {joint!r} is locked: it is always 0"
-    elif near := similar(part, parts):
-        hint = f"did you mean {near}? {hint}"
+    elif suggestions := similar(part, parts):
+        hint = f"did you mean {suggestions}? {hint}"
     return Fault("RIG033", message, hint=hint)
 
 
 def _near(name: str, names: Sequence[str]) -> str | None:
-    near = similar(name, names)
-    return f"did you mean {near}?" if near else None
+    suggestions = similar(name, names)
+    return f"did you mean {suggestions}?" if suggestions else None
 
 
 def driving_order(rig: Rig) -> list[str]:
     """Return the driven targets in dependency order.
 
-    Joints that mimic such a joint are among them, and controls that a driven control
+    This includes joints that mimic such a joint, and controls that a driven control
     drives. Shapes are last.
 
     Raises:
-        DriverCycleError: Something depends on itself.
+        DriverCycleError: A target depends on itself.
     """
-    needs: dict[str, dict[str, None]] = {}
+    dependencies: dict[str, dict[str, None]] = {}
     for joint in rig.joints:
-        needed = needs.setdefault(f"joint/{joint.name}", {})
+        inputs = dependencies.setdefault(f"joint/{joint.name}", {})
         if joint.mimic is not None:
-            needed[f"joint/{joint.mimic.joint}"] = None
-        needed |= _needs(joint.driven)
+            inputs[f"joint/{joint.mimic.joint}"] = None
+        inputs |= _needs(joint.driven)
     for control in rig.controls:
-        needed = needs.setdefault(f"control/{control.name}", {})
-        needed |= _needs(control.driven)
+        inputs = dependencies.setdefault(f"control/{control.name}", {})
+        inputs |= _needs(control.driven)
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             target = f"joint/{split_coordinate(name)[0]}" if kind == "joint" else name
             target = f"control/{name}" if kind == "control" else target
             if kind != "shape":
                 read = dict.fromkeys(f"control/{n}" for n in reads(control, drive))
-                needs.setdefault(target, {}).update(read)
+                dependencies.setdefault(target, {}).update(read)
     try:
-        order = list(TopologicalSorter(needs).static_order())
+        order = list(TopologicalSorter(dependencies).static_order())
     except CycleError as error:
-        # The sorter names each before those that need it, the other way round.
+        # The sorter names each target before those that need it; reverse that.
         raise DriverCycleError(list(reversed(error.args[1]))) from error
-    owned = {
+    driven_parts = {
         *(f"joint/{joint.name}" for joint in rig.joints if joint.driven is not None),
-        *(f"control/{one.name}" for one in rig.controls if one.driven is not None),
+        *(
+            f"control/{rig_control.name}"
+            for rig_control in rig.controls
+            if rig_control.driven is not None
+        ),
     }
-    mimics = {f"joint/{one.name}": one.mimic for one in rig.joints}
+    mimics = {
+        f"joint/{rig_control.name}": rig_control.mimic for rig_control in rig.joints
+    }
     for target in order:
-        by = set(needs.get(target, ()))
+        inputs_of_target = set(dependencies.get(target, ()))
         if target.startswith("joint/"):
             mimic = mimics.get(target)
-            by = set() if mimic is None else {f"joint/{mimic.joint}"}
-        if owned & by:
-            owned.add(target)
+            inputs_of_target = set() if mimic is None else {f"joint/{mimic.joint}"}
+        if driven_parts & inputs_of_target:
+            driven_parts.add(target)
     shapes = {shape.name for shape in rig.shapes if shape.driven is not None} | {
         drive.target.removeprefix("shape/")
         for control in rig.controls
         for drive in control.drives
         if drive.target.startswith("shape/")
-        and any(f"control/{name}" in owned for name in reads(control, drive))
+        and any(f"control/{name}" in driven_parts for name in reads(control, drive))
     }
     driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
-    return [*(target for target in order if target in owned), *driven_shapes]
+    return [*(target for target in order if target in driven_parts), *driven_shapes]
 
 
 def _needs(driver: Driver | None) -> dict[str, None]:
@@ -181,15 +190,15 @@ class DriverPlan:
     """The driven parts of a rig in dependency order."""
 
     rig: Rig
-    joints: tuple[int, ...]  # those driven, and those that mimic one of these
-    controls: tuple[str, ...]  # those driven, and those that one of these drives
-    shapes: tuple[str, ...]  # those driven, and those that such a control drives
+    joints: tuple[int, ...]  # driven joints, and joints that mimic one of them
+    controls: tuple[str, ...]  # driven controls, and controls that one of them drives
+    shapes: tuple[str, ...]  # driven shapes, and shapes that such a control drives
     # Shapes that combine one of these, or are one of these and combine others.
     combined: tuple[str, ...]
-    order: tuple[str, ...]  # all but the shapes, as targets
-    # Of each driven joint the joints that it reads, itself or through controls.
+    order: tuple[str, ...]  # all targets except shapes
+    # Joints that each driven joint reads, directly or through controls.
     reads: Mapping[str, tuple[str, ...]]
-    # Targets whose values depend on controls that are not driven.
+    # Targets whose values depend on undriven controls.
     by_control: frozenset[str]
 
     @staticmethod
@@ -197,8 +206,8 @@ class DriverPlan:
         """Return the plan of a rig.
 
         Raises:
-            OptionError: A driver reads what the rig lacks (RIG008, RIG012, RIG033), or
-                something depends on itself (RIG032), with every such fault.
+            OptionError: A driver reads an input that the rig lacks (RIG008, RIG012,
+                RIG033), or a target depends on itself (RIG032), with every such fault.
         """
         drivers = [
             *(joint.driven for joint in rig.joints),
@@ -221,11 +230,11 @@ class DriverPlan:
         for target in order:
             kind, _, name = target.partition("/")
             names[kind].append(name)
-        touched = set(names["shape"])
+        affected_shapes = set(names["shape"])
         combined = []
         for shape in combination_order(rig.shapes):
-            if shape.combine and touched & {shape.name, *shape.combine}:
-                touched.add(shape.name)
+            if shape.combine and affected_shapes & {shape.name, *shape.combine}:
+                affected_shapes.add(shape.name)
                 combined.append(shape.name)
         return DriverPlan(
             rig,
@@ -241,59 +250,59 @@ class DriverPlan:
     def driver(self, joint: int) -> Driven:
         """Return the driver or mimic of a driven joint."""
         rig_joint = self.rig.joints[joint]
-        driven = rig_joint.driven or rig_joint.mimic
-        assert driven is not None
-        return driven
+        driver_or_mimic = rig_joint.driven or rig_joint.mimic
+        assert driver_or_mimic is not None
+        return driver_or_mimic
 
     def sources(self, joint: int) -> list[int]:
         """Return the undriven joints that move a driven joint.
 
-        A joint that mimics another is moved by that one.
+        A joint that mimics another is moved by that joint.
         """
         sources: dict[int, None] = {}
-        waiting = [joint]
+        pending = [joint]
         visited = {joint}
-        while waiting:
-            j = waiting.pop()
+        while pending:
+            j = pending.pop()
             if j in self.joints:
-                others = list(map(self.rig.index, self.reads[self.rig.names[j]]))
+                read_joints = list(map(self.rig.index, self.reads[self.rig.names[j]]))
             elif (mimic := self.rig.joints[j].mimic) is not None:
-                others = [self.rig.index(mimic.joint)]
+                read_joints = [self.rig.index(mimic.joint)]
             else:
                 sources[j] = None
                 continue
-            waiting += [other for other in others if other not in visited]
-            visited.update(others)
+            pending += [source for source in read_joints if source not in visited]
+            visited.update(read_joints)
         return sorted(sources)
 
     def controls_read(self) -> set[str]:
         """Return the undriven controls that joint drivers read."""
         controls = {control.name: control for control in self.rig.controls}
-        waiting = [
+        pending = [
             name
             for j in self.joints
             if isinstance(driver := self.driver(j), Driver)
             for name in driver.names
         ]
-        reached: set[str] = set()
-        while waiting:
-            name = waiting.pop()
-            if name not in controls or name in reached:
+        visited: set[str] = set()
+        while pending:
+            name = pending.pop()
+            if name not in controls or name in visited:
                 continue
-            reached.add(name)
-            driven = controls[name].driven
-            waiting += () if driven is None else driven.names
-            waiting += [
+            visited.add(name)
+            driver_of_control = controls[name].driven
+            pending += () if driver_of_control is None else driver_of_control.names
+            pending += [
                 read
                 for control in self.rig.controls
                 for drive in control.drives
                 if drive.target == f"control/{name}" and name in self.controls
                 for read in reads(control, drive)
             ]
-        return {name for name in reached if name not in self.controls}
+        return {name for name in visited if name not in self.controls}
 
     def followers(self, moved: Collection[str]) -> list[str]:
-        """Return the driven joints that depend on some joints, in the rig's order.
+        """Return the driven joints that depend on given joints, in the rig's order.
 
         Includes dependencies through mimic joints.
         """
@@ -307,10 +316,10 @@ class DriverPlan:
 
 def plan_of(rig: Rig) -> DriverPlan:
     """Return the cached plan of a rig; see `DriverPlan.of`."""
-    kept = rig.__dict__
-    if _KEPT not in kept:
-        kept[_KEPT] = DriverPlan.of(rig)
-    plan = kept[_KEPT]
+    cache = rig.__dict__
+    if _CACHE_ATTRIBUTE not in cache:
+        cache[_CACHE_ATTRIBUTE] = DriverPlan.of(rig)
+    plan = cache[_CACHE_ATTRIBUTE]
     assert isinstance(plan, DriverPlan)
     return plan
 
@@ -323,9 +332,11 @@ def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
     drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
     drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
     drivers |= {f"control/{control.name}": control.driven for control in rig.controls}
-    driven = {t.removeprefix("control/") for t in order if t.startswith("control/")}
-    open_ones = {control.name for control in rig.controls} - driven
-    reached: set[str] = set()
+    driven_controls = {
+        t.removeprefix("control/") for t in order if t.startswith("control/")
+    }
+    keyed_controls = {control.name for control in rig.controls} - driven_controls
+    dependent: set[str] = set()
     for target in order:
         driver = drivers[target]
         names = () if driver is None else driver.names
@@ -339,11 +350,11 @@ def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
                 for name in reads(control, drive)
             ),
         )
-        if open_ones.intersection(names):
-            reached.add(target)
+        if keyed_controls.intersection(names):
+            dependent.add(target)
             if target.startswith("control/"):
-                open_ones.add(target.removeprefix("control/"))
-    return frozenset(reached)
+                keyed_controls.add(target.removeprefix("control/"))
+    return frozenset(dependent)
 
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:

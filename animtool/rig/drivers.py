@@ -17,9 +17,9 @@ from animtool.rig.expressions import Expression, parse_expression
 
 Points = tuple[tuple[float, float], ...]
 
-# Parts of a joint that a driver reads: of a pin; of a prismatic joint; and of a ball,
-# whose motion is swing · twist about the ``twist_axis`` of its limits: the twist, the
-# angle of the swing, and its rotation vector about an axis of the joint's rest frame.
+# Joint parts that a driver reads: of a pin; of a prismatic joint; and of a ball, whose
+# motion is swing · twist about the ``twist_axis`` of its limits: the twist, the swing's
+# angle, and its rotation vector in the joint's rest frame.
 ANGLE, SLIDE, TWIST, SWING = "angle", "slide", "twist", "swing"
 SWINGS = ("swing_x", "swing_y", "swing_z")
 
@@ -28,23 +28,23 @@ SWINGS = ("swing_x", "swing_y", "swing_z")
 class Driver:
     """A value as a function of joint coordinates and controls."""
 
-    # Of names of controls and of coordinates, JOINT.PART; None where there is a curve.
+    # Expression over controls and coordinates, JOINT.PART; None if there is a curve.
     expression: Expression | None = None
-    # What a curve reads: one such name.
+    # Input of the curve: one such name.
     by: str = ""
-    # Points (what is read, value), ascending, held at the ends.
+    # Points (input, value), ascending, constant beyond the ends.
     curve: Points = ()
-    # Whether they are joined by a monotone cubic, and not by straight lines.
+    # Whether a monotone cubic joins the points, instead of straight lines.
     smooth: bool = False
-    # What a value of 1 means: radians or metres of the file's unit, or 1.
+    # Size of a value of 1: radians or metres per unit of the file, or 1.
     unit: float = 1.0
-    # What a 1 of the slides and of the angles that it reads means [m], [rad].
+    # Unit of the slides and of the angles that it reads [m], [rad].
     length: float = 1.0
     angle: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The controls and coordinates that it reads."""
+        """Names of the controls and coordinates that it reads."""
         return (self.by,) if self.expression is None else self.expression.names
 
     def unit_of(self, name: str) -> float:
@@ -55,7 +55,7 @@ class Driver:
         return self.length if part == SLIDE else self.angle
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Evaluate it [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
+        """Evaluate the driver [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
 
         >>> from animtool.rig.expressions import parse_expression
         >>> half = parse_expression("wrist.twist / 2", coordinates=True)
@@ -74,26 +74,28 @@ class Driver:
         """Return the mirrored driver, with partner joints by name.
 
         Equal angles, slides and twists are mirror images, and so are swings about X;
-        those about the two other axes are where one is the other's negative.
+        swings about the other axes are mirror images with opposite signs.
         """
-        turned = {
+        signs = {
             name: -1.0 for name in self.names if split_coordinate(name)[1] in SWINGS[1:]
         }
-        flipped = self
-        if turned and self.expression is not None:
-            text = self.expression.scaled(turned, 1.0)
-            flipped = replace(self, expression=parse_expression(text, coordinates=True))
-        elif turned:
+        mirrored_driver = self
+        if signs and self.expression is not None:
+            text = self.expression.scaled(signs, 1.0)
+            mirrored_driver = replace(
+                self, expression=parse_expression(text, coordinates=True)
+            )
+        elif signs:
             points = tuple((-x, y) for x, y in reversed(self.curve))
-            flipped = replace(self, curve=points)
-        return flipped.renamed(names)
+            mirrored_driver = replace(self, curve=points)
+        return mirrored_driver.renamed(names)
 
     def renamed(self, names: Mapping[str, str]) -> Driver:
-        """Return the driver with other names of joints."""
-        new = renamed_coordinates(self.names, names)
+        """Return the driver with joints renamed."""
+        new_name = renamed_coordinates(self.names, names)
         if self.expression is not None:
-            return replace(self, expression=self.expression.renamed(new))
-        return replace(self, by=new[self.by])
+            return replace(self, expression=self.expression.renamed(new_name))
+        return replace(self, by=new_name[self.by])
 
 
 def split_coordinate(name: str) -> tuple[str, str]:
@@ -107,26 +109,26 @@ def split_coordinate(name: str) -> tuple[str, str]:
 
 
 def renamed_coordinates(
-    read: Sequence[str], names: Mapping[str, str]
+    input_name: Sequence[str], names: Mapping[str, str]
 ) -> dict[str, str]:
     """Return coordinate and control names after joints are renamed.
 
     >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
     {'elbow.angle': 'knee.angle', 'grip': 'grip'}
     """
-    new = {}
-    for name in read:
+    renamed = {}
+    for name in input_name:
         joint, part = split_coordinate(name)
-        new[name] = f"{names.get(joint, joint)}.{part}" if joint else name
-    return new
+        renamed[name] = f"{names.get(joint, joint)}.{part}" if joint else name
+    return renamed
 
 
 def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> FloatArray:
     """Evaluate a curve through points at ``x`` ``(F,)``, constant beyond its ends.
 
-    Joined by straight lines, or ``smooth``: by cubic Hermite segments whose slopes are
-    those of `animtool.maths.tangents.auto_clamped`, and 0 at the ends. That has a
-    continuous slope everywhere, and goes beyond no point.
+    Points are joined by straight lines, or if ``smooth``, by cubic Hermite segments
+    whose slopes are those of `animtool.maths.tangents.auto_clamped`, and 0 at the ends.
+    That has a continuous slope everywhere and never overshoots a point.
 
     >>> ease = ((0.0, 0.0), (1.0, 2.0))
     >>> curve_values(ease, np.array([-1.0, 0.25, 0.5, 3.0]), smooth=True).tolist()
@@ -138,15 +140,17 @@ def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> Floa
     from animtool.maths.curves import cubic_curves, evaluate
 
     # Constant beyond the ends; NaN stays NaN.
-    inside = np.clip(x, table[0, 0], table[-1, 0])
-    lost = np.isnan(inside)
+    clamped = np.clip(x, table[0, 0], table[-1, 0])
+    is_nan = np.isnan(clamped)
     thirds = np.diff(table[:, 0]) / 3
     slopes = smooth_slopes(points)
-    ins = -slopes * np.append(0.0, thirds)
-    outs = slopes * np.append(thirds, 0.0)
-    cubic = cubic_curves(table[:, 0], table[:, 1:], ins[:, None], outs[:, None])
-    values = evaluate(cubic, np.where(lost, table[0, 0], inside))[0]
-    return np.where(lost, np.nan, values)
+    in_handles = -slopes * np.append(0.0, thirds)
+    out_handles = slopes * np.append(thirds, 0.0)
+    cubic = cubic_curves(
+        table[:, 0], table[:, 1:], in_handles[:, None], out_handles[:, None]
+    )
+    values = evaluate(cubic, np.where(is_nan, table[0, 0], clamped))[0]
+    return np.where(is_nan, np.nan, values)
 
 
 def smooth_slopes(points: Points) -> FloatArray:

@@ -1,8 +1,9 @@
 """Evaluation of a rig's drivers.
 
-Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
-and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
-limits, the twist, the angle of the swing, and the parts of the swing's rotation vector.
+Drivers read coordinates of joints: the angle of a pin; the slide of a prismatic joint;
+and for a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
+limits, the twist, the angle of the swing, and the components of the swing's rotation
+vector.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
 # A twist range within this of a full revolution has no middle [rad].
-GAP = 1e-6
-# From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
+REVOLUTION_TOLERANCE = 1e-6
+# Maps the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
 Read = Callable[[str], FloatArray]
 
 
@@ -37,70 +38,72 @@ Read = Callable[[str], FloatArray]
 class DriverValues:
     """Driver values ``(F,)``, or ``(1,)`` if constant.
 
-    Values that are not finite are left as they are: the caller looks.
+    Values that are not finite are kept; the caller has to check.
     """
 
-    joints: dict[int, FloatArray]  # coordinates, inside the limits [rad], [m]
-    excess: dict[int, FloatArray]  # by how much limits changed them [rad], [m]
+    joints: dict[int, FloatArray]  # coordinates within the limits [rad], [m]
+    excess: dict[int, FloatArray]  # amount by which limits changed them [rad], [m]
     controls: dict[str, FloatArray]
-    shapes: dict[str, FloatArray]  # weights, without what combined shapes add
+    shapes: dict[str, FloatArray]  # weights, without contributions of combined shapes
 
 
 def evaluate_drivers(
     plan: DriverPlan,
     read: Read,
     controls: Mapping[str, FloatArray],
-    kept: Collection[str] = (),
+    skipped: Collection[str] = (),
 ) -> DriverValues:
     """Evaluate all drivers.
 
     Args:
-        plan: Of the rig.
-        read: From the name of a coordinate to its values, of a joint that is not
-            driven.
-        controls: Values of all controls ``(F,)`` or ``(1,)``, those of the driven
-            ones not looked at.
-        kept: Targets that stay as they are: joints are read, as if not driven.
+        plan: Driver plan of the rig.
+        read: Maps the name of an undriven joint's coordinate to its values.
+        controls: Values of all controls ``(F,)`` or ``(1,)``; those of driven controls
+            are ignored.
+        skipped: Targets whose drivers are skipped; their joints are read as if
+            undriven.
     """
     rig = plan.rig
     values = dict(controls)
-    done = DriverValues({}, {}, {}, {})
+    result = DriverValues({}, {}, {}, {})
     by_control = {control.name: control for control in rig.controls}
     for target in plan.order:
-        if target in kept:
+        if target in skipped:
             continue
         kind, _, name = target.partition("/")
         if kind == "control":
             spec = by_control[name]
             if spec.driven is not None:
-                value = spec.driven.evaluate(_Named(plan, read, values, done))
+                value = spec.driven.evaluate(_Named(plan, read, values, result))
             else:
                 value = np.array([spec.default]) + _driven_by(rig, target, values)
-            values[name] = done.controls[name] = value
+            values[name] = result.controls[name] = value
             continue
         j = rig.index(name)
         driven = plan.driver(j)
-        named = _Named(plan, read, values, done)
+        inputs = _Named(plan, read, values, result)
         if isinstance(driven, Mimic):
-            lead = rig.joints[rig.index(driven.joint)]
-            part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
-            value = driven.gain * named[f"{lead.name}.{part}"] + driven.offset
+            leader_value = rig.joints[rig.index(driven.joint)]
+            part = SLIDE if leader_value.type is JointType.PRISMATIC else ANGLE
+            value = driven.gain * inputs[f"{leader_value.name}.{part}"] + driven.offset
         else:
-            value = driven.evaluate(named)
+            value = driven.evaluate(inputs)
         limits = rig.joints[j].limits
-        inside = limits.clamped(value) if isinstance(limits, RangeLimit) else value
-        done.joints[j] = np.where(np.isfinite(value), inside, value)
-        done.excess[j] = value - done.joints[j] if np.isfinite(value).all() else value
+        clamped = limits.clamped(value) if isinstance(limits, RangeLimit) else value
+        result.joints[j] = np.where(np.isfinite(value), clamped, value)
+        result.excess[j] = (
+            value - result.joints[j] if np.isfinite(value).all() else value
+        )
     by_shape = {shape.name: shape for shape in rig.shapes}
     for name in plan.shapes:
-        if f"shape/{name}" in kept:
+        if f"shape/{name}" in skipped:
             continue
         driver = by_shape[name].driven
         if driver is not None:
-            done.shapes[name] = driver.evaluate(_Named(plan, read, values, done))
+            result.shapes[name] = driver.evaluate(_Named(plan, read, values, result))
         else:
-            done.shapes[name] = _driven_by(rig, f"shape/{name}", values)
-    return done
+            result.shapes[name] = _driven_by(rig, f"shape/{name}", values)
+    return result
 
 
 class _Named(dict[str, FloatArray]):
@@ -125,19 +128,20 @@ class _Named(dict[str, FloatArray]):
 
 def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
     """Return the controls' contribution to a target."""
-    total = np.zeros(1)
+    contribution = np.zeros(1)
     for control in rig.controls:
         for drive in control.drives:
             if drive.target == target:
-                total = total + drive.evaluate(control.name, values)
-    return total
+                contribution = contribution + drive.evaluate(control.name, values)
+    return contribution
 
 
 def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
     """Return a part of a ball's motion ``(F, 4)``: ``(F,)`` [rad].
 
-    The twist is in half a turn on either side of the middle of its limits, of 0 where
-    they have none. At a swing of half a turn it is open, and near one it turns fast.
+    The twist is within half a revolution of the middle of its limits, or of 0 without
+    limits. At a swing of half a revolution it is undefined, and near it, it changes
+    quickly.
 
     >>> ball = Joint("shoulder", -1, JointType.BALL, limits=BallLimit())
     >>> turn = so3.from_axis_angle((0, 1, 0), np.array([0.5]))
@@ -148,8 +152,12 @@ def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
     assert isinstance(limits, BallLimit)
     swing, twist = swing_twist(rotations, limits.twist_axis)
     if part == TWIST:
-        low, high = limits.twist or (-np.inf, np.inf)
-        middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+        twist_low, twist_high = limits.twist or (-np.inf, np.inf)
+        middle = (
+            (twist_low + twist_high) / 2
+            if twist_high - twist_low < 2 * np.pi - REVOLUTION_TOLERANCE
+            else 0.0
+        )
         return np.asarray(twist - 2 * np.pi * np.round((twist - middle) / (2 * np.pi)))
     vector = so3.log(swing)
     if part == SWING:
@@ -164,7 +172,7 @@ def driven_coordinates(
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with driven joints set by their drivers."""
     rig, slices = plan.rig, coordinate_slices(plan.rig)
-    out = coordinates.copy()
+    driven = coordinates.copy()
 
     def read(name: str) -> FloatArray:
         joint, part = split_coordinate(name)
@@ -174,7 +182,10 @@ def driven_coordinates(
             return ball_part(rig.joints[j], part, columns)
         return columns[:, 0]
 
-    values = controls or {c.name: np.array([c.default]) for c in rig.controls}
+    values = controls or {
+        control_values.name: np.array([control_values.default])
+        for control_values in rig.controls
+    }
     for j, value in evaluate_drivers(plan, read, values).joints.items():
-        out[:, slices[j].start] = value
-    return out
+        driven[:, slices[j].start] = value
+    return driven

@@ -2,7 +2,7 @@
 
 A small part of Python's grammar: ``+ - * /``, numbers, names, and calls to the
 functions of `FUNCTIONS`. Nothing else is evaluated: no index, no power operator, and
-no attribute or text but as the name of a joint's coordinate, where these are allowed.
+attributes or text only as the name of a joint's coordinate, where these are allowed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-LONGEST = 1000
-DEEPEST = 60
+MAX_LENGTH = 1000
+MAX_DEPTH = 60
 MAX_BRACKETS = 90
 
 
 def _smoothstep(low: Any, high: Any, x: Any) -> Any:
-    width = np.where(np.equal(low, high), 1.0, np.subtract(high, low))
-    u = np.clip((x - low) / width, 0.0, 1.0)
+    range_width = np.where(np.equal(low, high), 1.0, np.subtract(high, low))
+    u = np.clip((x - low) / range_width, 0.0, 1.0)
     return np.where(
         np.equal(low, high), np.where(x < low, 0.0, 1.0), u * u * (3 - 2 * u)
     )
@@ -85,7 +85,7 @@ _SIGNS: dict[type[ast.operator], str] = {
 class Expression:
     """A checked expression."""
 
-    text: str  # as written
+    text: str  # as spelled in the file
     # Controls, and coordinates such as ``elbow.angle``, that it reads, sorted.
     names: tuple[str, ...]
     _tree: ast.expr = field(repr=False, compare=False)
@@ -101,10 +101,10 @@ class Expression:
             return np.asarray(_value(self._tree, values), np.float64)
 
     def program(self) -> list[tuple[str, float | str]]:
-        """Return it in reverse Polish notation: operations in order, each on a stack.
+        """Return the expression in reverse Polish notation, for a stack machine.
 
-        ``("number", x)``, ``("name", NAME)``, or ``("call", FUNCTION)`` with the
-        operators named ``+ - * / neg``.
+        ``("number", x)``, ``("name", NAME)``, or ``("call", FUNCTION)``, with operators
+        named ``+ - * / neg``.
 
         >>> parse_expression("2 * x").program()
         [('number', 2.0), ('name', 'x'), ('call', '*')]
@@ -123,7 +123,7 @@ class Expression:
         return ast.unparse(ast.fix_missing_locations(tree))
 
     def renamed(self, names: Mapping[str, str]) -> Expression:
-        """Return the expression with other names.
+        """Return the expression with its inputs renamed.
 
         >>> parse_expression("a + b").renamed({"a": "c"}).text
         'c + b'
@@ -137,17 +137,17 @@ class Expression:
 def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
     """Parse an expression; `ValueError` if too long or not allowed.
 
-    With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes where
-    the joint's name is no word of Python: ``'rig:elbow.angle'``.
+    With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes if the
+    joint's name is not a Python identifier: ``'rig:elbow.angle'``.
     """
-    if len(text) > LONGEST:
-        raise ValueError(f"has {len(text)} characters; the limit is {LONGEST}")
-    # Python's parser takes more brackets in brackets for a lack of memory.
+    if len(text) > MAX_LENGTH:
+        raise ValueError(f"has {len(text)} characters; the limit is {MAX_LENGTH}")
+    # Python's parser runs out of memory on more nested brackets.
     depths = accumulate((c in "([{") - (c in ")]}") for c in text)
     if max(depths, default=0) > MAX_BRACKETS:
         raise ValueError(f"is nested deeper than {MAX_BRACKETS}")
     try:
-        # Python warns of what is refused below.
+        # Python warns about expressions that are refused below.
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError) as error:
@@ -166,8 +166,8 @@ def _coordinate(node: ast.expr) -> str | None:
         case ast.Attribute(value=ast.Name(id=name), attr=part):
             return f"{name}.{part}"
         case ast.Attribute(value=ast.Attribute() as value, attr=part):
-            above = _coordinate(value)
-            return above and f"{above}.{part}"
+            prefix = _coordinate(value)
+            return prefix and f"{prefix}.{part}"
     return None
 
 
@@ -197,7 +197,7 @@ class _Renaming(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> ast.Call:
         """Keep function names."""
-        node.args = [self.visit(one) for one in node.args]
+        node.args = [self.visit(argument) for argument in node.args]
         return node
 
 
@@ -215,8 +215,8 @@ class _Scaling(_Renaming):
         name = _read_name(node)
         if name is None or self.factors.get(name, 1.0) == 1.0:
             return super().visit(node)
-        by = ast.Constant(self.factors[name])
-        return ast.BinOp(_name_node(name), ast.Mult(), by)
+        factor = ast.Constant(self.factors[name])
+        return ast.BinOp(_name_node(name), ast.Mult(), factor)
 
 
 def _read_name(node: ast.AST) -> str | None:
@@ -229,8 +229,8 @@ def _read_name(node: ast.AST) -> str | None:
 def _check(
     node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
 ) -> None:
-    if depth > DEEPEST:
-        raise ValueError(f"is nested deeper than {DEEPEST}")
+    if depth > MAX_DEPTH:
+        raise ValueError(f"is nested deeper than {MAX_DEPTH}")
     coordinate = _coordinate(node)
     if coordinate is not None and coordinates:
         names.add(coordinate)
@@ -246,34 +246,40 @@ def _check(
 
 def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
     """Return the child nodes of an allowed node."""
-    inner: list[ast.expr]
+    children: list[ast.expr]
     match node:
         case ast.Constant(value=number):
             _check_number(number)
-            inner = []
+            children = []
         case ast.Name(id=name):
             if name not in _CONSTANTS:
                 names.add(name)
-            inner = []
+            children = []
         case ast.UnaryOp(op=ast.UAdd() | ast.USub(), operand=operand):
-            inner = [operand]
+            children = [operand]
         case ast.BinOp(left=left, op=operator, right=right) if (
             type(operator) in _OPERATORS
         ):
-            inner = [left, right]
-        case ast.Call(func=ast.Name(id=name), args=inner, keywords=[]):
+            children = [left, right]
+        case ast.Call(func=ast.Name(id=name), args=children, keywords=[]):
             if name not in FUNCTIONS:
-                allowed = ", ".join(FUNCTIONS)
-                raise ValueError(f"unknown function {name!r}; allowed: {allowed}")
-            if len(inner) != FUNCTIONS[name][1]:
-                expected = FUNCTIONS[name][1]
-                raise ValueError(f"{name} takes {expected} values, not {len(inner)}")
+                function_names = ", ".join(FUNCTIONS)
+                raise ValueError(
+                    f"unknown function {name!r}; allowed: {function_names}"
+                )
+            if len(children) != FUNCTIONS[name][1]:
+                argument_count = FUNCTIONS[name][1]
+                raise ValueError(
+                    f"{name} takes {argument_count} values, not {len(children)}"
+                )
         case ast.BinOp(op=ast.Pow()):
             raise ValueError("'**' is not allowed; write pow(a, b)")
         case _:
-            shown = (ast.get_source_segment(text, node) or text)[:40]
-            raise ValueError(f"{shown!r} is not allowed; use + - * / and functions")
-    return inner
+            source_text = (ast.get_source_segment(text, node) or text)[:40]
+            raise ValueError(
+                f"{source_text!r} is not allowed; use + - * / and functions"
+            )
+    return children
 
 
 def _check_number(number: object) -> None:

@@ -26,7 +26,8 @@ from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
-from animtool.rig.suspicions import warn_of_angles, warn_of_order
+from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_order
+from animtool.rig.suspicious_shape import warn_of_shape
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
@@ -41,8 +42,8 @@ def bind_of(
 ) -> dict[str, Pose]:
     """Return the bind poses that differ from rest; record faults.
 
-    A mirrored joint has the reflection of the other's bind pose, unless
-    the file states one.
+    A mirrored joint has the reflection of the other's bind pose, unless the file states
+    one.
     """
     joints = {joint.name: joint for joint in read.joints}
     bind = dict(inherited)
@@ -80,11 +81,11 @@ def _rest(joint: Joint) -> Pose:
 
 
 def _mirrored(
-    joints: FileJoints, bind: Mapping[str, Pose], stated: set[str]
+    joints: FileJoints, bind: Mapping[str, Pose], stated_names: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
-    if not joints.mirrored - stated or not bind:
+    if not joints.mirrored - stated_names or not bind:
         return poses
     world: list[Transform] = []
     indices = {joint.name: i for i, joint in enumerate(joints.joints)}
@@ -92,8 +93,8 @@ def _mirrored(
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
             joint.name in joints.mirrored
-            and joint.name not in stated
-            and joint.mirror in stated
+            and joint.name not in stated_names
+            and joint.mirror in stated_names
         ):
             source = bind[joint.mirror]
             poses[joint.name] = mirrored_pose(
@@ -104,16 +105,16 @@ def _mirrored(
     return poses
 
 
-# Limit of sidecars of sidecars.
+# Limit of nested sidecars.
 MAX_SIDECARS = 8
 
 
-def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
+def load_rig(path: Path | str, parents: tuple[Path, ...] = ()) -> Rig:
     """Load a rig file, and the file that its ``from`` names."""
-    return rig_of_document(read_document(Path(path)), above)
+    return rig_of_document(read_document(Path(path)), parents)
 
 
-def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
+def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     """Return the rig of a document; see `load_rig`."""
     check_version(document, "rig")
     model = validated(document, RigModel)
@@ -126,7 +127,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     if model.source is None:
         joints = joints_of(document, model.joints, units)
     else:
-        base = _base(document, model.source, roots, above)
+        base = _base(document, model.source, roots, parents)
         joints = (
             _alone(document, model, units)
             if base is None
@@ -149,7 +150,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         chains = parts.ik(inherited.chains)
         colliders = parts.colliders(inherited.colliders)
         masses = parts.masses(inherited.masses)
-        attached = parts.attach(meshes, inherited.attach)
+        attachments = parts.attach(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_order(document, model.joints)
     rig = Rig(
@@ -162,7 +163,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         shapes,
         controls,
         chains,
-        attached,
+        attachments,
         colliders,
         units.angle,
         masses,
@@ -172,51 +173,55 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     )
     if rig.is_driven:
         has_unnamed = {
-            "joints": joints.has_unnamed or bool(joints.adrift),
+            "joints": joints.has_unnamed or bool(joints.orphaned),
             "controls": bool(document.has_unnamed("controls")),
         }
         DriverCheck(document, model, rig, has_unnamed, joints.untyped).run()
     document.check()
-    return rig
+    known = len(document.notices)
+    warn_of_shape(document, rig)
+    warn_of_drives(document, rig)
+    return replace(rig, notices=(*rig.notices, *document.notices[known:]))
 
 
 def _with_shapes(
-    inherited: tuple[Shape, ...], added: tuple[Shape, ...]
+    inherited: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
     """Merge shapes; an entry with only a driver is added to the inherited shape."""
-    known = {shape.name for shape in inherited}
+    inherited_names = {shape.name for shape in inherited}
     drivers = {
         shape.name: shape.driven
-        for shape in added
-        if shape.name in known and shape == Shape(shape.name, driven=shape.driven)
+        for shape in new_shapes
+        if shape.name in inherited_names
+        and shape == Shape(shape.name, driven=shape.driven)
     }
     return (
         *(
             replace(shape, driven=drivers.get(shape.name) or shape.driven)
             for shape in inherited
         ),
-        *(shape for shape in added if shape.name not in drivers),
+        *(shape for shape in new_shapes if shape.name not in drivers),
     )
 
 
 def _base(
-    document: Document, name: str, roots: tuple[Path, ...], above: tuple[Path, ...]
+    document: Document, name: str, roots: tuple[Path, ...], parents: tuple[Path, ...]
 ) -> Rig | None:
     """Load the base rig of a sidecar."""
     path = referred(document, ("from",), name, roots)
     if path is None:
         return None
-    above = (*above, document.path.resolve())
-    if path in above:
+    parents = (*parents, document.path.resolve())
+    if path in parents:
         document.add("RIG030", ("from",), f"{name!r} refers back to this file")
         return None
-    if len(above) >= MAX_SIDECARS:
+    if len(parents) >= MAX_SIDECARS:
         message = f"more than {MAX_SIDECARS} files refer to each other in a chain"
         document.add("RIG030", ("from",), message)
         return None
     try:
         if find_reader(path) is DOCUMENT:
-            return load_rig(path, above)
+            return load_rig(path, parents)
         return Rig.load(path)
     except AnimtoolError as error:
         for fault in error.faults:
@@ -226,16 +231,16 @@ def _base(
 
 def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return a sidecar's joints as roots, since it has no hierarchy."""
-    cleared = {"mirror": None, "parent": None}
-    alone = [entry.model_copy(update=cleared) for entry in model.joints]
-    return joints_of(document, alone, units)
+    cleared_keys = {"mirror": None, "parent": None}
+    root_entries = [entry.model_copy(update=cleared_keys) for entry in model.joints]
+    return joints_of(document, root_entries, units)
 
 
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return a sidecar's joints without its base, marked incomplete."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
     joints = _added(document, model, units)
-    return replace(joints, adrift=frozenset(joint.name for joint in joints.joints))
+    return replace(joints, orphaned=frozenset(joint.name for joint in joints.joints))
 
 
 def _overlaid(
@@ -256,21 +261,24 @@ def _overlaid(
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
     sidecar = _added(document, model, units)
-    added = {names.get(joint.name, joint.name): joint for joint in sidecar.joints}
+    sidecar_joints = {
+        names.get(joint.name, joint.name): joint for joint in sidecar.joints
+    }
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
     joints = tuple(
         replace(
             joint,
-            type=added[joint.name].type,
-            axis=added[joint.name].axis,
-            limits=added[joint.name].limits,
-            mimic=_renamed(added[joint.name].mimic, names),
+            type=sidecar_joints[joint.name].type,
+            axis=sidecar_joints[joint.name].axis,
+            limits=sidecar_joints[joint.name].limits,
+            mimic=_renamed(sidecar_joints[joint.name].mimic, names),
             mirror=mirrors[joint.name],
-            driven=_renamed_driver(added[joint.name].driven, names) or joint.driven,
+            driven=_renamed_driver(sidecar_joints[joint.name].driven, names)
+            or joint.driven,
         )
-        if joint.name in added
+        if joint.name in sidecar_joints
         else joint
         for joint in base.joints
     )

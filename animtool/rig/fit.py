@@ -16,46 +16,47 @@ from animtool.maths.faces import rigid_motion
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
-# Below, motion is wrong on the other rig; above, only less exact.
-FITS = 0.7
-# At or above, the rigs are visually identical.
-NOTICEABLE = 0.98
-# Rotations this far apart, as a root mean square, score 0 [rad].
+# Below this score, motion is wrong on the other rig; above, only less accurate.
+MIN_FIT = 0.7
+# At or above this score, the rigs are visually identical.
+PERFECT_FIT = 0.98
+# Root mean square rotation difference that scores 0 [rad].
 ROTATION_SPAN = np.radians(45.0)
-# Rest poses are the same pose where bones point within this, root mean square [rad].
-SAME_POSE = np.radians(3.0)
+# Root mean square difference of bone directions below which rest poses are equal [rad].
+SAME_POSE_ANGLE = np.radians(3.0)
 # Bones shorter than this fraction of the mean have no direction.
-SHORTEST = 1e-3
+MIN_BONE = 1e-3
 # Bones are collinear within this fraction.
-STRAIGHT = 0.05
-# Joints that differ by more are named [rad], [1].
-NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
+COLLINEAR = 0.05
+# Differences above which joints are listed [rad], [1].
+LISTED_ANGLE, LISTED_LENGTH = np.radians(5.0), 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
     """Comparison of the rest skeletons of a take and a rig."""
 
-    # Share of the take's joints that the rig has. End joints that the rig lacks are not
-    # counted.
+    # Fraction of the take's joints that the rig has. End joints that the rig lacks are
+    # not counted.
     take_fraction: float
-    rig_fraction: float  # share of the rig's joints that the take has
-    joints: IntArray  # matched joints below a root, of the rig ``(B,)``
-    # By how much the frames of each differ [rad] ``(B,)``: the direction of its bone in
-    # the frame of its parent, and where both rest in the same pose, turned as a whole
-    # or not, its rest rotation.
+    rig_fraction: float  # fraction of the rig's joints that the take has
+    joints: IntArray  # indices in the rig of the matched joints, without roots ``(B,)``
+    # Difference of each joint's frames [rad] ``(B,)``: of its bone's direction in the
+    # parent's frame, and if both rest in the same pose, up to a common rotation, of its
+    # rest rotation.
     angles: FloatArray
-    # By how much its bone's length differs once both rigs have one size [1] ``(B,)``.
+    # Relative length difference of each bone once both rigs are scaled to one size [1]
+    # ``(B,)``.
     lengths: FloatArray
-    bones: FloatArray  # how much each bone counts, 1 in total ``(B,)``
-    size: float  # bone lengths of the take over those of the rig [1]
-    # Angle between what is up in both rest poses [rad]; 0 where they are different
+    bones: FloatArray  # weight of each bone, 1 in total ``(B,)``
+    size: float  # ratio of the take's bone lengths to the rig's [1]
+    # Angle between the up directions of both rest poses [rad]; 0 if they are different
     # poses.
     tilt: float
 
     @cached_property
     def parts(self) -> dict[str, float]:
-        """Components of the score, each from 0 to 1; the least counts."""
+        """Components of the score, each from 0 to 1; the smallest is the score."""
         return {
             "joints": max(self.take_fraction, self.rig_fraction),
             "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
@@ -66,7 +67,7 @@ class RigFit:
 
     @property
     def score(self) -> float:
-        """From 0, nothing fits, to 1, where both have one rest skeleton."""
+        """From 0, nothing fits, to 1, both have the same rest skeleton."""
         return float(min(self.parts.values()))
 
     @property
@@ -81,50 +82,60 @@ class RigFit:
 
     @property
     def differing(self) -> list[int]:
-        """Joints of the rig whose rest differs noticeably, worst first."""
-        far = np.maximum(self.angles / NAMED_ANGLE, self.lengths / NAMED_LENGTH)
-        order = np.argsort(-far, kind="stable")
-        return [int(self.joints[i]) for i in order if far[i] > 1.0]
+        """Joints of the rig whose rest pose differs noticeably, worst first."""
+        excess = np.maximum(self.angles / LISTED_ANGLE, self.lengths / LISTED_LENGTH)
+        order = np.argsort(-excess, kind="stable")
+        return [int(self.joints[i]) for i in order if excess[i] > 1.0]
 
 
 def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> RigFit:
-    """Measure how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
+    """Measure how well a take's rest skeleton fits a rig.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
     >>> measure_fit(arm, arm, np.arange(2)).score
     1.0
     """
-    matched = np.flatnonzero(source >= 0)
-    shares = _take_fraction(take, source[matched]), len(matched) / max(1, len(source))
-    inner = matched[(rig.parents[matched] >= 0) & (take.parents[source[matched]] >= 0)]
-    rig_bones, other = (
+    matched_joints = np.flatnonzero(source >= 0)
+    fractions = (
+        _take_fraction(take, source[matched_joints]),
+        len(matched_joints) / max(1, len(source)),
+    )
+    inner = matched_joints[
+        (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
+    ]
+    rig_bones, translations_of_both = (
         rig.rest_translations[inner],
         take.rest_translations[source[inner]],
     )
-    sizes = np.array([np.linalg.norm(v, axis=1) for v in (other, rig_bones)])
+    sizes = np.array(
+        [
+            np.linalg.norm(bone_vectors, axis=1)
+            for bone_vectors in (translations_of_both, rig_bones)
+        ]
+    )
     totals = sizes.sum(axis=1)
     if not (totals > 0).all():
-        # No bone to compare, as of a single joint.
-        nothing = np.zeros(0)
-        none = np.zeros(0, np.int64)
-        return RigFit(*shares, none, nothing, nothing, nothing, 1.0, 0.0)
+        # No bone to compare, as for a single joint.
+        empty = np.zeros(0)
+        no_joints = np.zeros(0, np.int64)
+        return RigFit(*fractions, no_joints, empty, empty, empty, 1.0, 0.0)
     relative = sizes / totals[:, None]
     size = float(totals[0] / totals[1])
     longer = relative.max(axis=0)
     lengths = np.zeros(len(inner))
     np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
-    pointing = (relative > SHORTEST / len(inner)).all(axis=0)
-    angles = np.where(pointing, _between(other, rig_bones), 0.0)
+    pointing = (relative > MIN_BONE / len(inner)).all(axis=0)
+    angles = np.where(pointing, _between(translations_of_both, rig_bones), 0.0)
     bones = relative.mean(axis=0)
     tilt = 0.0
     if posed:
         posture = _Posture(take, rig, source[inner], inner)
         pose_angles = np.where(pointing, _between(*posture.bones), 0.0)
-        if np.sqrt(bones @ pose_angles**2) < SAME_POSE:
+        if np.sqrt(bones @ pose_angles**2) < SAME_POSE_ANGLE:
             angles = np.maximum(angles, posture.turned)
             tilt = posture.tilt
-    return RigFit(*shares, inner, angles, lengths, bones, size, tilt)
+    return RigFit(*fractions, inner, angles, lengths, bones, size, tilt)
 
 
 class _Posture:
@@ -136,23 +147,29 @@ class _Posture:
         tilt: Angle between the up axes after alignment [rad].
     """
 
-    def __init__(self, take: Rig, rig: Rig, there: IntArray, here: IntArray) -> None:
-        theirs, mine = rest_world(take), rest_world(rig)
-        ends = theirs.positions[0, there], mine.positions[0, here]
-        starts = (
-            theirs.positions[0, take.parents[there]],
-            mine.positions[0, rig.parents[here]],
+    def __init__(
+        self, take: Rig, rig: Rig, take_joints: IntArray, rig_joints: IntArray
+    ) -> None:
+        take_world, rig_world = rest_world(take), rest_world(rig)
+        bone_ends = (
+            take_world.positions[0, take_joints],
+            rig_world.positions[0, rig_joints],
         )
-        bones = ends[1] - starts[1]
+        starts = (
+            take_world.positions[0, take.parents[take_joints]],
+            rig_world.positions[0, rig.parents[rig_joints]],
+        )
+        bones = bone_ends[1] - starts[1]
         alignment = so3.IDENTITY
         if not _is_straight(bones):
             alignment, _ = rigid_motion(
-                np.concatenate([starts[0], ends[0]]),
-                np.concatenate([starts[1], ends[1]]),
+                np.concatenate([starts[0], bone_ends[0]]),
+                np.concatenate([starts[1], bone_ends[1]]),
             )
-        self.bones = so3.rotate(alignment, ends[0] - starts[0]), bones
+        self.bones = so3.rotate(alignment, bone_ends[0] - starts[0]), bones
         self.turned = so3.angle_between(
-            so3.multiply(alignment, theirs.rotations[0, there]), mine.rotations[0, here]
+            so3.multiply(alignment, take_world.rotations[0, take_joints]),
+            rig_world.rotations[0, rig_joints],
         )
         up = np.eye(3)["XYZ".index(rig.up.value)]
         self.tilt = float(np.arccos(np.clip(so3.rotate(alignment, up) @ up, -1.0, 1.0)))
@@ -161,24 +178,24 @@ class _Posture:
 def _is_straight(bones: FloatArray) -> bool:
     """Return whether all bones are collinear, so that twist is undefined."""
     spreads = np.linalg.svd(bones, compute_uv=False)
-    return bool(len(spreads) < 2 or spreads[1] <= STRAIGHT * spreads[0])
+    return bool(len(spreads) < 2 or spreads[1] <= COLLINEAR * spreads[0])
 
 
 def _take_fraction(take: Rig, used: IntArray) -> float:
     """Return the used fraction of a take's joints; end joints below one are ignored."""
-    has = np.zeros(len(take.joints), np.bool_)
-    has[used] = True
+    is_used = np.zeros(len(take.joints), np.bool_)
+    is_used[used] = True
     parents = take.parents
-    ends = np.ones(len(parents), np.bool_)
-    ends[parents[parents >= 0]] = False
-    free = ends & ~has & (parents >= 0) & has[parents]
-    return float(has.sum() / max(1, (~free).sum()))
+    is_end = np.ones(len(parents), np.bool_)
+    is_end[parents[parents >= 0]] = False
+    is_ignored = is_end & ~is_used & (parents >= 0) & is_used[parents]
+    return float(is_used.sum() / max(1, (~is_ignored).sum()))
 
 
 def _between(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the angles between vectors ``(B, 3)`` [rad]; 0 where one is zero."""
-    across = np.linalg.norm(np.cross(a, b), axis=1)
-    return np.asarray(np.arctan2(across, (a * b).sum(axis=1)))
+    cross_length = np.linalg.norm(np.cross(a, b), axis=1)
+    return np.asarray(np.arctan2(cross_length, (a * b).sum(axis=1)))
 
 
 # Size ratios of mistaken length units.
@@ -197,25 +214,24 @@ def check_fit(
 ) -> tuple[RigFit, list[Fault]]:
     """Check how well a take fits a rig (RIG040); return the fit and a warning.
 
-    ``source`` is the joint of the take for each of the rig ``(J,)``, -1 for none.
-    Forced, a warning takes the place of the error, which else includes ``unmatched``
-    joints.
+    ``source`` is the take's joint for each of the rig ``(J,)``, -1 for none. If forced,
+    a warning replaces the error, which otherwise includes ``unmatched`` joints.
     """
     fit = measure_fit(take, rig, source, posed=take.has_rest)
-    if fit.score >= NOTICEABLE:
+    if fit.score >= PERFECT_FIT:
         return fit, []
     names = [rig.names[j] for j in fit.differing]
-    if fit.score >= FITS or forced:
+    if fit.score >= MIN_FIT or forced:
         message = f"the take differs from the rig: score {fit.score:.2f}; "
         message += _numbers(fit)
         return fit, [_fault("RIG041", message, names, where, None, Severity.WARNING)]
     message = (
-        f"the take does not match the rig: score {fit.score:.2f}, but {FITS} is "
+        f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
         "needed; "
     )
     message += _numbers(fit)
     faults = [_fault("RIG040", message, names, where, _hint(fit), Severity.ERROR)]
-    if fit.parts["joints"] < FITS:
+    if fit.parts["joints"] < MIN_FIT:
         faults += unmatched or []
     raise FormatError(faults)
 
@@ -247,14 +263,14 @@ def _numbers(fit: RigFit) -> str:
     return ", ".join(
         f"{name} {value:.2f} ({names[name]})"
         for name, value in fit.parts.items()
-        if value < NOTICEABLE
+        if value < PERFECT_FIT
     )
 
 
 def _hint(fit: RigFit) -> str:
     """Return a hint for the worst part of a score."""
     parts = fit.parts
-    worst = min(parts, key=lambda name: parts[name])
+    worst_part = min(parts, key=lambda name: parts[name])
     advice = {
         "joints": "choose another rig, or match the names "
         f"({argument('strip_namespace')} N drops prefixes)",
@@ -267,7 +283,7 @@ def _hint(fit: RigFit) -> str:
         "up axis": f"check the up axes of both ({argument('source.up')} sets that of "
         "a BVH)",
     }
-    return f"{advice[worst]}; {argument('force_fit', True)} writes it as it is"
+    return f"{advice[worst_part]}; {argument('force_fit', True)} writes it as it is"
 
 
 def _is_unit_ratio(size: float) -> bool:

@@ -31,9 +31,9 @@ def head_joints(rig: Rig) -> dict[str, int]:
     """
     matches: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
-        bare = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
+        plain_name = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
         for part, names in _NAMES.items():
-            if bare in names:
+            if plain_name in names:
                 matches.setdefault(part, j)
     return matches
 
@@ -41,34 +41,42 @@ def head_joints(rig: Rig) -> dict[str, int]:
 def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
     """Convert face rotations to a joint's local rotations ``(F, 4)``.
 
-    Joints above it are at rest.
+    The joints above it are at rest.
 
     Args:
         rig: Rig of the joint.
         joint: Index of the joint.
-        rotations: In the frame of a face, X to its left, Y up, Z ahead ``(F, 4)``.
+        rotations: Rotations in the frame of a face: X to its left, Y up, Z forward
+            ``(F, 4)``.
     """
     if rig.up is UpAxis.Z:
         rotations = multiply(multiply(_Z_UP, rotations), conjugate(_Z_UP))
-    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    rest_transforms = forward(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     parent = rig.joints[joint].parent
     rest_rotation = rig.rest_rotations[joint]
     if parent < 0:
         return multiply(rotations, rest_rotation)
-    above = rest.rotations[0, parent]
+    parent_rotation = rest_transforms.rotations[0, parent]
     return multiply(
-        multiply(conjugate(above), multiply(rotations, above)), rest_rotation
+        multiply(conjugate(parent_rotation), multiply(rotations, parent_rotation)),
+        rest_rotation,
     )
 
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
     """Convert a joint's local rotations to face rotations ``(F, 4)``."""
-    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    rest_transforms = forward(
+        rig, rig.rest_translations[None], rig.rest_rotations[None]
+    )
     parent = rig.joints[joint].parent
     relative = multiply(local, conjugate(rig.rest_rotations[joint]))
     if parent >= 0:
-        above = rest.rotations[0, parent]
-        relative = multiply(multiply(above, relative), conjugate(above))
+        parent_rotation = rest_transforms.rotations[0, parent]
+        relative = multiply(
+            multiply(parent_rotation, relative), conjugate(parent_rotation)
+        )
     if rig.up is UpAxis.Z:
         relative = multiply(multiply(conjugate(_Z_UP), relative), _Z_UP)
     return relative

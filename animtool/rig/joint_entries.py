@@ -24,11 +24,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
+from animtool.rig.suspicions import warn_of_length
 
-# Shorter axes and quaternions are mistakes, not directions.
-SHORTEST = 1e-9
-# Within rounding of unit length: kept as written, so that it is written as read.
-UNIT_LENGTH = 1e-15
+# Shorter axes and quaternions are mistakes.
+MIN_VECTOR = 1e-9
+# Deviation from unit length that is rounding; such values are kept as written, so that
+# files round-trip.
+UNIT_TOLERANCE = 1e-15
 # Joints this close to the middle plane are on it [m].
 OFF_MIDDLE = 1e-6
 
@@ -47,14 +49,14 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a file, and which facts its faults leave unknown."""
+    """The joints of a file, and what its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
-    adrift: frozenset[str] = frozenset()  # names of those whose parent is not known
-    # Names of those that another's ``mirror`` wrote.
+    orphaned: frozenset[str] = frozenset()  # names of joints whose parent is unknown
+    # Names of joints created by another joint's ``mirror``.
     mirrored: frozenset[str] = frozenset()
-    untyped: frozenset[str] = frozenset()  # names of those whose type is not known
-    has_unnamed: bool = False  # whether there are more, of names that are not known
+    untyped: frozenset[str] = frozenset()  # names of joints whose type is unknown
+    has_unnamed: bool = False  # whether there are more joints, with unknown names
 
 
 @dataclass(slots=True)
@@ -65,12 +67,12 @@ class _JointEntry:
     source: str
     parent: str | None
     mirrored: bool = False
-    adrift: bool = False
+    orphaned: bool = False
 
 
 @dataclass(slots=True)
 class _Tree:
-    """Joints built so far, parents first, with world transforms on demand."""
+    """The joints built so far, parents first, with world transforms on demand."""
 
     built: list[Joint] = field(default_factory=list)
     indices: dict[str, int] = field(default_factory=dict)
@@ -111,7 +113,7 @@ def joints_of(
         tree.built.append(joint)
     joints = FileJoints(
         tuple(tree.built),
-        frozenset(name for name, entry in entries.items() if entry.adrift),
+        frozenset(name for name, entry in entries.items() if entry.orphaned),
         frozenset(name for name, entry in entries.items() if entry.mirrored),
         frozenset(
             name
@@ -133,8 +135,8 @@ def _entries(
     for i, model in enumerate(models):
         if model.name in entries:
             message = f"duplicate joint {model.name!r}"
-            first = document.position(("joints", entries[model.name].index))[0]
-            hint = f"the first is on line {first}"
+            first_line = document.position(("joints", entries[model.name].index))[0]
+            hint = f"the first is on line {first_line}"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
         entries[model.name] = _JointEntry(i, model.name, model.parent)
@@ -162,7 +164,7 @@ def _entries(
             if not entry.mirrored and not has_unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
-            entry.parent, entry.adrift = None, True
+            entry.parent, entry.orphaned = None, True
     return entries
 
 
@@ -183,8 +185,8 @@ def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> N
 def _parents_first(
     document: Document, entries: dict[str, _JointEntry]
 ) -> Iterator[str]:
-    """Yield names in file order, each after its parent and mirror source."""
-    done: set[str] = set()
+    """Yield names in file order, but each after its parent and mirror source."""
+    yielded: set[str] = set()
     for start in entries:
         trail: list[str] = []
         name: str | None = start
@@ -193,25 +195,32 @@ def _parents_first(
         while pending:
             name = next(reversed(pending))
             entry = entries[name]
-            needs = [entry.parent] if entry.parent is not None else []
-            needs += [entry.source] if entry.mirrored else []
-            missing = next((need for need in needs if need not in done), None)
-            if name in done or missing is None:
+            required = [entry.parent] if entry.parent is not None else []
+            required += [entry.source] if entry.mirrored else []
+            missing = next(
+                (
+                    required_name
+                    for required_name in required
+                    if required_name not in yielded
+                ),
+                None,
+            )
+            if name in yielded or missing is None:
                 del pending[name]
-                if name not in done:
-                    done.add(name)
+                if name not in yielded:
+                    yielded.add(name)
                     yield name
                 continue
             if missing in pending:
-                waiting = list(pending)
-                trail = [*waiting[waiting.index(missing) :], missing]
-                shown = circle(trail[::-1])
-                message = f"the joints are their own ancestors: {shown}"
+                unfinished = list(pending)
+                trail = [*unfinished[unfinished.index(missing) :], missing]
+                cycle_text = circle(trail[::-1])
+                message = f"the joints are their own ancestors: {cycle_text}"
                 document.add("RIG003", ("joints", entry.index), message)
-                entry.parent, entry.adrift = None, True
+                entry.parent, entry.orphaned = None, True
                 if entry.mirrored and missing == entry.source:
                     del pending[name]
-                    done.add(name)
+                    yielded.add(name)
                 continue
             pending[missing] = None
 
@@ -224,13 +233,13 @@ def _note_off_middle(
     joints: list[Joint],
 ) -> None:
     """Warn of a mirrored pair whose parent is off the middle plane."""
-    away = float(parent_world[0][0])
-    if abs(away) <= OFF_MIDDLE:
+    distance = float(parent_world[0][0])
+    if abs(distance) <= OFF_MIDDLE:
         return
     parent = joints[joint.parent].name
     message = (
         f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but "
-        f"their parent {parent!r} is {length_text(abs(away), 4)} off that plane"
+        f"their parent {parent!r} is {length_text(abs(distance), 4)} off that plane"
     )
     hint = f"give {parent!r} a mirror, or write both joints without one"
     document.note("RIG101", ("joints", entry.index, "mirror"), message, hint)
@@ -239,11 +248,11 @@ def _note_off_middle(
 def _joint(
     document: Document, i: int, model: JointModel, units: FileUnits, parent: int
 ) -> Joint:
-    at: Location = ("joints", i)
-    rotation = quaternion(document, (*at, "rotate"), model.rotate)
+    location: Location = ("joints", i)
+    rotation = quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
     tips = tuple(_scaled(tip, units.length) for tip in model.tips)
-    _refuse_repeats(document, (*at, "channels"), model.channels or [])
+    _refuse_repeats(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
@@ -255,11 +264,13 @@ def _joint(
         mirror=model.mirror or "",
     )
     if isinstance(model, PinJointModel | PrismaticJointModel):
-        axis = unit_vector(document, (*at, "axis"), model.axis)
-        limits = _range(document, (*at, "limits"), model.limits, units.of(joint.type))
+        axis = unit_vector(document, (*location, "axis"), model.axis)
+        limits = _range(
+            document, (*location, "limits"), model.limits, units.of(joint.type)
+        )
         joint = replace(joint, axis=axis, limits=limits)
     elif isinstance(model, BallJointModel) and model.limits is not None:
-        limit = _ball_limit(document, (*at, "limits"), model.limits, units)
+        limit = _ball_limit(document, (*location, "limits"), model.limits, units)
         joint = replace(joint, limits=limit)
     return joint
 
@@ -281,11 +292,11 @@ def _range(
 ) -> RangeLimit | None:
     if pair is None:
         return None
-    low, high = pair
-    if low > high:
-        message = f"the range from {low:g} to {high:g} is reversed"
-        document.add("RIG007", location, message, f"write [{high:g}, {low:g}]")
-    return RangeLimit(low * unit, high * unit)
+    lower, upper = pair
+    if lower > upper:
+        message = f"the range from {lower:g} to {upper:g} is reversed"
+        document.add("RIG007", location, message, f"write [{upper:g}, {lower:g}]")
+    return RangeLimit(lower * unit, upper * unit)
 
 
 def _ball_limit(
@@ -293,11 +304,11 @@ def _ball_limit(
 ) -> BallLimit:
     swing = None
     if model.swing is not None:
-        both = model.swing if isinstance(model.swing, list) else [model.swing] * 2
-        if not all(0 <= angle * units.angle <= math.pi for angle in both):
+        angles = model.swing if isinstance(model.swing, list) else [model.swing] * 2
+        if not all(0 <= angle * units.angle <= math.pi for angle in angles):
             message = f"swing {model.swing} is not between 0 and 180 degrees"
             document.add("RIG007", (*at, "swing"), message)
-        swing = (both[0] * units.angle, both[1] * units.angle)
+        swing = (angles[0] * units.angle, angles[1] * units.angle)
     twist = None
     if model.twist == "locked":
         twist = (0.0, 0.0)
@@ -317,7 +328,7 @@ def _with_drivers(
 ) -> FileJoints:
     """Return the joints with their drivers; inputs are checked later."""
     joints = {joint.name: joint for joint in read.joints}
-    both = (units.length, units.angle)
+    file_units = (units.length, units.angle)
     partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
     for i, model in enumerate(models):
         if not isinstance(model, PinJointModel | PrismaticJointModel):
@@ -326,7 +337,7 @@ def _with_drivers(
             continue
         unit = units.of(JointType(model.type))
         driver = read_driver(
-            document, ("joints", i, "driven"), model.driven, both, unit
+            document, ("joints", i, "driven"), model.driven, file_units, unit
         )
         for name in (model.name, model.mirror):
             if driver is None or name not in joints or entries[name].index != i:
@@ -355,25 +366,34 @@ def _with_mimics(
             model.mimic and name in by_name
         ):
             continue
-        mimic, at = model.mimic, ("joints", entry.index, "mimic", "joint")
+        mimic, location = model.mimic, ("joints", entry.index, "mimic", "joint")
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
             if not read.has_unnamed:
-                document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
+                document.add(
+                    "RIG008", location, message, nearest(mimic.joint, list(by_name))
+                )
             continue
         if mimic.joint in read.untyped:
             continue
         if joints[leader].type not in scalar:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
-            document.add("RIG009", at, message, "a mimic follows a pin or prismatic")
+            document.add(
+                "RIG009", location, message, "a mimic follows a pin or prismatic"
+            )
             continue
         target = mimic.joint
         if entry.mirrored:
             target = joints[leader].mirror or target
-        unit, other = units.of(JointType(model.type)), units.of(joints[leader].type)
-        followed = Mimic(target, mimic.gain * unit / other, mimic.offset * unit)
-        joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
+        unit, leader_unit = (
+            units.of(JointType(model.type)),
+            units.of(joints[leader].type),
+        )
+        mimic_of_joint = Mimic(
+            target, mimic.gain * unit / leader_unit, mimic.offset * unit
+        )
+        joints[by_name[name]] = replace(joints[by_name[name]], mimic=mimic_of_joint)
     _refuse_chains(document, entries, joints)
     return replace(read, joints=tuple(joints))
 
@@ -382,17 +402,17 @@ def _refuse_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
     """Refuse a mimic of a mimic, and so every cycle."""
-    following = {joint.name for joint in joints if joint.mimic}
+    mimic_names = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
-        if joint.mimic and joint.mimic.joint in following:
+        if joint.mimic and joint.mimic.joint in mimic_names:
             entry = entries[joint.name]
             if not entry.mirrored:
                 message = f"{joint.mimic.joint!r} is a mimic itself"
                 if joint.mimic.joint == joint.name:
                     message = f"{joint.name!r} follows itself"
                 hint = "name the joint that is keyed"
-                at = ("joints", entry.index, "mimic", "joint")
-                document.add("RIG009", at, message, hint)
+                location = ("joints", entry.index, "mimic", "joint")
+                document.add("RIG009", location, message, hint)
 
 
 def quaternion(
@@ -401,11 +421,12 @@ def quaternion(
     """Convert a file's [w, x, y, z] to a unit quaternion (x, y, z, w)."""
     w, x, y, z = values
     length = math.hypot(*values)
-    if abs(length - 1.0) <= UNIT_LENGTH:
+    if abs(length - 1.0) <= UNIT_TOLERANCE:
         return (x, y, z, w)
-    if not SHORTEST < length < 1 / SHORTEST:
+    if not MIN_VECTOR < length < 1 / MIN_VECTOR:
         document.add("RIG006", location, f"quaternion {values} is not a rotation")
         return (0.0, 0.0, 0.0, 1.0)
+    warn_of_length(document, location, values)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 
@@ -413,9 +434,9 @@ def quaternion(
 def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
     """Normalize a direction; record a fault for zero length."""
     length = math.hypot(*values)
-    if abs(length - 1.0) <= UNIT_LENGTH:
+    if abs(length - 1.0) <= UNIT_TOLERANCE:
         length = 1.0
-    if not SHORTEST < length < 1 / SHORTEST:
+    if not MIN_VECTOR < length < 1 / MIN_VECTOR:
         document.add("RIG005", location, f"axis {values} has no direction")
         return (0.0, 0.0, 1.0)
     x, y, z = (value / length for value in values)

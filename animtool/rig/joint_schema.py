@@ -56,8 +56,8 @@ class MimicModel(FileModel):
     offset: Real = key("Added to it, in this joint's unit.", 10.0, default=0.0)
 
 
-# Of every curve of a rig file.
-JOINED = (
+# Shared by all curves of a rig file.
+INTERPOLATION_HELP = (
     "Interpolation between the points of a curve: linear, or a monotone cubic, which "
     "overshoots no point and is flat at both ends."
 )
@@ -83,13 +83,13 @@ class DrivenModel(FileModel):
         default=None,
     )
     interp: Literal["linear", "smooth"] = key(
-        JOINED,
+        INTERPOLATION_HELP,
         "smooth",
         default="linear",
     )
 
 
-_TYPE = "Degrees of freedom."
+_TYPE_HELP = "Degrees of freedom."
 # The coordinate of a pin or prismatic joint.
 _Axis = Annotated[
     Direction,
@@ -154,19 +154,19 @@ class _JointBase(FileModel):
 class FreeJointModel(_JointBase):
     """Six degrees of freedom."""
 
-    type: Literal["free"] = key(_TYPE, "free")
+    type: Literal["free"] = key(_TYPE_HELP, "free")
 
 
 class FixedJointModel(_JointBase):
-    """None."""
+    """No degrees of freedom."""
 
-    type: Literal["fixed"] = key(_TYPE, "fixed")
+    type: Literal["fixed"] = key(_TYPE_HELP, "fixed")
 
 
 class BallJointModel(_JointBase):
-    """Three rotations, or two where the twist is locked."""
+    """Three rotations, or two if the twist is locked."""
 
-    type: Literal["ball"] = key(_TYPE, "ball")
+    type: Literal["ball"] = key(_TYPE_HELP, "ball")
     limits: BallLimitsModel | None = key(
         "Limits of the rotation. Default: none.",
         {"swing": 35.0, "twist": "locked"},
@@ -177,7 +177,7 @@ class BallJointModel(_JointBase):
 class PinJointModel(_JointBase):
     """One rotation."""
 
-    type: Literal["pin"] = key(_TYPE, "pin")
+    type: Literal["pin"] = key(_TYPE_HELP, "pin")
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None
@@ -187,7 +187,7 @@ class PinJointModel(_JointBase):
 class PrismaticJointModel(_JointBase):
     """One translation."""
 
-    type: Literal["prismatic"] = key(_TYPE, "prismatic")
+    type: Literal["prismatic"] = key(_TYPE_HELP, "prismatic")
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None

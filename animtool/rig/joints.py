@@ -1,6 +1,6 @@
-"""Joint coordinates to local transforms and back, and the names of their parts.
+"""Joint coordinates to local transforms and back, and the names of joint parts.
 
-Coordinates q of a joint, in this order in one row of a ``(F, Q)`` array:
+Coordinates q of a joint, in this order, in one row of a ``(F, Q)`` array:
 
 ========== = ==========================================================
 free       7 translation [m], quaternion (x, y, z, w)
@@ -57,7 +57,7 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     >>> local.rotations[0, 0].round(12).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    # Imported here: reading rigs needs no kernels.
+    # Imported here, since reading rigs needs no kernels.
     from animtool import _kernels
 
     q = as_floats(coordinates, ("F", rig.coordinates), "coordinates")
@@ -70,8 +70,8 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
 def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     """Project local transforms to joint coordinates ``(F, Q)``.
 
-    Motion that a joint cannot have is dropped: a pin keeps the rotation about its axis,
-    a prismatic joint the slide along it. Pin angles are continuous along F.
+    Motion that a joint's type does not allow is dropped: a pin keeps the rotation about
+    its axis, a prismatic joint the slide along it. Pin angles are continuous along F.
     """
     joints = len(rig.joints)
     translations = as_floats(local.translations, ("F", joints, 3), "translations")
@@ -79,50 +79,52 @@ def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     slices = coordinate_slices(rig)
     q = np.zeros((len(translations), slices[-1].stop if slices else 0))
     for j, (joint, columns) in enumerate(zip(rig.joints, slices, strict=True)):
-        undo = so3.conjugate(rig.rest_rotations[j])
-        rotation = so3.multiply(undo, rotations[:, j])
-        slide = so3.rotate(undo, translations[:, j] - rig.rest_translations[j])
+        inverse_rest = so3.conjugate(rig.rest_rotations[j])
+        rotation = so3.multiply(inverse_rest, rotations[:, j])
+        offset = so3.rotate(inverse_rest, translations[:, j] - rig.rest_translations[j])
         match joint.type:
             case JointType.FREE:
                 q[:, columns] = np.concatenate(
-                    [slide, so3.align_signs(rotation)], axis=1
+                    [offset, so3.align_signs(rotation)], axis=1
                 )
             case JointType.BALL:
                 q[:, columns] = so3.align_signs(rotation)
             case JointType.PIN:
-                along = rotation[:, :3] @ np.asarray(joint.axis)
-                q[:, columns.start] = np.unwrap(2.0 * np.arctan2(along, rotation[:, 3]))
+                sine_along_axis = rotation[:, :3] @ np.asarray(joint.axis)
+                q[:, columns.start] = np.unwrap(
+                    2.0 * np.arctan2(sine_along_axis, rotation[:, 3])
+                )
                 if len(q):
                     revolutions = (
                         2 * np.pi * np.round(q[0, columns.start] / (2 * np.pi))
                     )
                     q[:, columns.start] -= revolutions
             case JointType.PRISMATIC:
-                q[:, columns.start] = slide @ np.asarray(joint.axis)
+                q[:, columns.start] = offset @ np.asarray(joint.axis)
             case JointType.FIXED:
                 continue
     return q
 
 
 _ROTATING = (JointType.FREE, JointType.BALL)
-_EVERY = tuple(JointType)
+_ALL_TYPES = tuple(JointType)
 
-# Parts that a control may add to, and the joints that have them.
+# Parts that a control may add to, and joint types that have them.
 DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
     **{f"rotation.{axis}": _ROTATING for axis in "xyz"},
     **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
 }
-# Parts that a channel of a clip may hold.
+# Parts that a clip's channel may key.
 KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
     "rotation": _ROTATING,
     "translation": (JointType.FREE,),
-    "local_translation": _EVERY,
-    "local_rotation": _EVERY,
-    "scale": _EVERY,
+    "local_translation": _ALL_TYPES,
+    "local_rotation": _ALL_TYPES,
+    "scale": _ALL_TYPES,
 }
 
 
@@ -133,10 +135,12 @@ def nearest_part(text: str, parts: Iterable[str]) -> str | None:
     "did you mean '.angle'?"
     """
     words = text[-LONGEST:].split(".")
-    tails = [".".join(words[i:]) for i in range(1, len(words))]
+    suffixes = [".".join(words[i:]) for i in range(1, len(words))]
     names = list(parts)
-    near = next(filter(None, (similar(tail, names) for tail in tails)), None)
-    return f"did you mean '.{near}'?" if near else None
+    suggestions = next(
+        filter(None, (similar(suffix, names) for suffix in suffixes)), None
+    )
+    return f"did you mean '.{suggestions}'?" if suggestions else None
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

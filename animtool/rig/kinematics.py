@@ -16,16 +16,16 @@ class WorldTransforms:
     """World transforms of every joint."""
 
     positions: FloatArray  # joint origins ``(F, J, 3)`` [m], world
-    # Linear parts ``(F, J, 3, 3)``: rotations, times scale where there is any. Column c
-    # is the joint's axis c in the world.
+    # Linear parts ``(F, J, 3, 3)``: rotations, times scale if there is any. Column c is
+    # the joint's axis c in the world.
     linear: FloatArray
 
     @property
     def rotations(self) -> FloatArray:
         """Unit quaternions ``(F, J, 4)``, signs continuous along time.
 
-        Where a scaled joint carries a turned one, there is shear, which no rotation
-        and scale can hold: it is left out.
+        A scaled joint with a rotated child causes shear, which rotation and scale
+        cannot represent; it is dropped.
         """
         return so3.align_signs(so3.split_scale(self.linear)[0])
 
@@ -50,16 +50,16 @@ def forward(
 ) -> WorldTransforms:
     """Return the world transforms of a motion.
 
-    ``world = world(parent) · T · R · S``; scale is inherited, as in UsdSkel. A
-    chain of 1000 joints keeps 3e-16 relative, so nothing is renormalised.
+    ``world = world(parent) · T · R · S``; scale is inherited, as in UsdSkel. A chain of
+    1000 joints stays accurate to 3e-16 (relative), so nothing is renormalised.
 
     Args:
         rig: J joints.
-        translations: Local, parent space ``(F, J, 3)`` [m].
+        translations: Local translations, parent space ``(F, J, 3)`` [m].
         rotations: Local unit quaternions ``(F, J, 4)``.
-        scales: Local ``(F, J, 3)`` [1]; None is no scale.
-        out: Filled in and returned, in place of new arrays: of many frames, fresh
-            memory takes longer than the arithmetic. Not to overlap the inputs.
+        scales: Local scales ``(F, J, 3)`` [1]; None means no scale.
+        out: Arrays to fill and return, instead of new ones: for many frames, allocating
+            memory takes longer than the arithmetic. Must not overlap the inputs.
 
     Raises:
         ValueError: A shape does not fit the rig.

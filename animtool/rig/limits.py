@@ -32,17 +32,17 @@ class BallLimit:
     """Cone and twist of a ball joint, whose motion is swing · twist."""
 
     # Half-angles of the cone [rad] about the two axes that follow the twist axis in the
-    # cycle x, y, z; None is no limit.
+    # cycle x, y, z; None for no limit.
     swing: tuple[float, float] | None = None
-    # Least and largest turn about the axis [rad]; None is no limit, and (0, 0) the
+    # Minimum and maximum rotation about the axis [rad]; None for no limit; (0, 0) for a
     # joint of two degrees of freedom that cannot twist.
     twist: tuple[float, float] | None = None
-    # Unit axis in the joint's rest frame, along the bone as a rule.
+    # Unit axis in the joint's rest frame, usually along the bone.
     twist_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     @property
     def axes(self) -> FloatArray:
-        """Twist axis and the two that swing is about, unit ``(3, 3)``, one a row."""
+        """Twist axis and the two swing axes, unit rows ``(3, 3)``."""
         return _axes(self.twist_axis)
 
     def excess(self, rotations: FloatArray) -> FloatArray:
@@ -56,37 +56,42 @@ class BallLimit:
         """
         rotations = np.asarray(rotations, np.float64)
         swing, twist = swing_twist(rotations, self.twist_axis)
-        outside = np.zeros(len(twist), np.bool_)
+        is_outside = np.zeros(len(twist), np.bool_)
         if self.twist is not None:
             # The revolution nearest to the middle: ranges may exceed half a revolution.
             middle = (self.twist[0] + self.twist[1]) / 2
             revolutions = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
-            turned = twist - revolutions
-            twist = np.clip(turned, *self.twist)
-            outside |= twist != turned
+            twist_in_range = twist - revolutions
+            twist = np.clip(twist_in_range, *self.twist)
+            is_outside |= twist != twist_in_range
         if self.swing is not None:
-            across = so3.log(swing)
-            parts = across @ self.axes[1:].T
-            wide = np.maximum(self.swing, SMALLEST_CONE)
-            reach = np.linalg.norm(parts / wide, axis=-1)
-            outside |= reach > 1
-        if not outside.any():
+            swing_vector = so3.log(swing)
+            swing_components = swing_vector @ self.axes[1:].T
+            cone = np.maximum(self.swing, SMALLEST_CONE)
+            relative_swing = np.linalg.norm(swing_components / cone, axis=-1)
+            is_outside |= relative_swing > 1
+        if not is_outside.any():
             return rotations
         if self.swing is not None:
-            shorter = across[outside] / np.maximum(reach[outside], 1.0)[:, None]
-            swing[outside] = so3.exp(shorter)
-        clamped_twist = so3.from_axis_angle(self.twist_axis, twist[outside])
-        inside = so3.multiply(swing[outside], clamped_twist)
-        before = rotations[outside]
-        within = so3.angle_between(inside, before) < LIMIT_TOLERANCE
-        clamped = rotations.copy()
-        clamped[outside] = np.where(within[:, None], before, inside)
-        return clamped
+            shortened_swing = (
+                swing_vector[is_outside]
+                / np.maximum(relative_swing[is_outside], 1.0)[:, None]
+            )
+            swing[is_outside] = so3.exp(shortened_swing)
+        clamped_twist = so3.from_axis_angle(self.twist_axis, twist[is_outside])
+        inside_limits = so3.multiply(swing[is_outside], clamped_twist)
+        original = rotations[is_outside]
+        is_rounding = so3.angle_between(inside_limits, original) < LIMIT_TOLERANCE
+        clamped_rotations = rotations.copy()
+        clamped_rotations[is_outside] = np.where(
+            is_rounding[:, None], original, inside_limits
+        )
+        return clamped_rotations
 
 
-# Least cone width; rounding always misses a zero one [rad].
+# Minimum cone width; with zero width, rounding would always exceed it [rad].
 SMALLEST_CONE = 1e-12
-# Rotations that differ by less are the same but for rounding [rad].
+# Rotations that differ by less are equal up to rounding [rad].
 LIMIT_TOLERANCE = 1e-9
 
 
@@ -95,35 +100,35 @@ def swing_twist(
 ) -> tuple[FloatArray, FloatArray]:
     """Split rotations ``(F, 4)`` into swing ``(F, 4)`` and twist ``(F,)`` [rad].
 
-    ``q = swing · twist``, the twist about the axis, in [-π, π], the swing about an
-    axis at right angles to it. A swing of half a turn leaves the twist open: 0.
+    ``q = swing · twist``: twist about the axis in [-π, π], swing about a perpendicular
+    axis. A swing of half a revolution leaves the twist undefined: 0.
 
     >>> swing, twist = swing_twist([[0.0, 1.0, 0.0, 0.0]], (0, 1, 0))
     >>> float(twist[0].round(9)), swing.round(9).tolist()
     (3.141592654, [[0.0, 0.0, 0.0, 1.0]])
     """
     q = np.asarray(rotations, np.float64)
-    along = q[:, :3] @ np.asarray(axis, np.float64)
+    sine_along_axis = q[:, :3] @ np.asarray(axis, np.float64)
     w = q[:, 3]
-    open_twist = np.hypot(along, w) < LIMIT_TOLERANCE
-    half = np.where(open_twist, 0.0, np.arctan2(along, w))
+    is_undefined = np.hypot(sine_along_axis, w) < LIMIT_TOLERANCE
+    half = np.where(is_undefined, 0.0, np.arctan2(sine_along_axis, w))
     twist = 2 * half
     twist = np.where(twist > np.pi, twist - 2 * np.pi, twist)
     twist = np.where(twist < -np.pi, twist + 2 * np.pi, twist)
-    undo = so3.from_axis_angle(axis, -twist)
-    swing = so3.multiply(q, undo)
+    inverse_twist = so3.from_axis_angle(axis, -twist)
+    swing = so3.multiply(q, inverse_twist)
     return np.where(swing[:, 3:] < 0, -swing, swing), twist
 
 
 @cache
 def _axes(axis: tuple[float, float, float]) -> FloatArray:
-    """Return a twist axis and the two at right angles to it, one a row ``(3, 3)``."""
+    """Return a twist axis and two perpendicular ones, as rows ``(3, 3)``."""
     direction = np.asarray(axis, np.float64)
-    near = int(np.argmax(np.abs(direction)))
+    largest = int(np.argmax(np.abs(direction)))
     basis = np.eye(3)
-    first = basis[(near + 1) % 3]
-    first = first - (first @ direction) * direction
-    first /= np.linalg.norm(first)
-    axes = np.stack([direction, first, np.cross(direction, first)])
+    first_axis = basis[(largest + 1) % 3]
+    first_axis = first_axis - (first_axis @ direction) * direction
+    first_axis /= np.linalg.norm(first_axis)
+    axes = np.stack([direction, first_axis, np.cross(direction, first_axis)])
     axes.setflags(write=False)
     return axes

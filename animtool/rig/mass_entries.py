@@ -10,7 +10,7 @@ from animtool.rig.parts import Mass
 from animtool.rig.schema import MassModel
 
 # Rounding tolerance of the triangle inequality, as a fraction of the sum.
-ROUNDING = 1e-3
+INERTIA_TOLERANCE = 1e-3
 
 
 def read_masses(
@@ -18,27 +18,29 @@ def read_masses(
     entries: Sequence[MassModel],
     inherited: Sequence[Mass],
     length: float,
-    known: Callable[[Location, str], bool],
+    check_joint: Callable[[Location, str], bool],
 ) -> tuple[Mass, ...]:
     """Return a file's masses and inherited ones; record faults.
 
     Args:
         document: Rig file.
-        entries: Its masses.
+        entries: Mass entries of the file.
         inherited: Masses of the base rig.
         length: Length unit [m].
-        known: Records an unknown joint.
+        check_joint: Records an unknown joint.
     """
-    listed = {entry.joint for entry in entries}
-    masses = [mass for mass in inherited if mass.joint not in listed]
+    listed_joints = {entry.joint for entry in entries}
+    masses = [mass for mass in inherited if mass.joint not in listed_joints]
     indices: dict[str, int] = {}
     for i, entry in enumerate(entries):
-        at = ("masses", i)
-        known((*at, "joint"), entry.joint)
+        location = ("masses", i)
+        check_joint((*location, "joint"), entry.joint)
         if entry.joint in indices:
             line = document.position(("masses", indices[entry.joint]))[0]
             message = f"joint {entry.joint!r} has a mass twice"
-            document.add("RIG011", (*at, "joint"), message, f"first in line {line}")
+            document.add(
+                "RIG011", (*location, "joint"), message, f"first in line {line}"
+            )
             continue
         indices[entry.joint] = i
         inertia = None
@@ -46,8 +48,8 @@ def read_masses(
             a, b, c = inertia = (entry.inertia[0], entry.inertia[1], entry.inertia[2])
             if problem := inertia_problem([a, b, c]):
                 message = f"no body has such an inertia: {problem}"
-                document.add("RIG047", (*at, "inertia"), message)
-        axes = quaternion(document, (*at, "axes"), entry.axes)
+                document.add("RIG047", (*location, "inertia"), message)
+        axes = quaternion(document, (*location, "axes"), entry.axes)
         x, y, z = (value * length for value in entry.centre)
         masses.append(Mass(entry.joint, entry.mass, (x, y, z), inertia, axes))
     return tuple(masses)
@@ -59,10 +61,10 @@ def inertia_problem(inertia: Sequence[float]) -> str:
     >>> inertia_problem([1.0, 1.0, 2.0]), inertia_problem([1.0, 1.0, 3.0])
     ('', 'of 1, 1, 3 kg m² one is above the sum of the others')
     """
-    least, middle, most = sorted(inertia)
-    shown = ", ".join(f"{value:.3g}" for value in inertia)
-    if least < -ROUNDING * most or not middle > 0:
-        return f"{shown} kg m² are not all above 0"
-    if most > (least + middle) * (1 + ROUNDING):
-        return f"of {shown} kg m² one is above the sum of the others"
+    smallest, middle, largest = sorted(inertia)
+    inertia_text = ", ".join(f"{value:.3g}" for value in inertia)
+    if smallest < -INERTIA_TOLERANCE * largest or not middle > 0:
+        return f"{inertia_text} kg m² are not all above 0"
+    if largest > (smallest + middle) * (1 + INERTIA_TOLERANCE):
+        return f"of {inertia_text} kg m² one is above the sum of the others"
     return ""

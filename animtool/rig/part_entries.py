@@ -45,7 +45,12 @@ from animtool.rig.schema import ControlModel, DriveModel, RigModel
 from animtool.rig.shapes import ShapeCycleError, combination_order
 from animtool.rig.skeleton import Joint
 
-_LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "controls"}
+_LIST_KEYS = {
+    "joint": "joints",
+    "mesh": "meshes",
+    "shape": "shapes",
+    "control": "controls",
+}
 
 
 @dataclass(slots=True)
@@ -57,10 +62,10 @@ class PartReader:
     units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
     arrays: ArrayReader  # checks the arrays that the file refers to
-    # Number of points of each mesh, as far as known.
+    # Number of points of each mesh, if known.
     vertices: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
-    # Of the rig's controls.
+    # Names of the rig's controls.
     names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -85,44 +90,56 @@ class PartReader:
         meshes = dict.fromkeys(meshes)
         shapes = []
         for i, shape in enumerate(self.model.shapes):
-            at = ("shapes", i)
+            location = ("shapes", i)
             if shape.mesh is not None:
-                self._known((*at, "mesh"), shape.mesh, meshes, "mesh")
+                self._known((*location, "mesh"), shape.mesh, meshes, "mesh")
             count = self.vertices.get(shape.mesh or "")
-            chosen = None
+            vertices = None
             if shape.vertices is not None:
-                chosen = self.arrays.array(
-                    (*at, "vertices"), shape.vertices, "vertices", (None,), count
+                vertices = self.arrays.array(
+                    (*location, "vertices"), shape.vertices, "vertices", (None,), count
                 )
-                count = self.arrays.rows(chosen)
-            rows = (count, 3)
+                count = self.arrays.rows(vertices)
+            row_count = (count, 3)
             for k, name in enumerate(shape.combine):
-                self._known((*at, "combine", k), name, names, "shape")
-            between: list[Inbetween] = []
+                self._known((*location, "combine", k), name, names, "shape")
+            inbetweens: list[Inbetween] = []
             weights = [step.at for step in shape.inbetweens]
-            late = dict(self.document.descents((*at, "inbetweens"), weights, "at"))
+            unordered = dict(
+                self.document.descents((*location, "inbetweens"), weights, "at")
+            )
             for k, step in enumerate(shape.inbetweens):
-                spot = (*at, "inbetweens", k)
-                if step.at in {0, 1} or k in late:
+                inbetween_location = (*location, "inbetweens", k)
+                if step.at in {0, 1} or k in unordered:
                     message = f"inbetween weight {step.at:g} is out of order"
                     hint = (
                         "weights ascend strictly between 0 (no deltas) and 1 (the "
                         "main deltas)"
                     )
-                    self.document.add("RIG024", (*spot, "at"), message, hint)
-                ref = self.arrays.array((*spot, "deltas"), step.deltas, "deltas", rows)
-                normals = self._maybe((*spot, "normals"), step.normals, "normals", rows)
-                between.append(Inbetween(step.at, ref, normals))
+                    self.document.add(
+                        "RIG024", (*inbetween_location, "at"), message, hint
+                    )
+                ref = self.arrays.array(
+                    (*inbetween_location, "deltas"), step.deltas, "deltas", row_count
+                )
+                normals = self._optional_array(
+                    (*inbetween_location, "normals"), step.normals, "normals", row_count
+                )
+                inbetweens.append(Inbetween(step.at, ref, normals))
             shapes.append(
                 Shape(
                     shape.name,
                     shape.mesh or "",
-                    self._maybe((*at, "deltas"), shape.deltas, "deltas", rows),
-                    self._maybe((*at, "normals"), shape.normals, "normals", rows),
-                    tuple(between),
+                    self._optional_array(
+                        (*location, "deltas"), shape.deltas, "deltas", row_count
+                    ),
+                    self._optional_array(
+                        (*location, "normals"), shape.normals, "normals", row_count
+                    ),
+                    tuple(inbetweens),
                     tuple(shape.combine),
-                    chosen,
-                    self._driver((*at, "driven"), shape.driven),
+                    vertices,
+                    self._driver((*location, "driven"), shape.driven),
                 )
             )
         try:
@@ -138,29 +155,37 @@ class PartReader:
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
         self._distinct("controls", "control")
-        listed = {control.name: i for i, control in enumerate(self.model.controls)}
-        known = dict.fromkeys(shapes)
-        kept = [control for control in inherited if control.name not in listed]
-        self.names = dict.fromkeys([*(control.name for control in kept), *listed])
-        for control in kept:
+        entry_of_name = {
+            control.name: i for i, control in enumerate(self.model.controls)
+        }
+        known_shapes = dict.fromkeys(shapes)
+        inherited_controls = [
+            control for control in inherited if control.name not in entry_of_name
+        ]
+        self.names = dict.fromkeys(
+            [*(control.name for control in inherited_controls), *entry_of_name]
+        )
+        for control in inherited_controls:
             self._note_lost_drive(control)
         controls = (
-            *kept,
+            *inherited_controls,
             *(
-                self._control(("controls", i), control, known)
+                self._control(("controls", i), control, known_shapes)
                 for i, control in enumerate(self.model.controls)
             ),
         )
         try:
             evaluation_order(controls)
         except ControlCycleError as error:
-            first = next(name for name in error.cycle if name in listed)
+            first_in_file = next(name for name in error.cycle if name in entry_of_name)
             message = f"controls drive each other in a cycle: {error}"
-            self.document.add("RIG014", ("controls", listed[first]), message)
+            self.document.add(
+                "RIG014", ("controls", entry_of_name[first_in_file]), message
+            )
         return controls
 
     def _note_lost_drive(self, control: Control) -> None:
-        """Record a drive whose joint has lost the part."""
+        """Record a drive whose joint no longer has the part."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped:
@@ -177,20 +202,22 @@ class PartReader:
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
         self._distinct("ik", "chain")
-        listed = {chain.name for chain in self.model.ik}
-        chains = [chain for chain in inherited if chain.name not in listed]
+        listed_names = {chain.name for chain in self.model.ik}
+        chains = [chain for chain in inherited if chain.name not in listed_names]
         for i, chain in enumerate(self.model.ik):
-            at = ("ik", i)
-            known = [
-                self._known((*at, key), getattr(chain, key), self.joints, "joint")
+            location = ("ik", i)
+            are_known = [
+                self._known((*location, key), getattr(chain, key), self.joints, "joint")
                 for key in ("root", "tip")
             ]
-            if all(known) and not self._below(chain.root, chain.tip):
+            if all(are_known) and not self._below(chain.root, chain.tip):
                 message = f"{chain.tip!r} is not below {chain.root!r}"
-                self.document.add("RIG022", (*at, "tip"), message)
+                self.document.add("RIG022", (*location, "tip"), message)
             pole = None
             if chain.pole_dir is not None:
-                pole = unit_vector(self.document, (*at, "pole_dir"), chain.pole_dir)
+                pole = unit_vector(
+                    self.document, (*location, "pole_dir"), chain.pole_dir
+                )
             chains.append(
                 IkChain(
                     chain.name, chain.root, chain.tip, chain.goal, pole, chain.stretch
@@ -211,12 +238,13 @@ class PartReader:
             lambda at, name: self._known(at, name, self.joints, "joint"),
             lambda at, name: self._known(at, name, counts, "mesh"),
         )
-        listed = {entry.name for entry in self.model.attach}
+        listed_names = {entry.name for entry in self.model.attach}
         return (
             *(
                 entry
                 for entry in inherited
-                if entry.name not in listed and not (entry.mesh and self.model.meshes)
+                if entry.name not in listed_names
+                and not (entry.mesh and self.model.meshes)
             ),
             *(
                 reader.attachment(("attach", i), entry)
@@ -232,13 +260,15 @@ class PartReader:
 
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
         """Return the colliders."""
-        listed = {entry.joint for entry in self.model.colliders}
-        colliders = [collider for collider in inherited if collider.joint not in listed]
+        listed_joints = {entry.joint for entry in self.model.colliders}
+        colliders = [
+            collider for collider in inherited if collider.joint not in listed_joints
+        ]
         for i, entry in enumerate(self.model.colliders):
-            at = ("colliders", i)
-            self._known((*at, "joint"), entry.joint, self.joints, "joint")
+            location = ("colliders", i)
+            self._known((*location, "joint"), entry.joint, self.joints, "joint")
             axis = unit_vector(
-                self.document, (*at, "capsule", "axis"), entry.capsule.axis
+                self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
             length = self.units.length
             x, y, z = (value * length for value in entry.capsule.offset)
@@ -262,20 +292,24 @@ class PartReader:
 
     def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
         points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))
-        count = self.vertices.get(mesh.name)
-        count = self.arrays.rows(points) if count is None else count
-        if count is not None:
-            self.vertices[mesh.name] = count
+        point_count = self.vertices.get(mesh.name)
+        point_count = self.arrays.rows(points) if point_count is None else point_count
+        if point_count is not None:
+            self.vertices[mesh.name] = point_count
         faces = self.arrays.array(
-            (*at, "faces"), mesh.faces, "faces", (None, None), count
+            (*at, "faces"), mesh.faces, "faces", (None, None), point_count
         )
         return Mesh(
             mesh.name,
             points,
             faces,
-            self._maybe((*at, "normals"), mesh.normals, "normals", (count, 3)),
+            self._optional_array(
+                (*at, "normals"), mesh.normals, "normals", (point_count, 3)
+            ),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
-            None if mesh.skin is None else self._skin((*at, "skin"), mesh.skin, count),
+            None
+            if mesh.skin is None
+            else self._skin((*at, "skin"), mesh.skin, point_count),
             None if mesh.subdivision is None else Subdivision(mesh.subdivision),
         )
 
@@ -289,13 +323,13 @@ class PartReader:
             (*at, "indices"), skin.indices, "indices", (vertices, None), joints
         )
         shape = self.arrays.shape(indices) or ()
-        width = shape[1] if len(shape) == 2 else None
+        influences = shape[1] if len(shape) == 2 else None
         weights = self.arrays.array(
-            (*at, "weights"), skin.weights, "weights", (vertices, width)
+            (*at, "weights"), skin.weights, "weights", (vertices, influences)
         )
         return Skin(skin.method, tuple(skin.joints), indices, weights)
 
-    def _maybe(
+    def _optional_array(
         self, at: Location, text: str | None, key: str, shape: tuple[int | None, ...]
     ) -> ArraySource | None:
         return None if text is None else self.arrays.array(at, text, key, shape)
@@ -310,8 +344,8 @@ class PartReader:
             hint = "rename it: letters, digits and underscores"
             self.document.add("RIG025", (*at, "name"), message, hint)
         low, high = model.range or (None, None)
-        sure = not self.document.is_placeholder((*at, "range"))
-        if low is not None and high is not None and sure:
+        is_certain = not self.document.is_placeholder((*at, "range"))
+        if low is not None and high is not None and is_certain:
             if low > high:
                 message = f"the range from {low:g} to {high:g} is reversed"
                 hint = f"write [{high:g}, {low:g}]"
@@ -337,11 +371,11 @@ class PartReader:
     def _drive(
         self, at: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
-        present = [
+        set_targets = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
-        if len(present) != 1:
-            message = f"drives {' and '.join(present) or 'nothing'}"
+        if len(set_targets) != 1:
+            message = f"drives {' and '.join(set_targets) or 'nothing'}"
             self.document.add(
                 "RIG015", at, message, "write one of shape, joint, control"
             )
@@ -352,17 +386,19 @@ class PartReader:
             )
             self.document.add("RIG015", at, message, "write one of them for the amount")
             return None
-        target, unit = self._target((*at, present[0]), present[0], model, shapes)
+        target, unit = self._target(
+            (*at, set_targets[0]), set_targets[0], model, shapes
+        )
         if model.expr is not None:
             refuse_smooth(self.document, at, model.interp)
             expression = self._expression((*at, "expr"), model.expr)
             return Drive(target, expression, (), unit) if expression else None
         points = tuple((x, y) for x, y in model.curve or ())
         values = [x for x, _ in points]
-        smooth = model.interp == "smooth"
+        is_smooth = model.interp == "smooth"
         if list(ascending_faults(self.document, (*at, "curve"), values)):
-            smooth = False
-        return Drive(target, None, points, unit, smooth)
+            is_smooth = False
+        return Drive(target, None, points, unit, is_smooth)
 
     def _expression(self, at: Location, text: str) -> Expression | None:
         try:
@@ -377,7 +413,7 @@ class PartReader:
         return expression
 
     def _reads_misnamed(self, text: str) -> bool:
-        """Return whether it reads a control whose name is faulty (RIG025)."""
+        """Return whether an expression reads a misnamed control (RIG025)."""
         return any(
             re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
             for name in self.names
@@ -400,45 +436,45 @@ class PartReader:
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
-            known = joint not in self.file_joints.untyped
-            if known and self.joints[joint].type not in types:
-                fitting = [
+            has_known_type = joint not in self.file_joints.untyped
+            if has_known_type and self.joints[joint].type not in types:
+                fitting_parts = [
                     p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
                 ]
                 message = f"a {self.joints[joint].type} joint has no {part}"
-                hint = f"it has {', '.join(fitting) or 'nothing that moves'}"
+                hint = f"it has {', '.join(fitting_parts) or 'nothing that moves'}"
                 self.document.add("RIG015", at, message, hint)
         length = part == "slide" or part.startswith("translation")
         unit = self.units.length if length else self.units.angle
         return f"joint/{name}", unit
 
     def _distinct(self, key: str, kind: str) -> None:
-        first: dict[str, int] = {}
+        first_entry: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in first:
-                line = self.document.position((key, first[entry.name]))[0]
+            if entry.name in first_entry:
+                line = self.document.position((key, first_entry[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            first.setdefault(entry.name, i)
+            first_entry.setdefault(entry.name, i)
 
     def _known(
         self, at: Location, name: str, names: Collection[str], kind: str
     ) -> bool:
         if name in names:
             return True
-        has_unnamed = self.document.has_unnamed(_LISTS[kind])
+        has_unnamed = self.document.has_unnamed(_LIST_KEYS[kind])
         if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
         return False
 
     def _below(self, root: str, tip: str) -> bool:
-        """Return whether a joint is, or may be, another or its descendant."""
+        """Return whether a joint is, or could be, another joint or its descendant."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:
-            if joints[index].name in self.file_joints.adrift:
+            if joints[index].name in self.file_joints.orphaned:
                 return True
             index = joints[index].parent
         return index >= 0

@@ -22,9 +22,9 @@ Vector = tuple[float, float, float]
 class ArrayRef:
     """An array in an npz file."""
 
-    text: str  # as its file spells it, ``face.npz#smile``
-    path: Path  # the file, resolved
-    key: str  # name of the array
+    text: str  # as spelled in its file, ``face.npz#smile``
+    path: Path  # resolved path of the file
+    key: str  # name of the array in the file
 
     def load(self, archives: Archives | None = None) -> FloatArray:
         """Return the read-only array.
@@ -44,7 +44,7 @@ class ArrayRef:
 class LoadedArray:
     """An array in memory, from a file that contains the complete rig."""
 
-    values: FloatArray  # finite
+    values: FloatArray  # finite values
 
     def load(self, _archives: Archives | None = None) -> FloatArray:
         """Return the array."""
@@ -88,15 +88,15 @@ class Mesh:
     """A surface.
 
     Attributes:
-        name: Unique among the rig's meshes.
-        points: ``(V, 3)`` in the rig's unit.
-        faces: ``(N, K)`` indices, -1 fills a face of fewer than K vertices.
-        normals: ``(V, 3)``; None where the mesh has none.
+        name: Unique name among the rig's meshes.
+        points: Vertex positions ``(V, 3)`` in the rig's unit.
+        faces: Vertex indices ``(N, K)``; -1 fills a face of fewer than K vertices.
+        normals: ``(V, 3)``; None if the mesh has none.
         geom_bind: World transform of the points at bind time, 16 numbers row by row,
-            for column vectors; None is identity.
-        skin: None where it follows no joint.
-        subdivision: How it is refined; None is not at all where it has normals, else
-            by Catmull and Clark's rule.
+            for column vectors; None for the identity.
+        skin: Skin binding; None if the mesh follows no joint.
+        subdivision: Subdivision scheme; None means no subdivision for meshes with
+            normals, else Catmull-Clark.
     """
 
     name: str
@@ -113,8 +113,10 @@ class Inbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
     at: float  # the weight
-    deltas: ArraySource  # as those of its shape
-    normals: ArraySource | None = None  # likewise; None leaves them
+    deltas: ArraySource  # with the shape of its shape's deltas
+    normals: ArraySource | None = (
+        None  # likewise for the normals; None leaves them unchanged
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,15 +124,15 @@ class Shape:
     """A blend shape.
 
     Attributes:
-        name: Unique among the rig's shapes.
-        mesh: Name of the mesh that it shapes.
-        deltas: ``(V, 3)`` added at weight 1.
-        normals: ``(V, 3)`` added to the normals; None leaves them.
-        inbetweens: Ascending by weight.
-        combine: Names of the shapes whose weights' product is this one's; empty for
-            an independent shape.
-        vertices: Which vertices the deltas, normals and inbetweens are for ``(N,)``;
-            None is all of them.
+        name: Unique name among the rig's shapes.
+        mesh: Name of the mesh that it deforms.
+        deltas: Vertex offsets added at weight 1 ``(V, 3)``.
+        normals: Offsets of the normals ``(V, 3)``; None leaves them unchanged.
+        inbetweens: In-betweens, ascending by weight.
+        combine: Names of the shapes whose weights are multiplied to get this one's;
+            empty for an independent shape.
+        vertices: Indices of the vertices of deltas, normals and inbetweens ``(N,)``;
+            None for all vertices.
         driven: Driver of its weight.
     """
 
@@ -150,12 +152,12 @@ class IkChain:
 
     name: str  # unique among the rig's chains
     root: str  # name of its first joint
-    tip: str  # name of its last
+    tip: str  # name of its last joint
     goal: str = "pose"  # ``position``, ``orientation`` or ``pose``
-    # Where its middle points, in the frame of the root joint's parent; None leaves it
-    # open.
+    # Direction of the chain's middle joint in the frame of the root joint's parent;
+    # None leaves it undefined.
     pole_dir: Vector | None = None
-    stretch: float = 0.0  # fraction of its length that it may stretch
+    stretch: float = 0.0  # fraction of its length by which it may stretch
 
 
 class AttachKind(StrEnum):
@@ -171,14 +173,14 @@ class Attachment:
     """Geometry or joints that a simulation moves."""
 
     name: str  # unique among the rig's attachments
-    kind: str  # one of `AttachKind`; any other names joints
-    # Those that move; of strands the one that carries their roots; none of cloth.
+    kind: str  # one of `AttachKind`; other names are allowed for joints
+    # Joints that move; for strands the joint that carries their roots; none for cloth.
     joints: tuple[str, ...] = ()
-    mesh: str = ""  # name of the mesh that is cloth
-    # Of cloth, the vertices that stay with the skin ``(N,)``; None is none.
+    mesh: str = ""  # mesh of a cloth
+    # For cloth, the vertices that stay with the skin ``(N,)``; None for none.
     pins: ArraySource | None = None
-    # Of strands ``(S, K, 3)`` in the rig's unit, where they are in the world at bind
-    # time, each from root to tip.
+    # For strands, points from root to tip in the world at bind time ``(S, K, 3)``, in
+    # the rig's unit.
     points: ArraySource | None = None
 
 
@@ -187,8 +189,8 @@ class Capsule:
     """A cylinder with round ends, in the frame of a joint.
 
     Attributes:
-        radius: Of the cylinder and its ends [m].
-        length: Of the cylinder, between the centres of its ends [m]; 0 is a ball.
+        radius: Radius of the cylinder and its ends [m].
+        length: Distance between the centres of its ends [m]; 0 for a ball.
         axis: Unit direction of the cylinder.
         offset: Centre of the cylinder, from the joint's origin [m].
     """
@@ -213,11 +215,11 @@ class Mass:
 
     Attributes:
         joint: Name of the joint.
-        mass: Above 0 [kg].
+        mass: Mass above 0 [kg].
         centre: Centre of mass, from the joint's origin [m].
-        inertia: Moments about its principal axes, through the centre [kg m²]; None is
+        inertia: Moments about the principal axes through the centre [kg m²]; None uses
             those of the colliders.
-        axes: How those are turned in the joint's frame, a quaternion (x, y, z, w).
+        axes: Rotation of these axes in the joint's frame, a quaternion (x, y, z, w).
     """
 
     joint: str

@@ -29,31 +29,30 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     """Return a rig moved to a placement's first frame.
 
-    Scale is applied to lengths: geometry bound to joints is moved and scaled
-    with them.
+    Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
 
-    up: the up axis that it has then; None keeps it.
+    up: the new up axis; None keeps it.
     """
     placement = placement.first()
     if placement.is_none and up in {None, rig.up}:
         return rig
     roots = {joint.name for joint in rig.joints if joint.parent < 0}
-    size = placement.size
+    scale = placement.size
     stands = rig.stands
     if stands is not None:
         # Old placement relative to the new one.
         rigid = replace(placement, sizes=np.ones(1))
-        moved = replace(stands, translations=stands.translations * size)
-        stands = rigid.after(moved).after(rigid.inverse())
+        scaled_placement = replace(stands, translations=stands.translations * scale)
+        stands = rigid.after(scaled_placement).after(rigid.inverse())
     return replace(
         rig,
         joints=tuple(
-            _scaled(_joint(joint, placement), rig, size) for joint in rig.joints
+            _scaled(_joint(joint, placement), rig, scale) for joint in rig.joints
         ),
         shapes=tuple(
-            replace(shape, driven=_driver(shape.driven, size)) for shape in rig.shapes
+            replace(shape, driven=_driver(shape.driven, scale)) for shape in rig.shapes
         ),
-        controls=tuple(_control(control, size) for control in rig.controls),
+        controls=tuple(_control(control, scale) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
             name: _pose(pose, placement, root=name in roots)
@@ -66,8 +65,8 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         attach=tuple(
             _strands(entry, placement, rig.meters_per_unit) for entry in rig.attach
         ),
-        colliders=tuple(_collider(one, size) for one in rig.colliders),
-        masses=tuple(_mass(one, size) for one in rig.masses),
+        colliders=tuple(_collider(collider, scale) for collider in rig.colliders),
+        masses=tuple(_mass(collider, scale) for collider in rig.masses),
         stands=stands,
     )
 
@@ -77,16 +76,16 @@ def _joint(joint: Joint, placement: Placement) -> Joint:
         x, y, z = placement.points(np.array(joint.translation)).tolist()
         a, b, c, w = placement.rotated(np.array(joint.rotation)).tolist()
         joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
-    size = placement.size
-    if size == 1.0:
+    scale = placement.size
+    if scale == 1.0:
         return joint
     limits = joint.limits
     if isinstance(limits, RangeLimit) and joint.type is JointType.PRISMATIC:
-        limits = RangeLimit(limits.low * size, limits.high * size)
+        limits = RangeLimit(limits.low * scale, limits.high * scale)
     x, y, z = joint.translation
     if joint.parent >= 0:
-        x, y, z = x * size, y * size, z * size
-    tips = tuple((x * size, y * size, z * size) for x, y, z in joint.tips)
+        x, y, z = x * scale, y * scale, z * scale
+    tips = tuple((x * scale, y * scale, z * scale) for x, y, z in joint.tips)
     return replace(joint, translation=(x, y, z), tips=tips, limits=limits)
 
 
@@ -95,16 +94,16 @@ def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
     if size == 1.0 or (joint.mimic is None and joint.driven is None):
         return joint
     slides = joint.type is JointType.PRISMATIC
-    driven, mimic = _driver(joint.driven, size), joint.mimic
-    if driven is not None and slides:
-        driven = replace(driven, unit=driven.unit * size)
+    scaled_driver, mimic = _driver(joint.driven, size), joint.mimic
+    if scaled_driver is not None and slides:
+        scaled_driver = replace(scaled_driver, unit=scaled_driver.unit * size)
     if mimic is not None:
         unit_scale = size if slides else 1.0
         leader = rig.joints[rig.index(mimic.joint)]
-        theirs = size if leader.type is JointType.PRISMATIC else 1.0
-        gain, offset = mimic.gain * unit_scale / theirs, mimic.offset * unit_scale
+        leader_scale = size if leader.type is JointType.PRISMATIC else 1.0
+        gain, offset = mimic.gain * unit_scale / leader_scale, mimic.offset * unit_scale
         mimic = replace(mimic, gain=gain, offset=offset)
-    return replace(joint, driven=driven, mimic=mimic)
+    return replace(joint, driven=scaled_driver, mimic=mimic)
 
 
 def _driver(driver: Driver | None, size: float) -> Driver | None:
@@ -140,8 +139,8 @@ def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
     """Return a chain with its world-space pole direction rotated."""
     if chain.pole_dir is None or chain.root not in roots:
         return chain
-    turned = so3.rotate(placement.rotations[0], chain.pole_dir)
-    x, y, z = turned.tolist()
+    pole_direction = so3.rotate(placement.rotations[0], chain.pole_dir)
+    x, y, z = pole_direction.tolist()
     return replace(chain, pole_dir=(x, y, z))
 
 
@@ -176,18 +175,18 @@ def _mass(mass: Mass, size: float) -> Mass:
     return replace(mass, centre=(x, y, z), inertia=inertia)
 
 
-def _collider(one: Collider, size: float) -> Collider:
+def _collider(collider: Collider, size: float) -> Collider:
     if size == 1.0:
-        return one
-    shape = one.capsule
+        return collider
+    shape = collider.capsule
     x, y, z = shape.offset
-    scaled = replace(
+    scaled_capsule = replace(
         shape,
         radius=shape.radius * size,
         length=shape.length * size,
         offset=(x * size, y * size, z * size),
     )
-    return replace(one, capsule=scaled)
+    return replace(collider, capsule=scaled_capsule)
 
 
 def at_origin(rig: Rig) -> Rig:
@@ -207,14 +206,14 @@ def placement_notice(
 ) -> list[Fault]:
     """Return a notice on a take's stage placement (USD124).
 
-    over: placement of the layer's rig; stays: whether the placement was animated by
-    a parent and is now in the joints.
+    over: placement of the layer's rig; stays: whether a parent animated the placement,
+    which is now in the joints.
     """
     if rig.stands is None and not rig.rides:
         return []
-    first = f"stands {rig.stands.described()}" if rig.stands else ""
+    placement_text = f"stands {rig.stands.described()}" if rig.stands else ""
     rides = "moves with a prim above its SkelRoot" if rig.rides else ""
-    message = f"the take {' and '.join(filter(None, (first, rides)))}, "
+    message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
     message += "which is kept" if kept else "which is dropped"
     if over is not None and not over.is_none:
         message += f"; the rig has its placement {over.described()}"

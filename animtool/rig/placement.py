@@ -15,18 +15,18 @@ from animtool.maths import so3
 if TYPE_CHECKING:
     from animtool.core.units import UpAxis
 
-# A part of a placement nearer to none than this is the rounding of files [m], [1].
-SAME = 1e-7
+# Parts of a placement nearer to the identity than this are rounding of files [m], [1].
+IDENTITY_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A rigid motion and an even scale: ``p -> translation + rotation · size · p``.
+    """A rigid motion and a uniform scale: ``p -> translation + rotation · size · p``.
 
     Attributes:
-        translations: ``(F, 3)`` [m]; F is 1 where nothing moves.
+        translations: Positions ``(F, 3)`` [m]; F is 1 if nothing moves.
         rotations: Unit quaternions ``(F, 4)``.
-        sizes: ``(F,)``, positive.
+        sizes: Scale factors ``(F,)``, positive.
     """
 
     translations: FloatArray
@@ -40,35 +40,39 @@ class Placement:
 
     @property
     def moves(self) -> bool:
-        """Whether it is animated."""
+        """Whether the placement is animated."""
         return len(self.sizes) > 1
 
     @property
     def size(self) -> float:
-        """The scale that lengths of bones are multiplied by, that of the first frame.
+        """Scale of bone lengths, from the first frame.
 
-        Where the scale changes, the roots hold what is left of it.
+        If the scale changes, the roots contain the remaining scale.
         """
         return float(self.sizes[0])
 
     @cached_property
     def is_none(self) -> bool:
-        """Whether it is the identity."""
-        away = np.abs(self.translations).max(initial=0.0)
-        turned = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
-        sized = np.abs(self.sizes - 1.0).max(initial=0.0)
+        """Whether the placement is the identity."""
+        distance = np.abs(self.translations).max(initial=0.0)
+        rotation_error = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
+        scale_error = np.abs(self.sizes - 1.0).max(initial=0.0)
         # For a small angle, w differs from 1 by an eighth of its square.
-        return bool(away <= SAME and turned <= SAME**2 and sized <= SAME)
+        return bool(
+            distance <= IDENTITY_TOLERANCE
+            and rotation_error <= IDENTITY_TOLERANCE**2
+            and scale_error <= IDENTITY_TOLERANCE
+        )
 
     def points(self, points: FloatArray) -> FloatArray:
         """Return transformed points; ``(F, N, 3)`` if animated."""
         sizes, rotations, translations = self._parts()
-        # Skipping identities keeps values bit-exact, signs of zeros included.
-        sized = points if (self.sizes == 1.0).all() else sizes * points
-        turned = so3.rotate(rotations, sized)
+        # Skipping identities keeps values bit-exact, including the signs of zeros.
+        scaled_points = points if (self.sizes == 1.0).all() else sizes * points
+        rotated_points = so3.rotate(rotations, scaled_points)
         if not self.translations.any():
-            return turned
-        return np.asarray(turned + translations)
+            return rotated_points
+        return np.asarray(rotated_points + translations)
 
     def rotated(self, rotations: FloatArray) -> FloatArray:
         """Return transformed rotations; ``(F, N, 4)`` if animated."""
@@ -85,15 +89,15 @@ class Placement:
 
     def inverse(self) -> Placement:
         """Return the inverse placement."""
-        back = so3.conjugate(self.rotations)
-        shifts = so3.rotate(back, self.translations) / self.sizes[:, None]
-        return Placement(-shifts, back, 1.0 / self.sizes)
+        inverse_rotations = so3.conjugate(self.rotations)
+        shifts = so3.rotate(inverse_rotations, self.translations) / self.sizes[:, None]
+        return Placement(-shifts, inverse_rotations, 1.0 / self.sizes)
 
     def after(self, other: Placement) -> Placement:
         """Return the composition: another placement, then this one."""
-        moved = self.sizes[:, None] * other.translations
+        scaled_translations = self.sizes[:, None] * other.translations
         return Placement(
-            so3.rotate(self.rotations, moved) + self.translations,
+            so3.rotate(self.rotations, scaled_translations) + self.translations,
             so3.multiply(self.rotations, other.rotations),
             self.sizes * other.sizes,
         )
@@ -111,9 +115,9 @@ class Placement:
             np.abs(self.sizes / self.sizes[0] - 1.0).max(),
             1.0 - np.abs((self.rotations * self.rotations[:1]).sum(axis=-1)).min(),
         ]
-        limits = [SAME, SAME, SAME**2]
-        same = all(a <= limit for a, limit in zip(spans, limits, strict=True))
-        return self.first() if same else self
+        limits = [IDENTITY_TOLERANCE, IDENTITY_TOLERANCE, IDENTITY_TOLERANCE**2]
+        is_constant = all(a <= limit for a, limit in zip(spans, limits, strict=True))
+        return self.first() if is_constant else self
 
     def described(self) -> str:
         """Describe the first frame in words and numbers."""
@@ -125,21 +129,21 @@ class Placement:
     def split(self, up: UpAxis) -> tuple[Placement, Placement]:
         """Split into heading and position, and a preceding scale and up-axis fix.
 
-        The second holds the scale, and the turn that brings the axis of a skeleton that
-        is nearest to up, such as Y under a stage of Z up, to up itself. The first holds
-        all else: the way and the heading, and a slope.
+        The second holds the scale, and the rotation from the skeleton axis nearest to
+        up, such as Y under a Z-up stage, to up itself. The first holds the rest:
+        position, heading, and slope.
         """
         axis = np.array(up.vector)
         local_up = so3.rotate(so3.conjugate(self.rotations[0]), axis)
-        k = int(np.abs(local_up).argmax())
+        axis_index = int(np.abs(local_up).argmax())
         nearest = np.zeros(3)
-        nearest[k] = np.copysign(1.0, local_up[k])
+        nearest[axis_index] = np.copysign(1.0, local_up[axis_index])
         righting = _shortest(nearest, axis)
         frames = np.repeat(righting[None], len(self.sizes), axis=0)
-        sized = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
-        back = so3.multiply(self.rotations, so3.conjugate(righting))
-        stands = Placement(self.translations, back, np.ones(len(frames)))
-        return stands, sized
+        scale_and_righting = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
+        remaining_rotations = so3.multiply(self.rotations, so3.conjugate(righting))
+        stands = Placement(self.translations, remaining_rotations, np.ones(len(frames)))
+        return stands, scale_and_righting
 
 
 def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -152,7 +156,7 @@ def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
 def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:
     """Return the placement of the first frame for column vectors ``(4, 4)``.
 
-    unit: of the lengths of those vectors [m].
+    unit: unit of the vectors [m].
     """
     matrix = np.eye(4)
     matrix[:3, :3] = so3.to_matrix(placement.rotations[0])

@@ -85,11 +85,13 @@ class ShapeLinks:
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""
-        linked = np.zeros((len(weights), count))
+        target_weights = np.zeros((len(weights), count))
         for link in self.links:
-            moved = link.gain * weights[:, link.source] + link.offset
-            linked[:, link.target] += np.clip(moved, link.low, link.high)
-        return linked
+            mapped_weights = link.gain * weights[:, link.source] + link.offset
+            target_weights[:, link.target] += np.clip(
+                mapped_weights, link.low, link.high
+            )
+        return target_weights
 
 
 def load_remap(path: Path | str) -> RemapFile:
@@ -105,14 +107,14 @@ def remap_of_document(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     check_version(document, "remap")
     model = validated(document, RemapModel)
-    taken: dict[tuple[str, str], int] = {}
+    entry_of_pair: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
-        pair = (entry.source, entry.target)
-        if pair in taken:
+        shape_pair = (entry.source, entry.target)
+        if shape_pair in entry_of_pair:
             message = f"{entry.source!r} is paired with {entry.target!r} twice"
-            hint = f"remove it here or from shapes[{taken[pair]}]"
+            hint = f"remove it here or from shapes[{entry_of_pair[shape_pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
-        taken.setdefault(pair, i)
+        entry_of_pair.setdefault(shape_pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
             message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
@@ -125,31 +127,32 @@ def link_shapes(
 ) -> ShapeLinks:
     """Link source and target shapes by name or remap file.
 
-    Names are equal, or ARKit's in any spelling, such as ``blendShape1.eyeBlink_L``.
+    Names are equal, or spellings of the same ARKit name, such as
+    ``blendShape1.eyeBlink_L``.
 
     Raises:
         FormatError: A named shape is missing (FAC001).
     """
-    ours, theirs = _index(source), _index(target)
+    source_index, target_index = _index(source), _index(target)
     links: list[ShapeLink] = []
     model = None if remap is None else remap.model
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
             indices = {}
-            for side, index in (("source", ours), ("target", theirs)):
+            for side, index in (("source", source_index), ("target", target_index)):
                 name = getattr(entry, side)
-                at = index.get(name, index.get(arkit_name(name) or name))
-                if at is None:
+                shape_index = index.get(name, index.get(arkit_name(name) or name))
+                if shape_index is None:
                     message = f"the {side} has no shape {name!r}"
                     names = source if side == "source" else target
                     document.add(
                         "FAC001", ("shapes", i, side), message, nearest(name, names)
                     )
                 else:
-                    indices[side] = at
+                    indices[side] = shape_index
             if len(indices) == 2:
-                low, high = entry.clamp or (-np.inf, np.inf)
+                clamp_low, clamp_high = entry.clamp or (-np.inf, np.inf)
                 links.append(
                     ShapeLink(
                         *(
@@ -158,25 +161,31 @@ def link_shapes(
                             entry.gain,
                             entry.offset,
                         ),
-                        low=low,
-                        high=high,
+                        low=clamp_low,
+                        high=clamp_high,
                     )
                 )
         document.check()
     if model is None or model.others == "auto":
-        taken = {link.source for link in links}
-        full = {link.target for link in links}
+        linked_sources = {link.source for link in links}
+        linked_targets = {link.target for link in links}
         for i, name in enumerate(source):
-            at = theirs.get(name, theirs.get(arkit_name(name) or name))
-            if at is not None and i not in taken and at not in full:
-                links.append(ShapeLink(i, at))
-                full.add(at)
+            shape_index = target_index.get(
+                name, target_index.get(arkit_name(name) or name)
+            )
+            if (
+                shape_index is not None
+                and i not in linked_sources
+                and shape_index not in linked_targets
+            ):
+                links.append(ShapeLink(i, shape_index))
+                linked_targets.add(shape_index)
     moving = {link.source for link in links}
-    moved = {link.target for link in links}
+    linked_now = {link.target for link in links}
     return ShapeLinks(
         tuple(links),
         tuple(name for i, name in enumerate(source) if i not in moving),
-        tuple(name for i, name in enumerate(target) if i not in moved),
+        tuple(name for i, name in enumerate(target) if i not in linked_now),
     )
 
 
@@ -184,7 +193,7 @@ def _index(names: Sequence[str]) -> Mapping[str, int]:
     """Index shapes by all their names, exact ones first."""
     index = {name: i for i, name in enumerate(names)}
     for i, name in enumerate(names):
-        known = arkit_name(name)
-        if known is not None:
-            index.setdefault(known, i)
+        standard_name = arkit_name(name)
+        if standard_name is not None:
+            index.setdefault(standard_name, i)
     return index

@@ -1,6 +1,6 @@
 """The keys of a rig file, as models; ``animtool schema rig`` prints them.
 
-The tables of ``docs/reference`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are generated from their descriptions and examples.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from animtool.documents.fields import (
     Vector,
 )
 from animtool.rig.joint_schema import (
-    JOINED,
+    INTERPOLATION_HELP,
     DrivenModel,
     JointModel,
     MeshModel,
@@ -139,7 +139,7 @@ class DriveModel(FileModel):
         default=None,
     )
     interp: Literal["linear", "smooth"] = key(
-        JOINED,
+        INTERPOLATION_HELP,
         "smooth",
         default="linear",
     )

@@ -31,13 +31,13 @@ ARKIT_SHAPES: tuple[str, ...] = tuple(
 )
 
 
-def _spelled(name: str) -> str:
+def _normalised(name: str) -> str:
     """Normalize a name: no case, underscores or namespace."""
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
-_NAMES = {_spelled(name): name for name in ARKIT_SHAPES} | {
-    _spelled(stem + side[0]): stem + side
+_NAMES = {_normalised(name): name for name in ARKIT_SHAPES} | {
+    _normalised(stem + side[0]): stem + side
     for stem in _SIDED.split()
     for side in ("Left", "Right")
 }
@@ -49,14 +49,15 @@ def arkit_name(name: str) -> str | None:
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
     """
-    return _NAMES.get(_spelled(name))
+    return _NAMES.get(_normalised(name))
 
 
 class ShapeCycleError(ValueError):
     """Shapes combine each other in a cycle.
 
     Attributes:
-        cycle: Their names, each combining the next, the first one again at the end.
+        cycle: Names of the shapes, each combining the next; the first one again at the
+            end.
     """
 
     def __init__(self, cycle: list[str]) -> None:
@@ -72,14 +73,14 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     ['smile', 'both']
     """
     by_name = {shape.name: shape for shape in shapes}
-    needs = {
+    dependencies = {
         shape.name: [name for name in shape.combine if name in by_name]
         for shape in shapes
     }
     try:
-        order = list(TopologicalSorter(needs).static_order())
+        order = list(TopologicalSorter(dependencies).static_order())
     except CycleError as error:
-        # The sorter names each before those that need it, the other way round.
+        # The sorter names each shape before those that need it; reverse that.
         raise ShapeCycleError(list(reversed(error.args[1]))) from error
     return [by_name[name] for name in order]
 
@@ -87,7 +88,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
 def combined_weights(
     shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Add combination products to shape weights [1], ``(F,)`` or ``(1,)``.
+    """Add products of combination shapes to weights [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
@@ -122,7 +123,7 @@ def uncombined_weights(
 
 
 def _product(shape: Shape, weights: Mapping[str, FloatArray]) -> FloatArray:
-    product, *others = (weights[name] for name in shape.combine)
-    for other in others:
-        product = product * other
+    product, *driver_weights = (weights[name] for name in shape.combine)
+    for driver_weight in driver_weights:
+        product = product * driver_weight
     return product

@@ -15,7 +15,7 @@ from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Joint, Pose
 
-# Words of the left side, and those of the right that go with them.
+# Words for the left side, and the corresponding words for the right side.
 SIDE_WORDS = {
     "left": "right",
     "lft": "rgt",
@@ -28,7 +28,7 @@ _LEFT, _RIGHT = (
     rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"
     for word in ("left", "right")
 )
-# A letter set off by other characters, or by the case of its neighbors.
+# A letter separated by other characters, or by the case of its neighbours.
 _LETTER = (
     r"(?<![A-Za-z0-9])[{0}{1}](?![A-Za-z0-9])"
     r"|(?<![A-Za-z])[{0}{1}](?=[A-Z][a-z])|(?<![A-Za-z0-9]){0}(?=[A-Z])"
@@ -36,8 +36,8 @@ _LETTER = (
 )
 _LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
 _LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
-# Patterns of left names, most reliable first. The last ones also match
-# unrelated letters, but a partner of the other name must exist anyway.
+# Patterns of left names, most reliable first. The last ones also match unrelated
+# letters, but a partner with the other name must exist anyway.
 _SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
@@ -55,9 +55,9 @@ _SIDE_PATTERNS = tuple(
 class SidePairs:
     """Partners of joints or other named parts."""
 
-    # Index of each partner ``(J,)``; of itself without one.
+    # Index of each partner ``(J,)``; of the joint itself without one.
     partners: IntArray
-    left: tuple[int, ...]  # of the pairs that the names gave, indices of the left ones
+    left: tuple[int, ...]  # indices of the left ones among the pairs found by name
     # Left or right names without a partner.
     strays: tuple[int, ...]
 
@@ -69,9 +69,9 @@ def pair_sides(
 ) -> SidePairs:
     """Pair left and right names of J joints.
 
-    A pair holds where both names exist, neither has another partner, and their parents
-    are the same or partners (None: there is no hierarchy). Stated pairs hold whatever
-    names say.
+    Two names are a pair if both exist, neither has another partner, and their parents
+    are the same or partners (None: no hierarchy). Stated pairs take precedence over
+    names.
 
     >>> pair_sides(["hips", "lfemur", "rfemur", "arm.L", "arm.R"]).partners.tolist()
     [0, 2, 1, 4, 3]
@@ -79,22 +79,26 @@ def pair_sides(
     (1,)
     """
     index = {name: i for i, name in enumerate(names)}
-    above = [-1] * len(names) if parents is None else [int(p) for p in parents]
+    parents_of = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
-    free = set(range(len(names)))
+    unpaired = set(range(len(names)))
     for a, b in ((index[a], index[b]) for a, b in stated):
-        if a in free and b in free:
+        if a in unpaired and b in unpaired:
             partners[a], partners[b] = b, a
-            free -= {a, b}
+            unpaired -= {a, b}
     partner_of: list[int] = []
-    for _, _, left, right in sorted(_candidates(names, index, _depths(above))):
-        parent = above[left]
-        hung = int(partners[parent]) if parent >= 0 else -1
-        if left in free and right in free and hung == above[right]:
+    for _, _, left, right in sorted(_candidates(names, index, _depths(parents_of))):
+        parent = parents_of[left]
+        partner_of_parent = int(partners[parent]) if parent >= 0 else -1
+        if (
+            left in unpaired
+            and right in unpaired
+            and partner_of_parent == parents_of[right]
+        ):
             partners[left], partners[right] = right, left
-            free -= {left, right}
+            unpaired -= {left, right}
             partner_of.append(left)
-    strays = [i for i in sorted(free) if _looks(names[i])]
+    strays = [i for i in sorted(unpaired) if _looks(names[i])]
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
@@ -105,21 +109,21 @@ def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, st
     >>> unpaired_sides(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
-    left = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
-    right = [names[i] for i in pairs.strays if names[i] not in left]
-    meant = []
-    for name in left:
+    left_names = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
+    right = [names[i] for i in pairs.strays if names[i] not in left_names]
+    likely_pairs = []
+    for name in left_names:
         key = _without_side(name)
-        same = [other for other in right if _without_side(other) == key]
-        if len(same) == 1:
-            meant.append((name, same[0]))
-            right.remove(same[0])
-    return meant
+        candidates = [other for other in right if _without_side(other) == key]
+        if len(candidates) == 1:
+            likely_pairs.append((name, candidates[0]))
+            right.remove(candidates[0])
+    return likely_pairs
 
 
 def _without_side(name: str) -> str:
-    bare = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
-    return re.sub(r"[^a-z0-9]", "", bare.casefold())
+    without_words = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
+    return re.sub(r"[^a-z0-9]", "", without_words.casefold())
 
 
 def _looks(name: str) -> bool:
@@ -137,29 +141,35 @@ def _candidates(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Yield depth, rank, left and right of each possible pair."""
-    folded: dict[str, list[int]] = {}
+    names_by_fold: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        folded.setdefault(name.casefold(), []).append(i)
+        names_by_fold.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
-        for rank, other in _others(name):
-            if other in index:
-                yield depths[left], rank, left, index[other]
-            elif len(same := folded.get(other.casefold(), [])) == 1 and rank < 3:
-                yield depths[left], rank + len(_SIDE_PATTERNS), left, same[0]
+        for rank, right_name in _others(name):
+            if right_name in index:
+                yield depths[left], rank, left, index[right_name]
+            elif (
+                len(matches := names_by_fold.get(right_name.casefold(), [])) == 1
+                and rank < 3
+            ):
+                yield depths[left], rank + len(_SIDE_PATTERNS), left, matches[0]
 
 
 def _others(name: str) -> Iterator[tuple[int, str]]:
     """Yield rank and name of possible right partners of a left name."""
     for rank, pattern in enumerate(_SIDE_PATTERNS):
-        marks = list(pattern.finditer(name))
-        if len(marks) > 1:
+        side_marks = list(pattern.finditer(name))
+        if len(side_marks) > 1:
             yield rank, pattern.sub(_right, name)
-        for mark in marks:
-            yield rank, name[: mark.start()] + _right(mark) + name[mark.end() :]
+        for side_mark in side_marks:
+            yield (
+                rank,
+                name[: side_mark.start()] + _right(side_mark) + name[side_mark.end() :],
+            )
 
 
-def _right(mark: re.Match[str]) -> str:
-    word = mark[0]
+def _right(side_mark: re.Match[str]) -> str:
+    word = side_mark[0]
     right = SIDE_WORDS[word.lower()]
     if word.isupper():
         return right.upper()
@@ -171,15 +181,15 @@ Transform = tuple[FloatArray, FloatArray]
 ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)
 
 # The plane x = 0: left and right are along X, whichever axis is up.
-_ACROSS = np.array([-1.0, 1.0, 1.0])
+_MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
 
-# Differences below are rounding [m], [rad]: the file's own numbers are kept.
+# Smaller differences are rounding [m], [rad]; the file's own numbers are kept.
 SAME_POSITION = 1e-12
 
 
 def reflect_vector(vector: FloatArray) -> FloatArray:
     """Return vectors ``(..., 3)`` reflected in the plane x = 0."""
-    return np.asarray(vector * _ACROSS)
+    return np.asarray(vector * _MIRROR_SIGNS)
 
 
 def reflect_rotation(rotation: FloatArray) -> FloatArray:
@@ -201,18 +211,24 @@ def placed(parent_world: Transform, pose: Pose) -> Transform:
 
 
 def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
-    """Return the local pose of the other side's joint, a reflection in the world."""
+    """Return the local pose of the partner joint, a reflection in world space."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
     facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
     position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
-    back = so3.conjugate(parent_world[1])
-    offset, facing = position - parent_world[0], so3.multiply(back, rotation)
+    inverse_parent = so3.conjugate(parent_world[1])
+    offset, mirrored_rotation = (
+        position - parent_world[0],
+        so3.multiply(inverse_parent, rotation),
+    )
     if (
-        np.abs(so3.rotate(back, offset) - local).max() > SAME_POSITION
-        or so3.angle_between(facing, facing_local) > SAME_POSITION
+        np.abs(so3.rotate(inverse_parent, offset) - local).max() > SAME_POSITION
+        or so3.angle_between(mirrored_rotation, facing_local) > SAME_POSITION
     ):
         # The parents are not mirror images of each other.
-        local, facing_local = so3.rotate(back, offset) + 0.0, facing + 0.0
+        local, facing_local = (
+            so3.rotate(inverse_parent, offset) + 0.0,
+            mirrored_rotation + 0.0,
+        )
     a, b, c, d = facing_local.tolist()
     return Pose(_vector(local), (a, b, c, d))
 
@@ -220,7 +236,7 @@ def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose
 def mirrored_joint(
     joint: Joint, world: Transform, parent: int, parent_world: Transform
 ) -> Joint:
-    """Return the joint named ``joint.mirror``, a joint's reflection at rest.
+    """Return the joint named ``joint.mirror``: the reflection of a joint at rest.
 
     A pin's axis is reflected so that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.

@@ -35,7 +35,8 @@ from animtool.rig.placement import Placement
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
 
-# Limit of all joint paths [character]: chains grow quadratically.
+# Limit of all joint paths together [character], since paths in chains grow
+# quadratically.
 MAX_PATHS = 500_000_000
 
 # BVH channel names.
@@ -57,7 +58,7 @@ class JointType(StrEnum):
     FIXED = "fixed"
 
 
-# Coordinates of a joint of each type; kernels number the types in this order.
+# Number of coordinates of each joint type; kernels number the types in this order.
 WIDTHS = {
     JointType.FIXED: 0,
     JointType.PIN: 1,
@@ -70,8 +71,8 @@ WIDTHS = {
 class JointArrays(NamedTuple):
     """Joint types and axes as arrays for kernels."""
 
-    types: IntArray  # numbers of the types ``(J,)``
-    columns: IntArray  # of each joint's first coordinate ``(J,)``
+    types: IntArray  # type numbers of the kernels ``(J,)``
+    columns: IntArray  # column of each joint's first coordinate ``(J,)``
     axes: FloatArray  # ``(J, 3)``
 
 
@@ -88,8 +89,8 @@ class Mimic:
 class Pose:
     """A local transform, parent space: translation [m], rotation (x, y, z, w).
 
-    In a bind pose, ``stretch`` is a preceding scale and shear in the frame of
-    the joint, not inherited, 9 numbers row by row; None for none.
+    In a bind pose, ``stretch`` is a preceding scale and shear in the frame of the
+    joint, not inherited, 9 numbers row by row; None if there is none.
     """
 
     translation: Vector
@@ -102,24 +103,24 @@ class Joint:
     """One joint. ``world = world(parent) · T(translation) · R(rotation) · motion(q)``.
 
     Attributes:
-        name: Unique in its rig.
+        name: Unique name in its rig.
         parent: Index of the parent, -1 for a root; less than the joint's own.
         type: Joint type.
         translation: Rest offset in the parent's frame [m].
         rotation: Rest rotation (x, y, z, w) in the parent's frame.
         axis: Unit axis of a pin or prismatic joint, in the joint's rest frame.
         source_name: The name in its file; empty if equal to ``name``.
-        channels: Order of a BVH joint's channels (``Xposition`` …); None where the
-            source has none.
+        channels: Order of a BVH joint's channels (``Xposition`` …); None if the source
+            has none.
         tips: Ends of the joint's bone that carry no joint (BVH End Sites), in the
             joint's frame [m].
-        limits: Limits; None for none.
-        mimic: The joint that its coordinate copies.
-        mirror: Name of its counterpart on the other side; empty for none.
+        limits: Joint limits; None for no limits.
+        mimic: The joint whose coordinate it copies.
+        mirror: Name of its counterpart on the other side; empty if there is none.
         driven: Driver of a pin's or prismatic joint's coordinate, instead of
             keys.
-        humanoid: VRM humanoid bone that its file assigns; empty
-            for none; not compared.
+        humanoid: VRM humanoid bone assigned by its file; empty if there is none; not
+            compared.
     """
 
     name: str
@@ -144,25 +145,26 @@ class Rig:
 
     Attributes:
         name: Name of the character.
-        joints: Parents before children, several roots allowed.
-        meters_per_unit: Length unit of the source [m]; joints are in metres.
+        joints: Joints, parents before children; several roots are allowed.
+        meters_per_unit: Length unit of the source [m]; joints are always in metres.
         up: The up axis of the source.
-        bind: Local transforms of the joints whose bind pose is not their rest.
+        bind: Local bind transforms of the joints whose bind pose differs from the rest
+            pose.
         meshes: Surfaces.
         shapes: Blend shapes.
-        controls: A named animator value.
+        controls: Named animator values.
         chains: IK chains.
         attach: Attachments that simulations move.
         colliders: Colliders of simulations.
         masses: Stated masses; at most one per joint.
-        radians_per_unit: Angle unit of the source [rad]; inside they are radians.
-        notices: What is odd about the file that it was read from; not compared.
-        has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
-            without its Skeleton; not compared.
-        stands: Position and heading on its stage, included in the rest of its roots; a
-            scale is part of its lengths. None without a placement; not
-            compared.
-        rides: Whether prims above the SkelRoot move it; not compared.
+        radians_per_unit: Angle unit of the source [rad]; joints are always in radians.
+        notices: Warnings about the file that it was read from; not compared.
+        has_rest: Whether the file states a rest pose; only a SkelAnimation without its
+            Skeleton does not; not compared.
+        stands: Placement on its stage: position and heading, included in the rest pose
+            of its roots; a scale is included in its lengths. None without a placement;
+            not compared.
+        rides: Whether prims above the SkelRoot are animated; not compared.
 
     Raises:
         OptionError: Duplicate name (RIG001), or a parent does not precede its
@@ -207,7 +209,7 @@ class Rig:
     def load(cls, path: Path | str) -> Rig:
         """Load a rig file, a USD Skeleton, or a BVH's skeleton.
 
-        A rig file that says ``from`` takes its joints from the file named there.
+        A rig file with ``from`` takes its joints from the file named there.
 
         Raises:
             FormatError: The file cannot be read or is malformed; has every fault.
@@ -217,7 +219,7 @@ class Rig:
         return cast(Rig, find_reader(path).rig_opener(path)(path))
 
     def __repr__(self) -> str:
-        """Return the name, and how much there is of what.
+        """Return the name and the numbers of parts.
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0)))
         <Rig 'arm': 2 joints, in m, Y up>
@@ -241,8 +243,8 @@ class Rig:
         1
         """
         if name not in self._index:
-            near = similar(name, self._index)
-            hint = f"did you mean {near}?" if near else None
+            suggestions = similar(name, self._index)
+            hint = f"did you mean {suggestions}?" if suggestions else None
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
@@ -253,7 +255,7 @@ class Rig:
         Args:
             goals: Names of joints, or `animtool.ik.Goal` for more than position and
                 rotation.
-            options: As of `animtool.ik.Session`.
+            options: Arguments of `animtool.ik.Session`.
 
         Raises:
             OptionError: As of `animtool.ik.Session`.
@@ -267,11 +269,11 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).upwards(1)
         [1, 0]
         """
-        above = []
+        ancestors = []
         while joint >= 0:
-            above.append(joint)
+            ancestors.append(joint)
             joint = self.joints[joint].parent
-        return above
+        return ancestors
 
     @cached_property
     def is_driven(self) -> bool:
@@ -334,7 +336,7 @@ class Rig:
         return [i for i, joint in enumerate(self.joints) if joint.parent < 0]
 
     def paths(self, names: Sequence[str] | None = None) -> list[str]:
-        """Return ``root/…/joint`` for every joint, with other names if given.
+        """Return ``root/…/joint`` for every joint, optionally with other names.
 
         Raises:
             FormatError: They are longer than `MAX_PATHS` letters in all (USD020).
@@ -344,11 +346,11 @@ class Rig:
         """
         names = self.names if names is None else names
         paths: list[str] = []
-        total = 0
+        total_length = 0
         for joint, name in zip(self.joints, names, strict=True):
             paths.append(name if joint.parent < 0 else f"{paths[joint.parent]}/{name}")
-            total += len(paths[-1])
-            if total > MAX_PATHS:
+            total_length += len(paths[-1])
+            if total_length > MAX_PATHS:
                 message = (
                     f"the paths of the {len(self.joints)} joints of {self.name!r} "
                 )

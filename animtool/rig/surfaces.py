@@ -32,19 +32,21 @@ class SurfaceInbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
     at: float  # the weight
-    deltas: FloatArray  # of the shape's vertices ``(N, 3)`` [m]
-    normals: FloatArray | None = None  # likewise; None leaves them
+    deltas: FloatArray  # vertex offsets of the shape ``(N, 3)`` [m]
+    normals: FloatArray | None = (
+        None  # likewise for normals; None leaves them unchanged
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShape:
     """A blend shape of a surface."""
 
-    name: str  # as the rig names it
+    name: str  # name in the rig
     deltas: FloatArray  # added at weight 1 ``(N, 3)`` [m]
-    # Which vertices they are for ``(N,)``; None is all of them.
+    # Indices of the affected vertices ``(N,)``; None for all of them.
     vertices: IntArray | None = None
-    # Added to the normals ``(N, 3)``; None leaves them.
+    # Added to the normals ``(N, 3)``; None leaves them unchanged.
     normals: FloatArray | None = None
     inbetweens: tuple[SurfaceInbetween, ...] = ()  # ascending by weight
 
@@ -54,7 +56,7 @@ class SurfaceSkin:
     """Skin binding of a surface."""
 
     method: str  # ``linear`` or ``dual_quaternion``
-    joints: tuple[str, ...]  # names of the joints that the indices count
+    joints: tuple[str, ...]  # joint names that ``indices`` refer to
     indices: IntArray  # ``(V, I)`` into ``joints``
     weights: FloatArray  # ``(V, I)`` [1]
 
@@ -63,17 +65,17 @@ class SurfaceSkin:
 class Surface:
     """A mesh in memory."""
 
-    name: str  # as the rig names it
+    name: str  # name in the rig
     points: FloatArray  # ``(V, 3)`` [m]
     counts: IntArray  # vertices of each face ``(N,)``
-    indices: IntArray  # vertices of all faces, one face behind the other
-    normals: FloatArray | None  # ``(V, 3)``; None where there are none
-    # World transform of the points at bind time ``(4, 4)``, for column vectors, its
-    # translation in [m].
+    indices: IntArray  # vertex indices of all faces, concatenated
+    normals: FloatArray | None  # ``(V, 3)``; None if there are none
+    # World transform of the points at bind time ``(4, 4)``, for column vectors, with
+    # its translation in [m].
     geom_bind: FloatArray
-    skin: SurfaceSkin | None  # none where it follows no joint
+    skin: SurfaceSkin | None  # None if it follows no joint
     shapes: tuple[SurfaceShape, ...]  # its blend shapes
-    subdivision: Subdivision  # by which rule it is refined
+    subdivision: Subdivision  # subdivision scheme
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
@@ -88,7 +90,7 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
 def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
     unit = rig.meters_per_unit
     faces = mesh.faces.load(archives).astype(np.int64)
-    within = faces >= 0
+    is_corner = faces >= 0
     bind = np.eye(4)
     if mesh.geom_bind is not None:
         bind = np.array(mesh.geom_bind).reshape(4, 4)
@@ -97,8 +99,8 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
     return Surface(
         mesh.name,
         points,
-        within.sum(axis=1),
-        faces[within],
+        is_corner.sum(axis=1),
+        faces[is_corner],
         None if mesh.normals is None else mesh.normals.load(archives),
         bind,
         None if mesh.skin is None else _skin(mesh.skin, archives),
@@ -114,8 +116,8 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
 def _subdivision(mesh: Mesh) -> Subdivision:
     if mesh.subdivision is not None:
         return mesh.subdivision
-    smooth = mesh.normals is None
-    return Subdivision.CATMULL_CLARK if smooth else Subdivision.NONE
+    has_no_normals = mesh.normals is None
+    return Subdivision.CATMULL_CLARK if has_no_normals else Subdivision.NONE
 
 
 def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
@@ -125,8 +127,8 @@ def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
 
 def _deforms(shape: Shape) -> bool:
     """Return whether a shape or its inbetweens change points or normals."""
-    parts = (shape.deltas, shape.normals, *shape.inbetweens)
-    return any(part is not None for part in parts)
+    arrays = (shape.deltas, shape.normals, *shape.inbetweens)
+    return any(array is not None for array in arrays)
 
 
 def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
@@ -141,11 +143,11 @@ def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> Surfac
         None if shape.normals is None else shape.normals.load(archives),
         tuple(
             SurfaceInbetween(
-                step.at,
-                step.deltas.load(archives) * unit,
-                None if step.normals is None else step.normals.load(archives),
+                inbetween.at,
+                inbetween.deltas.load(archives) * unit,
+                None if inbetween.normals is None else inbetween.normals.load(archives),
             )
-            for step in shape.inbetweens
+            for inbetween in shape.inbetweens
         ),
     )
 
@@ -155,8 +157,8 @@ class Strands:
     """Strands in memory."""
 
     name: str
-    joint: str  # name of the joint that carries them as a whole
-    # ``(S, K, 3)`` [m], in the world at bind time, each from root to tip.
+    joint: str  # name of the joint that carries all strands
+    # World positions at bind time, each strand from root to tip ``(S, K, 3)`` [m].
     points: FloatArray
 
 
@@ -177,12 +179,15 @@ def strands_of(rig: Rig) -> tuple[Strands, ...]:
 StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 
-def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, StoredArrays]:
+def with_file(
+    rig: Rig, path: Path, *, copy_all: bool = False
+) -> tuple[Rig, StoredArrays]:
     """Return the rig with references to an npz file for its arrays, and the arrays.
 
-    With ``moved``, referenced arrays are stored too: the rig file changes folder.
+    With ``copy_all``, referenced arrays are stored too, for a rig file in another
+    folder.
     """
-    store = _Store(path, moved)
+    store = _Store(path, copy_all)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
     shapes = tuple(store.shape(shape) for shape in rig.shapes)
     attach = tuple(store.attachment(entry) for entry in rig.attach)
@@ -192,7 +197,7 @@ def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, Stored
 @dataclass(slots=True)
 class _Store:
     path: Path
-    moved: bool
+    copy_all: bool
     arrays: StoredArrays = field(default_factory=dict)
 
     @overload
@@ -207,16 +212,16 @@ class _Store:
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
         """Return a reference to an array; store it if no file has it."""
-        if source is None or (isinstance(source, ArrayRef) and not self.moved):
+        if source is None or (isinstance(source, ArrayRef) and not self.copy_all):
             return source
         try:
             values = source.load()
         except ValueError as error:
             raise FormatError(Fault("RIG018", str(error))) from error
-        key = plain = re.sub(r"\W", "_", name)
+        key = identifier = re.sub(r"\W", "_", name)
         number = 2
         while key in self.arrays:
-            key, number = f"{plain}_{number}", number + 1
+            key, number = f"{identifier}_{number}", number + 1
         self.arrays[key] = _smallest(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
@@ -269,8 +274,8 @@ class _Store:
 
 
 def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
-    """Return the values in 32 bits if that is exact."""
+    """Return the values in 32 bits if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
-        small = values.astype(kind)
-    return small if (small == values).all() else values
+        narrowed = values.astype(kind)
+    return narrowed if (narrowed == values).all() else values

@@ -1,30 +1,39 @@
-"""Warnings about rig files whose numbers look like another unit or order."""
+"""Warnings about rig files whose numbers suggest another unit or order."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
+from animtool.rig.controls import Control, Drive
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
+from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import HINGE_NAMES
 
-# Half a turn in radians, rounded up: the largest limit of most joints [rad].
+# Half a revolution in radians, rounded up: the largest limit of most joints [rad].
 HALF_CIRCLE = 3.2
 # Limits this small are tight in any unit, such as those of a spine [file's angle].
-SMALL = 0.3
-# Joints whose limits are all within half a turn of radians: one or two may be stiff.
+TIGHT_LIMIT = 0.3
+# Minimum number of joints whose limits are all within half a revolution in radians: one
+# or two may be stiff.
 MIN_JOINTS = 3
-# Joints that bend by far more than this on every creature [deg].
-HINGES = re.compile("knee|elbow", re.IGNORECASE)
+# Knees and elbows bend by far more than this on every creature [deg].
 MIN_HINGE = 2 * HALF_CIRCLE
-# Multiples of 15 degrees in radians, at three decimals at least.
-STEP, ROUNDING = math.radians(15), 6e-4
-# Limits in radians reach beyond a whole turn where something winds up [rad].
+# Multiples of 15 degrees in radians, with at least three decimals.
+ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
+# Limits in radians exceed a full revolution only for joints that wind up [rad].
 FULL_CIRCLE, MAX_DEGREES = 6.4, 360.0
 HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
+# Rounding to two decimals changes the length of a quaternion by 0.01 at most [1].
+MAX_LENGTH_ERROR = 0.02
+# Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
+QUARTER_ROUNDING = 2e-3
 
 
 class _Limit(NamedTuple):
@@ -46,23 +55,24 @@ def warn_of_angles(
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
     limits = [limit for limit in _limits(joints) if limit.largest > 0]
-    meant = "rad" if angle == "deg" else "deg"
+    intended_unit = "rad" if angle == "deg" else "deg"
     suspects = _in_radians(limits) if angle == "deg" else _in_degrees(limits)
     if not suspects:
         return
-    worst = max(suspects, key=lambda limit: limit.largest)
+    largest_limit = max(suspects, key=lambda limit: limit.largest)
     factor = math.degrees(1.0) if angle == "deg" else math.radians(1.0)
     names = {limit.joint for limit in suspects}
     unit = {"deg": "degrees", "rad": "radians"}
     message = (
-        f"the limits of {counted(len(names), 'joint')} look like {unit[meant]}, but "
-        f"units.angle is {angle}: {worst.joint!r} has {worst.text()}"
+        f"the limits of {counted(len(names), 'joint')} look like "
+        f"{unit[intended_unit]}, but "
+        f"units.angle is {angle}: {largest_limit.joint!r} has {largest_limit.text()}"
     )
     hint = (
-        f"write 'angle: {meant}' under units, or this limit in {unit[angle]}: "
-        f"{worst.text(factor)}"
+        f"write 'angle: {intended_unit}' under units, or this limit in {unit[angle]}: "
+        f"{largest_limit.text(factor)}"
     )
-    document.warn("RIG107", worst.location, message, hint)
+    document.warn("RIG107", largest_limit.location, message, hint)
 
 
 def is_multiple(value: float) -> bool:
@@ -71,12 +81,12 @@ def is_multiple(value: float) -> bool:
     >>> is_multiple(1.5708), is_multiple(0.7854), is_multiple(1.5)
     (True, True, False)
     """
-    near = round(value / STEP)
-    return near != 0 and abs(value - near * STEP) < ROUNDING
+    nearest_step = round(value / ANGLE_STEP)
+    return nearest_step != 0 and abs(value - nearest_step * ANGLE_STEP) < STEP_TOLERANCE
 
 
 def warn_of_order(document: Document, joints: Sequence[JointModel]) -> None:
-    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (RIG108)."""
+    """Warn of [0, 0, 0, 1], which is the identity only if w is last (RIG108)."""
     rotations = [joint.rotate for joint in joints if "rotate" in joint.model_fields_set]
     if any(abs(w) > abs(z) for w, _, _, z in rotations):
         return
@@ -97,16 +107,16 @@ def warn_of_quaternion(document: Document, code: str, location: Location) -> Non
 
 def _limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
     for i, joint in enumerate(joints):
-        at: Location = ("joints", i, "limits")
+        location: Location = ("joints", i, "limits")
         if isinstance(joint, PinJointModel) and joint.limits is not None:
-            yield _Limit(at, joint.name, joint.limits)
+            yield _Limit(location, joint.name, joint.limits)
         if isinstance(joint, BallJointModel) and joint.limits is not None:
             swing, twist = joint.limits.swing, joint.limits.twist
             if swing is not None:
-                both = swing if isinstance(swing, list) else [swing]
-                yield _Limit((*at, "swing"), joint.name, both)
+                swings = swing if isinstance(swing, list) else [swing]
+                yield _Limit((*location, "swing"), joint.name, swings)
             if isinstance(twist, list):
-                yield _Limit((*at, "twist"), joint.name, twist)
+                yield _Limit((*location, "twist"), joint.name, twist)
 
 
 def _in_radians(limits: list[_Limit]) -> list[_Limit]:
@@ -115,7 +125,7 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
             limit
             for limit in limits
             if (
-                HINGES.search(limit.joint)
+                HINGE_NAMES.search(limit.joint)
                 and len(limit.values) == 2
                 and 0 < limit.values[1] - limit.values[0] < MIN_HINGE
                 and limit.largest <= HALF_CIRCLE
@@ -123,10 +133,10 @@ def _in_radians(limits: list[_Limit]) -> list[_Limit]:
         ]
     joints = {limit.joint for limit in limits}
     largest = max((limit.largest for limit in limits), default=0.0)
-    exact = any(is_multiple(value) for limit in limits for value in limit.values)
-    hinge = any(HINGES.search(limit.joint) for limit in limits)
-    plausible = len(joints) < MIN_JOINTS and not exact and not hinge
-    return [] if plausible or largest < SMALL else limits
+    has_multiple = any(is_multiple(value) for limit in limits for value in limit.values)
+    hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
+    plausible = len(joints) < MIN_JOINTS and not has_multiple and not hinge
+    return [] if plausible or largest < TIGHT_LIMIT else limits
 
 
 def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
@@ -136,3 +146,64 @@ def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
         if FULL_CIRCLE < limit.largest <= MAX_DEGREES
         and all(value.is_integer() for value in limit.values)
     ]
+
+
+def warn_of_length(
+    document: Document, location: Location, wxyz: Sequence[float]
+) -> None:
+    """Warn once of a quaternion whose length is not 1 (RIG110)."""
+    length = math.hypot(*wxyz)
+    known = any(notice.code == "RIG110" for notice in document.notices)
+    if known or not 0 < length < math.inf or abs(length - 1) <= MAX_LENGTH_ERROR:
+        return
+    shown, unit = (
+        ", ".join(f"{number:.4g}" for number in numbers)
+        for numbers in (wxyz, [number / length for number in wxyz])
+    )
+    message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
+    hint = f"write [{unit}], w first; degrees are no quaternion"
+    document.warn("RIG110", location, message, hint)
+
+
+def warn_of_drives(document: Document, rig: Rig) -> None:
+    """Warn of drives that give radians in a rig in degrees, or the reverse (RIG112)."""
+    in_degrees = rig.radians_per_unit != 1.0
+    at_rest = {control.name: np.array([control.default]) for control in rig.controls}
+    for control in rig.controls:
+        for k, drive in enumerate(control.drives):
+            largest = _largest(control, drive, at_rest) if drive.of_angle else 0.0
+            if not (_is_radians(largest) if in_degrees else _is_degrees(largest)):
+                continue
+            declared, meant = ("deg", "rad") if in_degrees else ("rad", "deg")
+            words = {"deg": "degrees", "rad": "radians"}
+            factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
+            message = (
+                f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
+                f"looks like {words[meant]}, but units.angle is {declared}"
+            )
+            hint = f"for {words[declared]} the result is {largest * factor:.4g}; "
+            hint += f"multiply the expression by {factor:.6g}"
+            names = [entry.get("name") for entry in document.value["controls"]]
+            at = ("controls", names.index(control.name), "drives", k)
+            document.warn("RIG112", at, message, hint)
+            return
+
+
+def _largest(control: Control, drive: Drive, at_rest: dict[str, FloatArray]) -> float:
+    """Return a drive's largest value over its control's range [file's angle]."""
+    if control.low is None or control.high is None:
+        return 0.0
+    ends = {**at_rest, control.name: np.array([control.low, control.high])}
+    values = np.abs(drive.evaluate(control.name, ends) / drive.unit)
+    return float(values.max()) if np.isfinite(values).all() else 0.0
+
+
+def _is_radians(value: float) -> bool:
+    quarter = math.radians(90)
+    count = round(value / quarter)
+    near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
+    return value <= HALF_CIRCLE and (near or is_multiple(value))
+
+
+def _is_degrees(value: float) -> bool:
+    return FULL_CIRCLE < value <= MAX_DEGREES and float(value).is_integer()

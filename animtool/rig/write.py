@@ -1,4 +1,4 @@
-"""Rig file writer; files read back equal."""
+"""Rig file writer; files round-trip."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 Pairs = Iterable[tuple[str, str | None]]
 
-# Of a bind pose's stretch: nearer to none is rounding of float32 [1].
-ROUNDING = 1e-5
+# A bind pose's stretch this close to the identity is float32 rounding [1].
+STRETCH_TOLERANCE = 1e-5
 
 
 def rig_text(rig: Rig) -> str:
     """Return a rig as the text of a rig file, in its own units.
 
-    A joint that mirrors an earlier one is written as that one's ``mirror``.
-    References to arrays are as the rig's own file spelled them; an array in no file is
+    A joint that mirrors an earlier one is written as that joint's ``mirror``.
+    References to arrays keep the spelling of the rig's file; an array without a file is
     a `TypeError`, see `animtool.rig.surfaces.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
     """
     units = _WrittenUnits(rig)
-    lines = [
+    text_lines = [
         "rig: animtool/1",
         f"name: {text(rig.name)}",
         f"units: {{length: {units.name}, angle: {units.angle_name}}}",
@@ -53,11 +53,11 @@ def rig_text(rig: Rig) -> str:
     for joint in joints:
         if joint.mirror not in written:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
-            lines.append(f"- {units.joint(joint, parent, rig)}")
+            text_lines.append(f"- {units.joint(joint, parent, rig)}")
             written.add(joint.name)
     bind = {**_unbound(rig), **_explicit_bind(rig)}
     if bind:
-        lines.append("bind:")
+        text_lines.append("bind:")
         for name, pose in bind.items():
             entry = _mapping(
                 [
@@ -66,7 +66,7 @@ def rig_text(rig: Rig) -> str:
                     ("stretch", _stretch(pose)),
                 ]
             )
-            lines.append(f"  {text(name)}: {entry}")
+            text_lines.append(f"  {text(name)}: {entry}")
     sections = {
         "meshes": map(_mesh, rig.meshes),
         "shapes": map(units.shape, rig.shapes),
@@ -78,8 +78,8 @@ def rig_text(rig: Rig) -> str:
     }
     for name, section in sections.items():
         entries = [f"- {entry}" for entry in section]
-        lines += [f"{name}:", *entries] if entries else []
-    return "\n".join(lines) + "\n"
+        text_lines += [f"{name}:", *entries] if entries else []
+    return "\n".join(text_lines) + "\n"
 
 
 class _WrittenUnits:
@@ -105,7 +105,7 @@ class _WrittenUnits:
 
     def joint(self, joint: Joint, parent: str | None, rig: Rig) -> str:
         scalar = joint.type in {JointType.PIN, JointType.PRISMATIC}
-        turned = joint.rotation != (0.0, 0.0, 0.0, 1.0)
+        is_rotated = joint.rotation != (0.0, 0.0, 0.0, 1.0)
         channels = joint.channels
         tips = [self.lengths(tip) for tip in joint.tips]
         return _mapping(
@@ -114,7 +114,7 @@ class _WrittenUnits:
                 ("parent", None if parent is None else text(parent)),
                 ("type", joint.type.value),
                 ("translate", self.lengths(joint.translation)),
-                ("rotate", _quaternion(joint.rotation) if turned else None),
+                ("rotate", _quaternion(joint.rotation) if is_rotated else None),
                 ("axis", _numbers(joint.axis) if scalar else None),
                 ("limits", self.limits(joint)),
                 ("mimic", self.mimic(joint, rig)),
@@ -142,14 +142,14 @@ class _WrittenUnits:
         )
 
     def mass(self, mass: Mass) -> str:
-        turned = mass.axes != (0.0, 0.0, 0.0, 1.0)
+        has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
         return _mapping(
             [
                 ("joint", text(mass.joint)),
                 ("mass", number(mass.mass)),
                 ("centre", self.lengths(mass.centre) if any(mass.centre) else None),
                 ("inertia", _numbers(mass.inertia)),
-                ("axes", _quaternion(mass.axes) if turned else None),
+                ("axes", _quaternion(mass.axes) if has_axes else None),
             ]
         )
 
@@ -174,8 +174,8 @@ class _WrittenUnits:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
         units = [
-            self.meters if one.type is JointType.PRISMATIC else self.radians
-            for one in (joint, leader)
+            self.meters if joint_of_pair.type is JointType.PRISMATIC else self.radians
+            for joint_of_pair in (joint, leader)
         ]
         gain = joint.mimic.gain * units[1] / units[0]
         return _mapping(
@@ -187,15 +187,15 @@ class _WrittenUnits:
         )
 
     def shape(self, shape: Shape) -> str:
-        between = [
+        inbetweens = [
             _mapping(
                 [
-                    ("at", number(step.at)),
-                    ("deltas", _file(step.deltas)),
-                    ("normals", _file(step.normals)),
+                    ("at", number(inbetween.at)),
+                    ("deltas", _file(inbetween.deltas)),
+                    ("normals", _file(inbetween.normals)),
                 ]
             )
-            for step in shape.inbetweens
+            for inbetween in shape.inbetweens
         ]
         return _mapping(
             [
@@ -204,7 +204,7 @@ class _WrittenUnits:
                 ("deltas", _file(shape.deltas)),
                 ("normals", _file(shape.normals)),
                 ("vertices", _file(shape.vertices)),
-                ("inbetweens", flow(between) if between else None),
+                ("inbetweens", flow(inbetweens) if inbetweens else None),
                 ("combine", _names(shape.combine) if shape.combine else None),
                 ("driven", self.driver(shape.driven)),
             ]
@@ -226,22 +226,24 @@ class _WrittenUnits:
         )
 
     def drive(self, drive: Drive) -> str:
-        """Return a drive, its numbers in the units of the text."""
+        """Return a drive with its numbers in the units of the text."""
         kind, _, name = drive.target.partition("/")
         unit = (
             self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
         )
-        # Equal units but for rounding.
-        by = drive.unit / unit
-        by = 1.0 if math.isclose(by, 1.0, rel_tol=1e-12) else by
-        curve = flow([str(_numbers((x, y * by))) for x, y in drive.curve])
-        expression, shown = drive.expression, None
+        # Equal units up to rounding.
+        factor = drive.unit / unit
+        factor = 1.0 if math.isclose(factor, 1.0, rel_tol=1e-12) else factor
+        curve = flow([str(_numbers((x, y * factor))) for x, y in drive.curve])
+        expression, expression_text = drive.expression, None
         if expression is not None:
-            shown = expression.text if by == 1.0 else expression.scaled({}, by)
+            expression_text = (
+                expression.text if factor == 1.0 else expression.scaled({}, factor)
+            )
         return _mapping(
             [
                 (kind, text(name)),
-                ("expr", None if shown is None else _quoted(shown)),
+                ("expr", None if expression_text is None else _quoted(expression_text)),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
             ]
@@ -250,25 +252,27 @@ class _WrittenUnits:
     def driver(
         self, driver: Driver | None, joint_type: JointType | None = None
     ) -> str | None:
-        """Return a driver, its numbers in the units of the text."""
+        """Return a driver with its numbers in the units of the text."""
         if driver is None:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
-        by = driver.unit / units.get(joint_type, self.radians)
+        factor = driver.unit / units.get(joint_type, self.radians)
         ratios = {
             name: self.unit_of(name) / driver.unit_of(name) for name in driver.names
         }
         if driver.expression is not None:
-            same = by == 1.0 and all(ratio == 1.0 for ratio in ratios.values())
+            is_unscaled = factor == 1.0 and all(
+                ratio == 1.0 for ratio in ratios.values()
+            )
             expr = driver.expression
-            shown = expr.text if same else expr.scaled(ratios, by)
-            return _mapping([("expr", _quoted(shown))])
+            expression_text = expr.text if is_unscaled else expr.scaled(ratios, factor)
+            return _mapping([("expr", _quoted(expression_text))])
         ratio = ratios[driver.by]
-        points = [(x / ratio, y * by) for x, y in driver.curve]
+        scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _mapping(
             [
                 ("by", text(driver.by)),
-                ("curve", flow([str(_numbers(point)) for point in points])),
+                ("curve", flow([str(_numbers(point)) for point in scaled_points])),
                 ("interp", "smooth" if driver.smooth else None),
             ]
         )
@@ -288,13 +292,16 @@ def _mirrors_drivers(rig: Rig) -> bool:
     partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
     written: set[str] = set()
     for joint in rig.joints:
-        other = joints.get(joint.mirror)
-        if other is None or joint.mirror in written:
+        partner = joints.get(joint.mirror)
+        if partner is None or joint.mirror in written:
             continue
         written.add(joint.name)
-        if (joint.driven is None) != (other.driven is None):
+        if (joint.driven is None) != (partner.driven is None):
             return False
-        if joint.driven is not None and joint.driven.mirrored(partners) != other.driven:
+        if (
+            joint.driven is not None
+            and joint.driven.mirrored(partners) != partner.driven
+        ):
             return False
     return True
 
@@ -305,26 +312,30 @@ def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     """Return the bind poses that differ from rest by more than rounding."""
-    kept = {}
+    explicit = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
-        rest = (joint.translation, joint.rotation)
-        rounded = pose.stretch is not None and _stretch(pose) is None
-        if not (rounded and (pose.translation, pose.rotation) == rest):
-            kept[name] = pose
-    return kept
+        rest_pose = (joint.translation, joint.rotation)
+        is_rounding = pose.stretch is not None and _stretch(pose) is None
+        if not (is_rounding and (pose.translation, pose.rotation) == rest_pose):
+            explicit[name] = pose
+    return explicit
 
 
 def _stretch(pose: Pose) -> str | None:
     """Return the stretch of a bind pose; None if it is rounding."""
     if pose.stretch is None:
         return None
-    off = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
-    return _numbers(pose.stretch) if max(map(abs, off)) > ROUNDING else None
+    deviations = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
+    return (
+        _numbers(pose.stretch)
+        if max(map(abs, deviations)) > STRETCH_TOLERANCE
+        else None
+    )
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:
-    """Return the rest pose of joints of which only the mirror image has a bind pose."""
+    """Return the rest pose of joints whose mirror image alone has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
         for joint in rig.joints
@@ -399,8 +410,8 @@ def _quoted(value: str) -> str:
 
 
 def _mapping(pairs: Pairs) -> str:
-    shown = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
-    return f"{{{shown}}}"
+    entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
+    return f"{{{entries}}}"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -42,7 +42,7 @@ from animtool.capture.clean import (
 from animtool.capture.face.capture import FaceCapture, in_order, read_capture
 from animtool.capture.face.model import FaceModel
 from animtool.capture.face.solve import _bridged, _check, _notices, _shared
-from animtool.capture.markers.skeleton import DRIFT, SkeletonMarkers
+from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
 from animtool.capture.solve.run import check_units, in_world_of
 from animtool.core.clock import Clock
@@ -119,13 +119,13 @@ def test_what_is_said_of_a_camera(
         "error_mm": 1.0,
     }
     made = CameraReport("a", noise_px=1.0, **{**given, **keys})
-    found = list(camera_notices(made, PLAIN, CLOCK, "p", kept=False))
+    found = list(camera_notices(made, PLAIN, CLOCK, "p", is_kept=False))
     assert [fault.code for fault in found] == codes
     assert all(text in found[0].message for text in texts)
     unsized = replace(PLAIN, size=None)
-    told = [f.code for f in camera_notices(made, unsized, CLOCK, "p", kept=False)]
+    told = [f.code for f in camera_notices(made, unsized, CLOCK, "p", is_kept=False)]
     assert told == [code for code in codes if code != "CAM107"]
-    kept = list(camera_notices(made, PLAIN, CLOCK, "p", kept=True))
+    kept = list(camera_notices(made, PLAIN, CLOCK, "p", is_kept=True))
     assert [f.code for f in kept] == codes
     if codes == ["CAM101"]:
         assert "it is kept" in kept[0].message
@@ -179,8 +179,9 @@ def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     assert own.mates(1, every) == [2, 3]
     assert own.drift(1, every) == 0
     for hidden, expected in (
-        ([3], DRIFT[0]), ([3, 4, 5], DRIFT[1]), ([2, 3], DRIFT[1]),
-        ([2, 3, 4], DRIFT[2]), ([2, 3, 4, 5], DRIFT[2]),
+        ([3], DRIFT_PER_SECOND[0]), ([3, 4, 5], DRIFT_PER_SECOND[1]),
+        ([2, 3], DRIFT_PER_SECOND[1]),
+        ([2, 3, 4], DRIFT_PER_SECOND[2]), ([2, 3, 4, 5], DRIFT_PER_SECOND[2]),
     ):  # fmt: skip
         seen = every.copy()
         seen[hidden] = False
@@ -188,8 +189,8 @@ def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     # A hinge is held by one more, on it or below.
     assert own.drift(4, every) == 0
     every[5] = False
-    assert own.drift(4, every) == DRIFT[2]
-    assert DRIFT == (0.004, 0.008, 0.02)
+    assert own.drift(4, every) == DRIFT_PER_SECOND[2]
+    assert DRIFT_PER_SECOND == (0.004, 0.008, 0.02)
 
 
 def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from animtool.clip.file import load_clip_of
-from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points, point_errors
 from animtool.clip.sample import sample_channels
 from animtool.motion.take import Take
 from animtool.rig.file import load_rig
@@ -40,7 +40,7 @@ def check_back(source: Path, tmp_path: Path) -> tuple[Take, Take]:
     report = convert(source, output, reduce=TOLERANCE).reduction
     assert report is not None
     wanted, found = open_source(source).collect(), open_source(output).collect()
-    points = attached_points(wanted.rig, SHELL)
+    points = attached_points(wanted.rig, SHELL_DISTANCE)
     errors = point_errors(points, wanted.world(), found.world())
     assert errors.max() <= TOLERANCE
     assert report.error == pytest.approx(errors.max(), abs=1e-9)

@@ -16,7 +16,7 @@ from support.fit import along_x, below, with_rest
 from animtool import open_source
 from animtool.maths import so3
 from animtool.motion.take import Take
-from animtool.rig.fit import FITS, RigFit, measure_fit
+from animtool.rig.fit import MIN_FIT, RigFit, measure_fit
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.onto_rig import map_names
@@ -43,7 +43,7 @@ def fit(take: Rig, rig: Rig) -> RigFit:
 
 def row(take: str, rig: str, found: RigFit) -> str:
     parts = " ".join(f"{value:.2f}" for value in found.parts.values())
-    verdict = "fits" if found.score >= FITS else "refused"
+    verdict = "fits" if found.score >= MIN_FIT else "refused"
     return f"  {take:28} {rig:28} {found.score:.2f} {verdict:8} {parts}"
 
 
@@ -71,7 +71,7 @@ def test_a_capture_fits_its_own_skeleton_and_no_other_rest_pose(
             continue
         found = fit(rig, other)
         record_property(HEADING, row(path.stem, name, found))
-        assert found.score < FITS, name
+        assert found.score < MIN_FIT, name
 
 
 def limb_off(rig: Rig) -> Rig | None:
@@ -112,7 +112,7 @@ def test_our_rigs_fit_themselves_and_no_other(record_property: Record) -> None:
     for one, other in permutations(rigs, 2):
         found = fit(rigs[one], rigs[other])
         record_property(HEADING, row(one, other, found))
-        assert found.score < FITS, (one, other)
+        assert found.score < MIN_FIT, (one, other)
 
 
 @needs_data
@@ -124,7 +124,7 @@ def test_captures_over_the_biped(record_property: Record) -> None:
             continue
         found = fit(rig, biped)
         record_property(HEADING, row(path.stem, "biped", found))
-        assert found.score < FITS, path.stem
+        assert found.score < MIN_FIT, path.stem
 
 
 PAIRS = sorted(folder.glob("*.pairs.json")) if (folder := data_folder("mocap")) else []
@@ -144,4 +144,4 @@ def test_what_is_to_be_retargeted_does_not_fit(
         renamed = tuple(replace(j, name=own.get(j.name, j.name)) for j in target.joints)
         found = fit(source, replace(target, joints=renamed))
         record_property(HEADING, row(stem, f"{name} ({pair['rest']})", found))
-        assert found.score < FITS, name
+        assert found.score < MIN_FIT, name

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from support.suite import examples
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.errors import OptionError
 from animtool.edit.thin import Thinned, thin_samples
 from animtool.maths import so3
@@ -37,7 +37,7 @@ def moved(turns: Floats, slides: Floats | None = None, **others: Channel) -> Mot
 def errors(codes: Floats, motion: Motion, found: Thinned) -> Floats:
     """Return the error of every joint at every sample, one sample at a time."""
     places, turns, _ = motion.dense()
-    points = attached_points(ARM, SHELL)
+    points = attached_points(ARM, SHELL_DISTANCE)
     result = np.zeros((len(codes), len(ARM.joints)))
     kept = found.kept.tolist()
     for low, high in pairwise(kept):
@@ -110,7 +110,7 @@ def test_a_joint_of_its_own_tolerance() -> None:
     )
     assert tight.error <= 1e-4 < loose.error
     assert len(tight.kept) > len(loose.kept)
-    assert tight.joint == 1
+    assert tight.joint_index == 1
 
 
 def test_weights_count_too() -> None:

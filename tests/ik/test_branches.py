@@ -69,7 +69,7 @@ def test_the_cheapest_way_is_the_best_of_all() -> None:
     paths = of.poses + rng.normal(0, 0.05, (3, FRAMES, 4))
     costs = rng.uniform(0, 0.02, (3, FRAMES))
     for closed in (False, True):
-        found = best_path(of, paths, costs, closed=closed)
+        found = best_path(of, paths, costs, fixed_end=closed)
         cost = {0: 0.0}
         for row in range(1, FRAMES):
             cost = {
@@ -126,16 +126,16 @@ def test_what_is_followed_costs_nothing_as_far_as_it_was_followed(
     )
     paths, costs = search_branches(of, spacing, 1)  # type: ignore[arg-type]
     assert (paths[0, :, 0].tolist(), costs[0].tolist()) == ([*range(9)], [0.5] * 9)
-    reach = min(branching.LAYERS * spacing // 2, count)
-    first = branching.STRANDS
+    reach = min(branching.MAX_LAYERS * spacing // 2, count)
+    first = branching.SOLUTIONS_PER_SAMPLE
     for i, at in enumerate((0, 4, 8)):
-        row = 1 + i % branching.LAYERS * first
+        row = 1 + i % branching.MAX_LAYERS * first
         reached = {f for f in (at - 1, at, at + 1) if 0 <= f < count}
         for k in (0, 1):
             free = np.flatnonzero(costs[row + k] == 0).tolist()
-            assert set(free) == reached or branching.LAYERS < 3
+            assert set(free) == reached or branching.MAX_LAYERS < 3
             assert paths[row + k, at, 0] == 100 * (1 + i) + k
-        assert (costs[row + 2] == 2 * branching.MISSED).all()
+        assert (costs[row + 2] == 2 * branching.MISSED_COST).all()
     ahead = [rows for pose, rows in tracks if pose == 200.0]
     assert ahead == [
         [*range(4, min(4 + reach, 9))],

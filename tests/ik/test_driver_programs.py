@@ -15,7 +15,7 @@ from animtool.ik.clip_solver import follow
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM
 from animtool.ik.options import IkMethod
 from animtool.ik.solving import chain_targets
-from animtool.ik.sub_rig import following, mimics, sub_rig
+from animtool.ik.sub_rig import mimics, sub_rig, with_mimics
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver
@@ -60,7 +60,7 @@ def poses(rig: Rig, count: int, seed: int = 0, wide: float = 0.6) -> FloatArray:
             q[:, own] = so3.exp(rng.normal(0, wide, (count, 3)))
         else:
             q[:, own] = rng.uniform(0.1, 0.9, (count, 1))
-    return following(rig, q, rig.names)
+    return with_mimics(rig, q, rig.names)
 
 
 def tips(rig: Rig, q: FloatArray, joint: str = "hand") -> tuple[FloatArray, FloatArray]:
@@ -151,7 +151,7 @@ def test_goals_are_reached_through_driven_joints(text: str) -> None:
     assert result.converged.all()
     found = tips(rig, result.coordinates)
     assert np.abs(found[0] - np.asarray(targets.positions)).max() < 1e-6
-    again = following(rig, result.coordinates, rig.names)
+    again = with_mimics(rig, result.coordinates, rig.names)
     assert np.abs(again - result.coordinates).max() < 1e-12
 
 
@@ -183,7 +183,9 @@ def test_knuckles_curl_by_the_first_one_and_reach() -> None:
     rig = Rig("finger", joints)
     problem = build(rig, [Goal("k3", tuple(TIP))])
     assert (problem.joints, problem.degrees) == (("k1", "k2", "k3"), 1)
-    wanted = following(rig, np.linspace(0.05, 1.55, 40)[:, None] * [[1, 0, 0]], ["k1"])
+    wanted = with_mimics(
+        rig, np.linspace(0.05, 1.55, 40)[:, None] * [[1, 0, 0]], ["k1"]
+    )
     result = solve(problem, None, Targets(tips(rig, wanted, "k3")[0]))
     assert result.converged.all()
     assert np.abs(result.coordinates - wanted).max() < 1e-4
@@ -218,7 +220,7 @@ def test_a_mimic_of_a_driven_joint_follows_in_the_chain() -> None:
     )
     rig = Rig("row", joints)
     problem = build(rig, [Goal("c", tuple(TIP))])
-    wanted = following(rig, np.array([[0.7, 0, 0], [-1.2, 0, 0]]), ["a"])
+    wanted = with_mimics(rig, np.array([[0.7, 0, 0], [-1.2, 0, 0]]), ["a"])
     assert wanted[0].tolist() == pytest.approx([0.7, 0.49, -0.145])
     result = solve(problem, wanted * 0.8, Targets(tips(rig, wanted, "c")[0]))
     assert result.converged.all()
@@ -230,13 +232,13 @@ def test_clips_are_followed_and_smoothed_with_drivers() -> None:
     problem = build(rig, [Goal("hand", tuple(TIP))])
     ways = poses(rig, 2, 4, 0.3)
     share = np.linspace(0, 1, 30)[:, None]
-    path = following(rig, (1 - share) * ways[0] + share * ways[1], rig.names)
+    path = with_mimics(rig, (1 - share) * ways[0] + share * ways[1], rig.names)
     targets = Targets(tips(rig, path)[0])
     options = FollowOptions(smooth=0.2)
     result = follow(problem, path[0], targets, options)
     assert result.converged.all()
     # What is returned is driven, also after it was smoothed.
-    again = following(rig, result.coordinates, rig.names)
+    again = with_mimics(rig, result.coordinates, rig.names)
     assert np.abs(again - result.coordinates).max() < 1e-12
     assert np.abs(tips(rig, result.coordinates)[0] - targets.positions).max() < 1e-5
 

@@ -7,7 +7,7 @@ import pytest
 from support.marked import FIGURE, TEMPLATE, captured, joint_errors, moving
 
 from animtool.core.array_types import FloatArray
-from animtool.ik.fit import ANCHOR, FitOptions, fit
+from animtool.ik.fit import ANCHOR_WEIGHT, FitOptions, fit
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.rig.limits import RangeLimit
@@ -47,7 +47,9 @@ def test_a_linear_problem_is_that_of_linear_algebra() -> None:
     # In metres: sum w^2 (y - q)^2 + b (D q / L)^2 + a (q / L)^2.
     second = np.diff(np.eye(frames), 2, axis=0)
     bend = (FPS**2 / acceleration) ** 2 / problem.length**2
-    matrix = bend * second.T @ second + ANCHOR / problem.length**2 * np.eye(frames)
+    matrix = bend * second.T @ second + ANCHOR_WEIGHT / problem.length**2 * np.eye(
+        frames
+    )
     matrix += np.diag((weights**2).sum(axis=1))
     right = (weights**2 * (wanted[:, :, 1] - [0, 1])).sum(axis=1)
     expected = np.linalg.solve(matrix, right)
@@ -72,7 +74,9 @@ def test_a_linear_problem_of_two_ways_is_that_of_linear_algebra() -> None:
     found = fit(problem, targets, start, options, path=start)
     second = np.diff(np.eye(frames), 2, axis=0)
     bend = (FPS**2 / 20.0) ** 2 / problem.length**2
-    matrix = bend * second.T @ second + ANCHOR / problem.length**2 * np.eye(frames)
+    matrix = bend * second.T @ second + ANCHOR_WEIGHT / problem.length**2 * np.eye(
+        frames
+    )
     matrix += np.diag(weights[:, 0] ** 2)
     right = weights**2 * wanted[:, 0, [1, 0]]
     np.testing.assert_allclose(

@@ -19,8 +19,8 @@ from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
     COLUMNS,
-    FARTHEST,
     KINDS,
+    MAX_COORDINATE,
     PARTS,
     WEIGHTS,
     goal_faults,
@@ -46,7 +46,7 @@ from animtool.ik.report import (
 )
 from animtool.ik.result import IkResult
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swung
-from animtool.ik.two_bone import bend, misfit, perpendicular
+from animtool.ik.two_bone import bend, incompatibility, perpendicular
 from animtool.ik.values import (
     ArrayRows,
     Constant,
@@ -293,8 +293,8 @@ def test_what_is_asked_in_spans_comes_and_goes_with_its_weight() -> None:
         ({"stretch": np.inf}, ["IK002"]),
         ({"stretch": -0.1}, ["IK002"]),
         ({"offset": (1.0, 2.0)}, ["IK002"]),
-        ({"offset": (FARTHEST, 0.0, 0.0)}, []),
-        ({"offset": (2 * FARTHEST, 0.0, 0.0)}, ["IK002"]),
+        ({"offset": (MAX_COORDINATE, 0.0, 0.0)}, []),
+        ({"offset": (2 * MAX_COORDINATE, 0.0, 0.0)}, ["IK002"]),
         ({"offset": (np.nan, 0.0, 0.0)}, ["IK002"]),
         ({"aim": 1.0, "aim_axis": (0.0, 0.0, 1.1)}, ["TGT008"]),
         ({"aim": 1.0, "aim_axis": (0.0, 0.0, 1 + 0.9e-6)}, []),
@@ -330,7 +330,9 @@ def test_targets_side_by_side() -> None:
     assert_array_equal(packed[0, :, COLUMNS["orientation"]], [so3.IDENTITY] * 2)
     assert_array_equal(packed[0, :, WEIGHTS], [[1, 2, 3, 4]] * 2)
     # Of aims directions count alone: they are brought in to where they have squares.
-    assert_allclose(packed[0, 1, COLUMNS["aim"]], FARTHEST * np.array([0.6, 0.8, 1]))
+    assert_allclose(
+        packed[0, 1, COLUMNS["aim"]], MAX_COORDINATE * np.array([0.6, 0.8, 1])
+    )
     assert pack(Targets(x, aims=x), goals)[0, 0, WEIGHTS].tolist() == [1] * 4
     some = rows_of(Targets(np.arange(5.0)), np.array([3, 1]))
     assert np.asarray(some.positions).tolist() == [3, 1]
@@ -398,12 +400,12 @@ def test_angles_of_two_bones() -> None:
 )  # fmt: skip
 def test_a_limb_of_two_bones_has_one_position(goal: Any, fits: bool) -> None:
     own = Goal("elbow", (0.27, 0.0, 0.0), **goal)
-    assert (misfit(build(limb(), [own])) is None) is fits
+    assert (incompatibility(build(limb(), [own])) is None) is fits
     bent = limb()
     limited = replace(bent.joints[1], limits=RangeLimit(-1.0, 1.0))
     held_ = replace(bent, joints=(bent.joints[0], limited))
-    assert misfit(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
-    assert misfit(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
+    assert incompatibility(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
+    assert incompatibility(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
 
 
 def test_poles_stand_half_a_limb_off_its_line() -> None:
@@ -602,8 +604,9 @@ def told(**keys: Any) -> Any:
         ),
         "tracks": SimpleNamespace(goals=(own,), path=Path("p")),
         "statuses": (IkStatus.CONVERGED,) * 5,
-        "misses": np.zeros((5, 1, 4)), "asked": np.ones((5, 1, 4), bool),
-        "away": [19.0], "size": 1.0, "between": (), "jumps": (), "steadier": None,
+        "misses": np.zeros((5, 1, 4)), "active": np.ones((5, 1, 4), bool),
+        "away": [19.0], "size": 1.0, "moving_between": (), "jumps": (),
+        "steadier": None,
         "on_limits": {},
     }  # fmt: skip
     return SimpleNamespace(**{**given, **keys})
@@ -676,7 +679,7 @@ def test_a_pin_that_snaps_where_its_goal_comes_out_of_reach_may_be_eased(
     misses, wanted = np.zeros((5, 1, 4)), np.ones((5, 1, 4), bool)
     misses[1:3, 0, 0] = missed
     wanted[2, 0, 0] = asked
-    own = told(misses=misses, asked=wanted)
+    own = told(misses=misses, active=wanted)
     goal = replace(own.problem.goals[0], soft=soft)
     own.tracks.goals = (track(name="hand", goal=goal),)
     names = own.problem.rig.names
@@ -753,6 +756,8 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
     interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
     assert ClipPath.best(own, interval, paths, costs) == "best"
-    assert asked.pop() == ([[11, 12]], {"closed": False, "opened": False})
-    ClipPath.best(own, interval, paths, costs, closed=True, opened=True, near=0.5)
-    assert asked.pop() == ([[17, 18]], {"closed": True, "opened": True})
+    assert asked.pop() == ([[11, 12]], {"fixed_end": False, "free_start": False})
+    ClipPath.best(
+        own, interval, paths, costs, fixed_end=True, free_start=True, source_weight=0.5
+    )
+    assert asked.pop() == ([[17, 18]], {"fixed_end": True, "free_start": True})

@@ -57,8 +57,8 @@ def pulled(distances: FloatArray, origin: FloatArray = SHOULDER) -> Targets:
 def soft_distance(distances: FloatArray, reach: float, soft: float) -> FloatArray:
     """The exponential ease as it is published."""
     start, width = (1 - soft) * reach, soft * reach
-    eased = reach - width * np.exp((start - distances) / width)
-    return np.where(distances > start, eased, distances)
+    softened = reach - width * np.exp((start - distances) / width)
+    return np.where(distances > start, softened, distances)
 
 
 def test_soft_extension_never_snaps_straight() -> None:
@@ -66,13 +66,13 @@ def test_soft_extension_never_snaps_straight() -> None:
     own = GoalLimb(0, (1, 2), np.zeros(3), 1.0, 1.0, soft=0.1, stretch=0.0)
     targets = np.zeros((len(distances), 1, WEIGHTS.stop))
     targets[:, 0, 0], targets[:, 0, WEIGHTS] = distances, 1.0
-    eased = extend((own,), targets).sought[:, 0, 0]
-    np.testing.assert_allclose(eased, soft_distance(distances, 1.0, 0.1), atol=1e-15)
-    speed = np.diff(eased) / np.diff(distances)
-    assert eased.max() < 1.0
-    assert (np.diff(eased) > 0).all()
+    softened = extend((own,), targets).reachable[:, 0, 0]
+    np.testing.assert_allclose(softened, soft_distance(distances, 1.0, 0.1), atol=1e-15)
+    speed = np.diff(softened) / np.diff(distances)
+    assert softened.max() < 1.0
+    assert (np.diff(softened) > 0).all()
     assert np.abs(np.diff(speed)).max() < 0.011
-    np.testing.assert_allclose(eased[distances <= 0.9], distances[distances <= 0.9])
+    np.testing.assert_allclose(softened[distances <= 0.9], distances[distances <= 0.9])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -216,5 +216,5 @@ def test_bones_that_are_a_part_of_the_reach_grow_by_more_of_their_own() -> None:
     targets[:3, 0, WEIGHT["position"]] = 1.0
     found = extend((own,), targets)
     np.testing.assert_allclose(found.scales[:, 0], [1.0, 1 + 1 / 3, 1.5, 1.0])
-    off = found.sought[:, 0, 1] - origin[1]
+    off = found.reachable[:, 0, 1] - origin[1]
     np.testing.assert_allclose(off, [0.5, 1.0, 1.1, 1.2])

@@ -15,7 +15,7 @@ from support.suite import examples
 from support.targets import legs, walk_of
 
 from animtool.clip.channels import ClipUnits
-from animtool.clip.reduction.points import SHELL
+from animtool.clip.reduction.points import SHELL_DISTANCE
 from animtool.core.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
 from animtool.ik.match_take import AT_REST, _leaving, chains_of, left_out, match_take
@@ -126,7 +126,7 @@ def test_sparse_keys_keep_their_tolerance(tmp_path: Path, tolerance: float) -> N
     turned = so3.angle_between(
         np.asarray(sparse.rotations), np.asarray(exact.rotations)
     )
-    assert turned.max() * SHELL <= tolerance
+    assert turned.max() * SHELL_DISTANCE <= tolerance
     for goal in tracks.goals:
         for value in goal.values.values():
             assert value is None or len(value.channel.times) < 60

@@ -191,8 +191,8 @@ def test_a_chain_that_cannot_move_is_refused(tmp_path: Path) -> None:
 def test_limits_that_are_reversed_are_refused(tmp_path: Path) -> None:
     rig = legs()
     knee = replace(rig.joints[2], limits=RangeLimit(2.0, 1.0))
-    broken = replace(rig, joints=(*rig.joints[:2], knee, *rig.joints[3:]))
-    take = replace(walk_of(rig, count=2), rig=broken)
+    jump_frame = replace(rig, joints=(*rig.joints[:2], knee, *rig.joints[3:]))
+    take = replace(walk_of(rig, count=2), rig=jump_frame)
     with pytest.raises(OptionError) as caught:
         held(tmp_path, take, "- {effector: leg_l, position: [0, 0, 0]}")
     assert caught.value.code == "IK005"
@@ -223,7 +223,7 @@ def test_only_some_joints_may_move(tmp_path: Path) -> None:
     # A knee that no goal moves bends from frame to frame between joints that it does.
     points = point_of(found.take, "ankle_l")
     assert_allclose(points, np.tile([0.2, 0.3, 0.2], (40, 1)), atol=2e-6)
-    assert found.between == ("knee_l",)
+    assert found.moving_between == ("knee_l",)
 
 
 def test_frames_on_their_own_are_counted(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
 ) -> None:
     take = walk_of(legs())
     turned = held(tmp_path, take, "- {effector: ankle_l, position: [0.2, 0.3, 0.2]}")
-    assert turned.between == ()
+    assert turned.moving_between == ()
     assert turned.misses[..., 0].max() < 2e-6
     ankle = take.rig.index("ankle_l")
     ours, theirs = (one.motion.rotations.dense() for one in (turned.take, take))
@@ -253,7 +253,7 @@ def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
     goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2], offset: [0, 0, 0.1]}"
     tracks = tracks_of(tmp_path, goal, take.rig)
     props = solve_take(take, tracks, TakeOptions(joints=("hip_l", "knee_l", "hips")))
-    assert props.between == ("ankle_l",)
+    assert props.moving_between == ("ankle_l",)
     assert props.misses[..., 0].max() < 2e-6
 
 

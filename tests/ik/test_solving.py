@@ -23,7 +23,7 @@ from support.suite import examples
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.goals import KINDS
-from animtool.ik.solving import COUNTS
+from animtool.ik.solving import COUNT_RANGES
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.joints import local_from_coordinates
@@ -372,10 +372,10 @@ def test_options_are_checked_all_at_once() -> None:
     assert [fault.code for fault in caught.value.faults] == ["IK014"] * 3
 
 
-@pytest.mark.parametrize("name", list(COUNTS))
+@pytest.mark.parametrize("name", list(COUNT_RANGES))
 def test_counts_are_taken_as_far_as_there_is_room(name: str) -> None:
     problem, targets = build(arm(3), [Goal("b2")]), Targets([[[1.0, 0.0, 0.0]]])
-    low, most = COUNTS[name]
+    low, most = COUNT_RANGES[name]
     for value in (low, most):
         solve(problem, None, targets, replace(IkOptions(), **{name: value}))
     for value in (low - 1, most + 1, 1.5):

@@ -89,7 +89,7 @@ def test_who_kneels_stands_on_toes_that_have_no_joint(
     above: float, high: float
 ) -> None:
     """Above a twentieth of its leg an ankle stays as far above where it stands."""
-    one = foot(8, above=np.full(8, above))
+    one = foot(8, lift_above=np.full(8, above))
     ankle = np.tile([0.3, 0.4, 0.1], (8, 1)) + np.linspace(-0.01, 0.01, 8)[:, None]
     found = _locked(ankle, np.zeros((8, 3)), one, 30.0, 1)
     np.testing.assert_allclose(found, np.tile([0.3, 0.08 + high, 0.1], (8, 1)))

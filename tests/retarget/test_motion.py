@@ -197,7 +197,7 @@ def test_twist_joints_share_the_turn_of_the_hand(walk: Take) -> None:
     clock = replace(walk.clock, count=frames)
     take = replace(walk, clock=clock, motion=turned_motion)
     found = map_joints(rig, target)
-    assert [share.joint for share in found.twists] == [len(rig.joints)]
+    assert [share.target for share in found.twists] == [len(rig.joints)]
     made = retarget_take(take, target, found)
     own = made.take.motion.rotations.dense()[:, -1]
     steps = so3.angle_between(own[1:], own[:-1])
@@ -213,7 +213,7 @@ def test_a_long_take_goes_in_blocks(
     walk: Take, biped: Rig, onto: Retargeted, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
     """What is not kept in memory comes back from a file, with no seam."""
-    monkeypatch.setattr(motion, "BLOCK", 7)
+    monkeypatch.setattr(motion, "BLOCK_FRAMES", 7)
     monkeypatch.setattr(motion, "Spool", partial(Spool, kept))
     found = retarget_take(walk, biped, map_joints(walk.rig, biped))
     for own, whole in zip(

@@ -189,7 +189,7 @@ def test_hips_come_down_until_legs_are_as_straight_as_they_may(
 ) -> None:
     """Hips are 1.1 m above an ankle that is 0.3 m aside; the leg is 1 m."""
     hips = np.tile([0.0, 1.2, 0.0], (50, 1))
-    one = foot(50, straight=np.full(50, straight), level=level, length=1.0)
+    one = foot(50, straightness=np.full(50, straight), level=level, length=1.0)
     ankle = np.tile([0.3, 0.1, 0.0], (50, 1))
     down, rise = _reaching(hips, [one], [ankle], 30.0, 1)
     assert_allclose(down, 1.1 - np.sqrt(share**2 - 0.09), atol=1e-4)

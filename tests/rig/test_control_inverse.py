@@ -45,7 +45,7 @@ def test_a_control_alone_is_exact(drives) -> None:
     control = Control("c", -1.0, 1.0, 0.0, drives)
     found = solved([control], {"c": RAMP})
     assert_allclose(found.values["c"], RAMP, atol=1e-10)
-    assert found.kept == ("c",)
+    assert found.solved_names == ("c",)
     assert not found.released
 
 

@@ -10,7 +10,7 @@ from support.fit import along_x, bent, with_rest
 
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.rig.fit import FITS, NOTICEABLE, RigFit, measure_fit
+from animtool.rig.fit import MIN_FIT, PERFECT_FIT, RigFit, measure_fit
 from animtool.rig.skeleton import Joint, Rig
 
 QUARTER = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
@@ -85,13 +85,13 @@ def test_few_joints_of_many_do_not_fit() -> None:
         for i, j in enumerate(BODY.joints)
     )
     found = fit(replace(BODY, joints=strange))
-    assert found.parts["joints"] < FITS
+    assert found.parts["joints"] < MIN_FIT
     assert found.score == found.parts["joints"]
 
 
 def test_one_limb_at_another_angle_does_not_fit() -> None:
     found = fit(bent(BODY, "arm_l", so3.from_axis_angle([0, 0, 1], np.pi / 4)))
-    assert found.score < FITS
+    assert found.score < MIN_FIT
     assert {BODY.names[j] for j in found.differing} == {"arm_l", "hand_l", "thumb_l"}
 
 
@@ -113,7 +113,7 @@ def test_a_twist_is_found_where_the_pose_is_the_same() -> None:
     joints = list(BODY.joints)
     joints[hand] = replace(joints[hand], rotation=(0.5**0.5, 0.0, 0.0, 0.5**0.5))
     found = fit(replace(BODY, joints=tuple(joints)))
-    assert found.score < NOTICEABLE
+    assert found.score < PERFECT_FIT
     assert found.differing == [hand]
     assert fit(replace(BODY, joints=tuple(joints)), posed=False).score == pytest.approx(
         1.0
@@ -128,7 +128,7 @@ def test_another_size_does_not_fit(factor: float) -> None:
     )
     found = fit(replace(BODY, joints=scaled))
     assert found.size == pytest.approx(factor)
-    assert found.score < FITS
+    assert found.score < MIN_FIT
     assert found.parts["lengths"] == pytest.approx(1.0)
     assert found.differing == []
 
@@ -137,9 +137,9 @@ def test_other_proportions_score_by_their_difference() -> None:
     joints = list(BODY.joints)
     joints[8] = replace(joints[8], translation=(0, -0.9, 0.11))
     found = fit(replace(BODY, joints=tuple(joints)))
-    assert FITS < found.score < NOTICEABLE
+    assert MIN_FIT < found.score < PERFECT_FIT
     joints[8] = replace(joints[8], translation=(0, 0, 0))
-    assert fit(replace(BODY, joints=tuple(joints))).score < FITS
+    assert fit(replace(BODY, joints=tuple(joints))).score < MIN_FIT
 
 
 def test_a_character_on_its_back_does_not_fit() -> None:

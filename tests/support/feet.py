@@ -23,7 +23,7 @@ def foot(frames: int, stands: FootContacts | None = None, **keys: Any) -> Foot:
         "height": 0.08,
         "length": 0.9,
         "shortest": 0.1,
-        "above": np.zeros(frames),
-        "straight": np.ones(frames),
+        "lift_above": np.zeros(frames),
+        "straightness": np.ones(frames),
     }
     return Foot(**{**given, **keys})

@@ -47,11 +47,11 @@ _KEYS = {
     "translation": ("t", "T", "translation", "tvec", "translation_vector"),
     "size": ("size", "image_size"),
 }
-_SIDES = (("width", "height"), ("image_width", "image_height"))
-# Numbers of a lens that OpenCV writes; those behind the eighth, of a thin prism and a
-# tilted sensor, are not modelled.
-_LENSES = (0, 4, 5, 8, 12, 14)
-MODELLED = 8
+_SIZE_KEYS = (("width", "height"), ("image_width", "image_height"))
+# OpenCV's numbers of distortion coefficients. Those after the eighth, for a thin prism
+# and a tilted sensor, are not modelled.
+_COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)
+MODELLED_COEFFICIENTS = 8
 MAX_NODES = 1_000_000
 _TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
@@ -66,7 +66,8 @@ def read_any(path: Path) -> Document:
     if path.suffix.lower() == ".toml":
         return _toml(text, path)
     if "opencv-matrix" in text and not text.lstrip().startswith("{"):
-        # The head is of YAML 1.0, and the tag says what rows and cols say too.
+        # OpenCV writes a YAML 1.0 header; its matrix tag repeats what rows and cols
+        # say.
         text = re.sub(r"\A\ufeff?%YAML[^\n]*", "", text)
         text = text.replace("!!opencv-matrix", "")
     return document_of(text, path)
@@ -134,15 +135,15 @@ def calibration_of(
 def _unit(document: Document) -> LengthUnit:
     """Return the unit that a document states; report an unknown one."""
     location: Location = ("units",)
-    stated = document.value.get("units")
-    if isinstance(stated, dict) and "length" in stated:
-        stated, location = stated["length"], ("units", "length")
-    if stated is None or isinstance(stated, dict):
+    stated_unit = document.value.get("units")
+    if isinstance(stated_unit, dict) and "length" in stated_unit:
+        stated_unit, location = stated_unit["length"], ("units", "length")
+    if stated_unit is None or isinstance(stated_unit, dict):
         return LengthUnit.M
-    if isinstance(stated, str) and stated in set(LengthUnit):
-        return LengthUnit(stated)
+    if isinstance(stated_unit, str) and stated_unit in set(LengthUnit):
+        return LengthUnit(stated_unit)
     hint = f"allowed: {', '.join(LengthUnit)}"
-    document.add("CAM003", location, f"unknown unit {excerpt(str(stated))}", hint)
+    document.add("CAM003", location, f"unknown unit {excerpt(str(stated_unit))}", hint)
     return LengthUnit.M
 
 
@@ -157,10 +158,10 @@ def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, A
         yield (), UNNAMED, value
     else:
         tables = listed_ if isinstance(listed_, dict) else value
-        around: Location = ("cameras",) if isinstance(listed_, dict) else ()
+        prefix: Location = ("cameras",) if isinstance(listed_, dict) else ()
         for name, entry in tables.items():
             if isinstance(entry, dict) and _is_camera(entry):
-                yield (*around, name), name, entry
+                yield (*prefix, name), name, entry
 
 
 def _is_camera(value: Mapping[str, Any]) -> bool:
@@ -191,32 +192,38 @@ class _CalibrationEntry:
             return None
         if not self._is_matrix(matrix):
             return None
-        turned = self._rotation(rotation)
-        if turned is None or not self._is_lens(lens):
+        rotation_matrix = self._rotation(rotation)
+        if rotation_matrix is None or not self._is_lens(lens):
             return None
-        stated = self.value.get("name")
+        stated_name = self.value.get("name")
         return Camera(
-            stated if isinstance(stated, str) and stated else str(name),
+            stated_name if isinstance(stated_name, str) and stated_name else str(name),
             (float(matrix[0, 0]), float(matrix[1, 1])),
             (float(matrix[0, 2]), float(matrix[1, 2])),
-            turned,
+            rotation_matrix,
             translation * scale,
             size,
             float(matrix[0, 1]),
-            tuple(np.append(lens.ravel(), np.zeros(MODELLED))[:MODELLED].tolist()),
+            tuple(
+                np.append(lens.ravel(), np.zeros(MODELLED_COEFFICIENTS))[
+                    :MODELLED_COEFFICIENTS
+                ].tolist()
+            ),
         )
 
-    def _key(self, what: str) -> str | None:
-        return next((key for key in _KEYS[what] if key in self.value), None)
+    def _key(self, quantity: str) -> str | None:
+        return next((key for key in _KEYS[quantity] if key in self.value), None)
 
-    def _numbers(self, what: str, shape: tuple[int, ...] | None) -> FloatArray | None:
-        key = self._key(what)
+    def _numbers(
+        self, quantity: str, shape: tuple[int, ...] | None
+    ) -> FloatArray | None:
+        key = self._key(quantity)
         if key is None:
-            if what == "distortion":
+            if quantity == "distortion":
                 return np.zeros(0)
-            message = f"the camera has no {what}"
-            hint = f"write it as {listed(_KEYS[what])}"
-            if what in {"rotation", "translation"}:
+            message = f"the camera has no {quantity}"
+            hint = f"write it as {listed(_KEYS[quantity])}"
+            if quantity in {"rotation", "translation"}:
                 hint = f"only its lens is calibrated; {hint}"
             self.document.add("CAM003", self.location, message, hint)
             return None
@@ -253,14 +260,16 @@ class _CalibrationEntry:
         return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 
     def _is_matrix(self, matrix: FloatArray) -> bool:
-        below = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
-        fine = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(below, 0)
-        if not fine:
+        fixed_entries = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
+        is_valid = (
+            matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(fixed_entries, 0)
+        )
+        if not is_valid:
             message = "is not a camera matrix"
             hint = "write [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
             key = self._key("matrix") or "matrix"
             self.document.add("CAM003", (*self.location, key), message, hint)
-        return bool(fine)
+        return bool(is_valid)
 
     def _rotation(self, value: FloatArray) -> FloatArray | None:
         if value.size == 3:
@@ -277,11 +286,11 @@ class _CalibrationEntry:
 
     def _is_lens(self, value: FloatArray) -> bool:
         key = self._key("distortion") or "distortion"
-        if value.size not in range(9) and value.size not in _LENSES:
+        if value.size not in range(9) and value.size not in _COEFFICIENT_COUNTS:
             message = f"{value.size} numbers do not make an OpenCV lens"
             self.document.add("CAM003", (*self.location, key), message)
             return False
-        if value.ravel()[MODELLED:].any():
+        if value.ravel()[MODELLED_COEFFICIENTS:].any():
             message = "thin prisms and tilted sensors are not supported"
             hint = "calibrate without them: k1, k2, p1, p2, k3 to k6"
             self.document.add("CAM003", (*self.location, key), message, hint)
@@ -290,14 +299,14 @@ class _CalibrationEntry:
 
     def _size(self) -> tuple[int, int] | None:
         key = self._key("size")
-        pair: Any = None if key is None else self.value[key]
-        for width, height in _SIDES:
+        size_pair: Any = None if key is None else self.value[key]
+        for width, height in _SIZE_KEYS:
             if width in self.value and height in self.value:
-                pair, key = [self.value[width], self.value[height]], width
-        if pair is None or key is None:
+                size_pair, key = [self.value[width], self.value[height]], width
+        if size_pair is None or key is None:
             return None
         try:
-            sides = [int(side) for side in pair]
+            sides = [int(side) for side in size_pair]
         except (TypeError, ValueError, OverflowError):
             sides = []
         if len(sides) != 2 or not all(0 < side <= 100_000 for side in sides):

@@ -1,4 +1,4 @@
-"""Calibrated cameras: lens, place and direction, and the way from points to pixels.
+"""Calibrated cameras: lens, pose, and the projection of points to pixels.
 
 References:
     Brown, Decentering distortion of lenses, 1966; the rational model is that of
@@ -20,7 +20,7 @@ from animtool.core.units import UpAxis
 UNNAMED = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
-_STEPS = 20
+_NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Camera:
         rotation: ``R`` ``(3, 3)``.
         translation: ``t`` [m] ``(3,)``.
         size: Width and height of the image [px]; None where unknown.
-        skew: Of the image axes [px].
+        skew: Skew of the image axes [px].
         distortion: k1 k2 p1 p2 k3 k4 k5 k6 [1], as OpenCV has them.
     """
 
@@ -51,7 +51,7 @@ class Camera:
 
     @property
     def position(self) -> FloatArray:
-        """Its position in the world [m] ``(3,)``."""
+        """Camera position in the world [m] ``(3,)``."""
         return -self.rotation.T @ self.translation
 
     @property
@@ -81,7 +81,7 @@ class Cameras:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of each camera."""
+        """Camera names, in the order of the file."""
         return tuple(camera.name for camera in self.cameras)
 
     def __len__(self) -> int:
@@ -115,9 +115,9 @@ def distorted(camera: Camera, points: FloatArray) -> FloatArray:
     x, y = points[..., 0], points[..., 1]
     s = x * x + y * y
     radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
-    across = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
-    down = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([across, down], axis=-1)
+    x_distorted = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
+    y_distorted = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([x_distorted, y_distorted], axis=-1)
 
 
 def project(camera: Camera, points: FloatArray) -> FloatArray:
@@ -136,9 +136,9 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
         x, y = np.moveaxis(
             distorted(camera, in_camera[..., :2] / depth[..., None]), -1, 0
         )
-        across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
-        down = camera.focal[1] * y + camera.centre[1]
-    pixels = np.stack([across, down], axis=-1)
+        pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
+        pixel_y = camera.focal[1] * y + camera.centre[1]
+    pixels = np.stack([pixel_x, pixel_y], axis=-1)
     pixels[~np.isfinite(pixels).all(axis=-1)] = np.nan
     return pixels
 
@@ -161,19 +161,19 @@ def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     target = np.stack([x, y], axis=-1)
     estimate = target.copy()
-    for _ in range(_STEPS if any(camera.distortion) else 0):
-        # The slopes of the lens by differences: exact enough, since each step is
-        # measured by the lens itself.
-        step, here = 1e-6, distorted(camera, estimate)
-        by_x = (distorted(camera, estimate + np.array([step, 0])) - here) / step
-        by_y = (distorted(camera, estimate + np.array([0, step])) - here) / step
-        off = here - target
+    for _ in range(_NEWTON_STEPS if any(camera.distortion) else 0):
+        # Finite differences are exact enough for the slopes of the lens: every step is
+        # checked with the lens model itself.
+        step, projected = 1e-6, distorted(camera, estimate)
+        by_x = (distorted(camera, estimate + np.array([step, 0])) - projected) / step
+        by_y = (distorted(camera, estimate + np.array([0, step])) - projected) / step
+        error = projected - target
         det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
         det = np.where(det > 0, det, np.nan)
         change = np.stack(
             [
-                off[..., 0] * by_y[..., 1] - off[..., 1] * by_y[..., 0],
-                off[..., 1] * by_x[..., 0] - off[..., 0] * by_x[..., 1],
+                error[..., 0] * by_y[..., 1] - error[..., 1] * by_y[..., 0],
+                error[..., 1] * by_x[..., 0] - error[..., 0] * by_x[..., 1],
             ],
             axis=-1,
         )

@@ -108,7 +108,7 @@ def cameras_of_document(document: Document) -> Cameras:
 
     Raises:
         FormatError: With every fault, such as an invalid rotation (CAM001) and a
-            name that stands used twice (CAM002).
+            duplicate name (CAM002).
     """
     check_version(document, "cameras")
     model = validated(document, CamerasModel)
@@ -158,7 +158,7 @@ def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
 def load_cameras(
     path: Path | str, *, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Read calibrated cameras: our files, and those of OpenCV, Pose2Sim and anipose.
+    """Read calibrated cameras, from animtool, OpenCV, Pose2Sim or anipose.
 
     Args:
         path: A camera file (``cameras: animtool/1``), an OpenCV FileStorage in YAML or
@@ -190,22 +190,22 @@ def load_all_cameras(
         FormatError: One cannot be read, a name is in two (CAM002), or their worlds
             have different up axes (CAM003).
     """
-    read = [load_cameras(path, unit=unit, up=up) for path in paths]
-    if len(read) == 1:
-        return read[0]
+    camera_sets = [load_cameras(path, unit=unit, up=up) for path in paths]
+    if len(camera_sets) == 1:
+        return camera_sets[0]
     cameras: dict[str, Camera] = {}
-    for path, camera_set in zip(paths, read, strict=True):
-        if camera_set.up != read[0].up:
-            other = f"that of {paths[0].name} is {read[0].up}"
+    for path, camera_set in zip(paths, camera_sets, strict=True):
+        if camera_set.up != camera_sets[0].up:
+            other = f"that of {paths[0].name} is {camera_sets[0].up}"
             message = f"its up axis is {camera_set.up}, but {other}"
             hint = "calibrate all cameras in one world, and write its `up` in each file"
             raise FormatError(Fault("CAM003", message, str(path), hint=hint))
         for camera in camera_set.cameras:
-            alone = len(camera_set) == 1 and camera.name == UNNAMED
-            name = path.name.partition(".")[0] if alone else camera.name
+            is_unnamed = len(camera_set) == 1 and camera.name == UNNAMED
+            name = path.name.partition(".")[0] if is_unnamed else camera.name
             if name in cameras:
                 message = f"two cameras are called {name!r}"
                 raise FormatError(Fault("CAM002", message, str(path)))
             cameras[name] = replace(camera, name=name)
-    notices = tuple(note for camera_set in read for note in camera_set.notices)
-    return Cameras(tuple(cameras.values()), read[0].up, str(paths[0]), notices)
+    notices = tuple(note for camera_set in camera_sets for note in camera_set.notices)
+    return Cameras(tuple(cameras.values()), camera_sets[0].up, str(paths[0]), notices)

@@ -20,27 +20,27 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 
 # Points for the noise estimate: enough for a few percent.
-SAMPLE = 1500
+SAMPLE_POINTS = 1500
 # Points at which all pairs of cameras are compared.
-FIRST_SAMPLE = 400
+PAIRWISE_POINTS = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
-MEDIAN = 1.1774100225154747
-# Least median of residuals over pairs of rays, against the noise: by cameras of a
-# point, from 2 on. Measured with cameras around a volume.
-_LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
-# Below, a gate would follow the rounding of pixels [px].
+MEDIAN_LENGTH_2D = 1.1774100225154747
+# Expected least median of residuals over pairs of rays, relative to the noise, by the
+# number of cameras that see a point, from 2 on. Measured with cameras around a volume.
+_LEAST_MEDIANS = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
+# With less, a gate would follow the rounding of pixels [px].
 MIN_NOISE = 0.05
 # Cameras share one noise unless a camera's differs by this factor.
 SIMILAR_NOISE = 1.5
-# Largest noise of a camera, over that of all.
-_MAX_RATIO = 3.0
+# Largest noise of a camera, relative to the noise of all.
+_MAX_NOISE_RATIO = 3.0
 # A camera whose noise is this many times that of all may be stale.
-_SUSPECT = 1.1
-_SUSPECTS = 4
-# Least fraction of triangulated points for cameras to agree [1].
+_SUSPECT_NOISE_RATIO = 1.1
+_MAX_SUSPECTS = 4
+# Minimum fraction of triangulated points for cameras to agree [1].
 MIN_TRIANGULATED = 0.5
 _ROUNDS = 2
-_ANY = 1e6  # a gate that accepts everything
+_OPEN_GATE = 1e6  # a gate that accepts everything
 # The kernel's state of an observation.
 USED, _REJECTED, _INACTIVE = 1, 2, 3
 
@@ -65,7 +65,7 @@ def measured_noise(
 ) -> Noise:
     """Return the noise of observations, measured on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
-    step = max(1, frames * markers // SAMPLE)
+    step = max(1, frames * markers // SAMPLE_POINTS)
     pixels = observations.pixels(0, frames, step)
     trust = observations.trust(0, frames, step)
     numbers = camera_numbers(cameras)
@@ -87,7 +87,9 @@ def measured_noise(
         middle = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
         ratios = np.nan_to_num(noises / middle, nan=1.0)
         similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
-        scaled = np.where(similar, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
+        scaled = np.where(
+            similar, 1.0, np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
+        )
         noise = np.maximum(pooled * scaled, MIN_NOISE)
         left_out = _stale_camera(
             cameras, pixels, trust, noise, active, ratios, settings
@@ -95,8 +97,8 @@ def measured_noise(
         if left_out is not None:
             worst, stale[worst] = left_out[0], left_out[1]
             active[:, worst] = False
-            rest = active[0]
-            noise[:] = first_noise(pixels[:, rest], numbers[rest])
+            active_frame = active[0]
+            noise[:] = first_noise(pixels[:, active_frame], numbers[active_frame])
         elif round_ >= _ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
@@ -105,10 +107,10 @@ def measured_noise(
     visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
     triangulated = int(np.isfinite(points[..., 0]).sum())
     if triangulated < MIN_TRIANGULATED * visible.sum():
-        # No two agree, or any two do: all are pooled.
+        # If no two cameras agree, or any two do, all are pooled.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
-            pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
+            pixels, trust, numbers, active, noise, _OPEN_GATE, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         overall = _pooled(lengths, states == USED)
@@ -135,16 +137,16 @@ def _stale_camera(
         return None
     suspects = np.argsort(-ratios, kind="stable")
     candidates: list[tuple[float, int, PoseChange]] = []
-    for camera in suspects[:_SUSPECTS].tolist():
-        if not active[0, camera] or ratios[camera] < _SUSPECT:
+    for camera in suspects[:_MAX_SUSPECTS].tolist():
+        if not active[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
-        others = active.copy()
-        others[:, camera] = False
+        without_camera = active.copy()
+        without_camera[:, camera] = False
         points, sizes, *_ = _kernels.triangulate_points(
             pixels,
             trust,
             camera_numbers(cameras),
-            others,
+            without_camera,
             noise,
             *settings,
             detailed=False,
@@ -154,20 +156,26 @@ def _stale_camera(
             candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
     if not candidates:
         return None
-    _, camera, change = min(candidates, key=lambda each: each[:2])
+    _, camera, change = min(candidates, key=lambda camera_change: camera_change[:2])
     return camera, change
 
 
 def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     """Return the noise estimated from least medians of squared residuals [px]."""
-    pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // FIRST_SAMPLE)]
+    pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
-    least = _kernels.least_median_residuals(np.ascontiguousarray(pixels), numbers)
-    known = np.isfinite(least) & (counts > 1)
-    if not known.any():
+    least_medians = _kernels.least_median_residuals(
+        np.ascontiguousarray(pixels), numbers
+    )
+    has_estimate = np.isfinite(least_medians) & (counts > 1)
+    if not has_estimate.any():
         return 1.0
-    factors = np.array([*_LEAST, 1.0])[np.clip(counts - 2, 0, len(_LEAST))]
-    return max(float(np.median(least[known] / factors[known])), MIN_NOISE)
+    factors = np.array([*_LEAST_MEDIANS, 1.0])[
+        np.clip(counts - 2, 0, len(_LEAST_MEDIANS))
+    ]
+    return max(
+        float(np.median(least_medians[has_estimate] / factors[has_estimate])), MIN_NOISE
+    )
 
 
 def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
@@ -175,24 +183,30 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)
     sums = (sums * sums).sum(axis=1)[counts > 1]
-    free = 2.0 * counts[counts > 1] - 3
+    degrees_of_freedom = 2.0 * counts[counts > 1] - 3
     if not len(sums):
         return None
-    middle = free * (1 - 2 / (9 * free)) ** 3
+    middle = degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
     return float(np.sqrt(np.median(sums / middle)))
 
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera, from its median residual [px] ``(C,)``."""
     used = states == USED
-    others = used.sum(axis=1)[:, None] - used
-    judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (others > 1)
-    # A point from n cameras takes 3 of their 2n residuals.
-    free = np.where(used, 1 - 1.5 / np.maximum(others + used, 2), 1.0)
-    scaled = np.where(judged & np.isfinite(lengths), lengths / np.sqrt(free), np.nan)
+    other_counts = used.sum(axis=1)[:, None] - used
+    is_judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (
+        other_counts > 1
+    )
+    # A point seen by n cameras takes 3 of their 2n residuals.
+    residual_fraction = np.where(
+        used, 1 - 1.5 / np.maximum(other_counts + used, 2), 1.0
+    )
+    scaled_lengths = np.where(
+        is_judged & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan
+    )
     medians = np.full(lengths.shape[1], np.nan)
     for camera in range(len(medians)):
-        values = scaled[:, camera]
+        values = scaled_lengths[:, camera]
         if np.isfinite(values).sum() >= 20:
-            medians[camera] = np.nanmedian(values) / MEDIAN
+            medians[camera] = np.nanmedian(values) / MEDIAN_LENGTH_2D
     return medians

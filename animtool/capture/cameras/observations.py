@@ -21,7 +21,8 @@ from animtool.core.rates import FractionLike, rate_from_float, rate_option
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 
-# Arrays of pixels by name: unit of a number [px], and the number for invisible points.
+# Pixel arrays by key: unit of a stored number [px], and the number that marks invisible
+# points.
 _ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 MAX_CAMERAS = 256
 # Hint for a file that has no observations.
@@ -41,12 +42,12 @@ class Observations:
     """Pixels at which C cameras see M points over F frames.
 
     Attributes:
-        names: Of the points.
+        names: Names of the points.
         clock: Times of the frames.
         stored: Pixels as the file has them ``(F, C, M, 2)``.
         cameras: Names of the cameras; empty where the file names none, and they are in
             the order of the cameras file.
-        unit: What a stored number is [px].
+        unit: Size of one stored unit [px].
         missing: The stored number for invisible points; None is NaN.
         confidences: Detector confidence ``(F, C, M)``, 0 if not visible; None if
             all are equal.
@@ -111,10 +112,10 @@ def read_observations(
 def _other_kind(path: Path, message: str) -> tuple[str, str]:
     """Return message and hint for a file of another type than npz."""
     with open_input(path, None) as file:
-        head = file.read(HEAD)
-    if head[:2] == b"PK":
+        first_bytes = file.read(HEAD)
+    if first_bytes[:2] == b"PK":
         return message, LAYOUT_HINT
-    text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
+    text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
         return "is not an npz file of pixels", LAYOUT_HINT
     kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
@@ -135,31 +136,31 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
 
 
 def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:
-    known = archives.names(path)
-    key = next((name for name in _ARRAYS if name in known), None)
+    array_names = archives.names(path)
+    key = next((name for name in _ARRAYS if name in array_names), None)
     if key is None:
-        arrays = listed(known) or "nothing"
+        arrays = listed(array_names) or "nothing"
         raise ValueError(
             f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
         )
     unit, missing = _ARRAYS[key]
-    head = archives.header(path, key)
-    if len(head.shape) != 4 or head.shape[3] != 2:
-        message = f"{key!r} has shape {head.shape}, not (frames, cameras, markers, 2)"
+    header = archives.header(path, key)
+    if len(header.shape) != 4 or header.shape[3] != 2:
+        message = f"{key!r} has shape {header.shape}, not (frames, cameras, markers, 2)"
         raise ValueError(message)
-    frames, views, count, _ = head.shape
+    frames, views, count, _ = header.shape
     if not (frames and views and count):
-        raise ValueError(f"{key!r} has shape {head.shape}: it is empty")
+        raise ValueError(f"{key!r} has shape {header.shape}: it is empty")
     if views > MAX_CAMERAS:
         raise ValueError(f"{key!r} has {views} cameras; the limit is {MAX_CAMERAS}")
-    if (head.kind == "f") != (key == "uv"):
-        kinds = "floats" if key == "uv" else "whole numbers"
-        raise ValueError(f"{key!r} does not hold {kinds}")
+    if (header.kind == "f") != (key == "uv"):
+        dtype_text = "floats" if key == "uv" else "whole numbers"
+        raise ValueError(f"{key!r} does not hold {dtype_text}")
     stored = archives.stored(path, key)
-    if head.kind == "f" and np.isinf(stored).any():
+    if header.kind == "f" and np.isinf(stored).any():
         raise ValueError(f"{key!r} contains an infinity")
     texts = {
-        name: tuple(archives.texts(path, name)) if name in known else ()
+        name: tuple(archives.texts(path, name)) if name in array_names else ()
         for name in ("marker_names", "camera_names")
     }
     names = texts["marker_names"] or tuple(f"*{i}" for i in range(count))
@@ -168,12 +169,12 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         ("marker_names", len(names), count),
         ("camera_names", len(cameras), views),
     )
-    for what, length, expected in lengths:
+    for label, length, expected in lengths:
         if length not in {expected, 0}:
-            raise ValueError(f"{what!r} has {length}, but {key!r} has {expected}")
-    rate = _rate(archives, path, known, fps)
+            raise ValueError(f"{label!r} has {length}, but {key!r} has {expected}")
+    rate = _rate(archives, path, array_names, fps)
     confidences = None
-    if "confidence" in known:
+    if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
         if confidences.shape != (frames, views, count):
             message = f"'confidence' has shape {confidences.shape}"
@@ -185,22 +186,22 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
 
 
 def _rate(
-    archives: Archives, path: Path, known: list[str], fps: FractionLike | None
+    archives: Archives, path: Path, array_names: list[str], fps: FractionLike | None
 ) -> Fraction:
     if fps is not None:
         return rate_option(fps)
-    if "fs" not in known:
+    if "fs" not in array_names:
         raise ValueError(
             f"has no number 'fs', the frame rate; set it with {argument('fps')}"
         )
-    stated = archives.stored(path, "fs").ravel()
+    stored_rates = archives.stored(path, "fs").ravel()
     low, high = _RATES
-    if stated.size != 1 or not low <= float(stated[0]) <= high:
-        shown = listed(stated.tolist())
+    if stored_rates.size != 1 or not low <= float(stored_rates[0]) <= high:
+        rates = listed(stored_rates.tolist())
         raise ValueError(
-            f"'fs' is {shown}, which is not a frame rate; set it with {argument('fps')}"
+            f"'fs' is {rates}, which is not a frame rate; set it with {argument('fps')}"
         )
-    return rate_from_float(float(stated[0]))
+    return rate_from_float(float(stored_rates[0]))
 
 
 def matched(observations: Observations, cameras: Cameras) -> Cameras:
@@ -216,11 +217,11 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing = [name for name in observations.cameras if name not in by_name]
         if missing:
-            near = similar(missing[0], list(by_name))
+            suggestions = similar(missing[0], list(by_name))
             message = f"camera {missing[0]!r} has no calibration"
             hint = (
-                f"did you mean {near!r}?"
-                if near
+                f"did you mean {suggestions!r}?"
+                if suggestions
                 else f"the calibration has {listed(list(by_name))}"
             )
             raise OptionError(Fault("CAM011", message, path, (), hint))

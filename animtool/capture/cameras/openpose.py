@@ -39,16 +39,18 @@ from animtool.core.record import dataclass
 # People seen by several cameras are matched by rays and tracked over time.
 
 MAX_PEOPLE = 100
-# Largest distance of one person's keypoints, over the diagonal of the visible ones [1]:
-# between an image and where the person was before, and between two rays.
-_NEAR, _AGREE = 0.3, 0.06
+# Largest distance between keypoints of one person, relative to the diagonal of the
+# visible ones [1]: from the person's previous position in an image, and between two
+# rays.
+_MAX_SHIFT, _MAX_RAY_GAP = 0.3, 0.06
 # Longest absence of a tracked person [s].
 LOST_SECONDS = 0.5
 # People visible for less than this are false detections [s].
 MIN_SECONDS = 0.25
-# Least number of shared keypoints for comparing two images.
+# Minimum number of shared keypoints for comparing two images.
 MIN_SHARED = 3
-# The noise of detectors, against the diagonal of a person [1], and the gate.
+# Noise of detectors relative to the diagonal of a person [1], its outlier gate and
+# largest condition number.
 _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 
 
@@ -67,43 +69,51 @@ def follow_people(
     cameras: Sequence[Camera],
     rate: float,
     keypoints: int,
-    most: int | None,
+    max_people: int | None,
 ) -> FloatArray:
     """Return x, y and confidence of each person's keypoints ``(F, C, P * M, 3)``.
 
     Args:
-        detections: By frame and camera, people ``(M, 3)`` with NaN for what is not
-            seen.
-        cameras: Their calibrations.
+        detections: People by frame and camera ``(M, 3)``, NaN for invisible keypoints.
+        cameras: Camera calibrations.
         rate: Frames a second.
         keypoints: M.
-        most: Most people to keep, by visibility; None keeps all.
+        max_people: Largest number of people to keep, most visible first; None keeps
+            all.
     """
     tracks: list[_PersonTrack] = []
     lost_after = max(1, round(LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live = [t for t in tracks if frame - t.last_frame <= lost_after]
-        free = {
-            (c, i) for c, detected in enumerate(people) for i in range(len(detected))
+        unassigned = {
+            (camera, i)
+            for camera, detected in enumerate(people)
+            for i in range(len(detected))
         }
-        groups = _continued(live, people, cameras, free)
-        fresh = _grouped(people, cameras, sorted(free))
-        for known_as, group in [*groups, *((None, group) for group in fresh)]:
+        groups = _continued(live, people, cameras, unassigned)
+        first_new = _grouped(people, cameras, sorted(unassigned))
+        for known_as, group in [*groups, *((None, group) for group in first_new)]:
             points = _solved(group, people, cameras, keypoints)
             if points is None:
                 continue
             track = known_as or _PersonTrack(points, frame)
             if known_as is None:
                 tracks.append(track)
-            known = np.isfinite(points[:, :1])
-            track.points = np.where(known, points, track.points)
+            is_triangulated = np.isfinite(points[:, :1])
+            track.points = np.where(is_triangulated, points, track.points)
             track.last_frame = frame
-            track.detections.update({(frame, c): i for c, i in group.items()})
-    least = min(len(detections), max(1, round(MIN_SECONDS * rate)))
-    kept = [t for t in tracks if len({f for f, _ in t.detections}) >= least] or tracks
-    order = sorted(range(len(kept)), key=lambda k: (-len(kept[k].detections), k))
-    order = sorted(order[: most or len(order)])
-    return _gathered([kept[k] for k in order], detections, len(cameras), keypoints)
+            track.detections.update({(frame, camera): i for camera, i in group.items()})
+    min_frames = min(len(detections), max(1, round(MIN_SECONDS * rate)))
+    long_tracks = [
+        t for t in tracks if len({f for f, _ in t.detections}) >= min_frames
+    ] or tracks
+    order = sorted(
+        range(len(long_tracks)), key=lambda k: (-len(long_tracks[k].detections), k)
+    )
+    order = sorted(order[: max_people or len(order)])
+    return _gathered(
+        [long_tracks[k] for k in order], detections, len(cameras), keypoints
+    )
 
 
 def _gathered(
@@ -131,28 +141,28 @@ def _continued(
     live: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    free: set[tuple[int, int]],
+    unassigned: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
-    """Assign detections to known people, and remove them from ``free``."""
+    """Assign detections to known people, and remove them from ``unassigned``."""
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live]
     for c, camera in enumerate(cameras):
         if not live or not people[c]:
             continue
-        costs = np.full((len(live), len(people[c])), _NEAR)
+        costs = np.full((len(live), len(people[c])), _MAX_SHIFT)
         for t, track in enumerate(live):
-            shown = project(camera, track.points)
+            projected = project(camera, track.points)
             for i, keypoints in enumerate(people[c]):
-                off = np.linalg.norm(shown - keypoints[:, :2], axis=-1)
-                known = np.isfinite(off)
-                if known.sum() >= MIN_SHARED:
-                    cost = float(np.median(off[known])) / _size(keypoints)
-                    costs[t, i] = min(cost, _NEAR)
+                distances = np.linalg.norm(projected - keypoints[:, :2], axis=-1)
+                is_visible = np.isfinite(distances)
+                if is_visible.sum() >= MIN_SHARED:
+                    cost = float(np.median(distances[is_visible])) / _size(keypoints)
+                    costs[t, i] = min(cost, _MAX_SHIFT)
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
-            if costs[t, i] < _NEAR:
+            if costs[t, i] < _MAX_SHIFT:
                 groups[t][c] = int(i)
-                free.discard((c, int(i)))
+                unassigned.discard((c, int(i)))
     return list(zip(live, groups, strict=True))
 
 
@@ -163,29 +173,34 @@ def _grouped(
 ) -> list[dict[int, int]]:
     """Return new people: detections whose rays intersect."""
     pairs = []
-    lines = {each: _rays(cameras[each[0]], people[each[0]][each[1]]) for each in free}
-    for a, one in enumerate(free):
-        for other in free[a + 1 :]:
-            if one[0] != other[0]:
+    ray_directions = {
+        detection: _rays(cameras[detection[0]], people[detection[0]][detection[1]])
+        for detection in free
+    }
+    for a, det_a in enumerate(free):
+        for det_b in free[a + 1 :]:
+            if det_a[0] != det_b[0]:
                 cost = _missed(
-                    cameras[one[0]], lines[one], cameras[other[0]], lines[other],
-                    _size(people[one[0]][one[1]]), _size(people[other[0]][other[1]]),
+                    cameras[det_a[0]], ray_directions[det_a],
+                    cameras[det_b[0]], ray_directions[det_b],
+                    _size(people[det_a[0]][det_a[1]]),
+                    _size(people[det_b[0]][det_b[1]]),
                 )  # fmt: skip
-                if cost < _AGREE:
-                    pairs.append((cost, one, other))
-    close = {(one, other): cost for cost, one, other in pairs}
-    group_of = {each: {each[0]: each[1]} for each in free}
-    for _, one, other in sorted(pairs):
-        first, second = group_of[one], group_of[other]
+                if cost < _MAX_RAY_GAP:
+                    pairs.append((cost, det_a, det_b))
+    pair_costs = {(det_a, det_b): cost for cost, det_a, det_b in pairs}
+    group_of = {detection: {detection[0]: detection[1]} for detection in free}
+    for _, det_a, det_b in sorted(pairs):
+        first, second = group_of[det_a], group_of[det_b]
         if first is second or set(first) & set(second):
             continue
-        # All of both must agree: rays of two people may meet by chance.
+        # All keypoints of both must agree: rays of two people may meet by chance.
         crossing = [
             tuple(sorted([(c, i), (d, j)]))
             for c, i in first.items()
             for d, j in second.items()
         ]
-        if all(pair in close for pair in crossing):
+        if all(pair in pair_costs for pair in crossing):
             first.update(second)
             for c, i in second.items():
                 group_of[c, i] = first
@@ -195,32 +210,42 @@ def _grouped(
 
 def _rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
     """Return directions of keypoints in the world ``(M, 3)``."""
-    flat = rays(camera, keypoints[:, :2])
-    directions = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+    image_points = rays(camera, keypoints[:, :2])
+    directions = np.concatenate([image_points, np.ones((len(image_points), 1))], axis=1)
     return np.asarray(directions @ camera.rotation)
 
 
 def _missed(
-    one: Camera, a: FloatArray, other: Camera, b: FloatArray, size: float, wide: float
+    camera_a: Camera,
+    rays_a: FloatArray,
+    camera_b: Camera,
+    rays_b: FloatArray,
+    size_a: float,
+    size_b: float,
 ) -> float:
     """Return how far rays of two cameras miss, over the size of a person [1].
 
-    It is the angle between a ray and the plane of the other ray and both cameras, in
-    pixels.
+    Measured in pixels, as the angle between a ray and the plane that contains the other
+    ray and both cameras.
     """
-    between = other.position - one.position
-    total = 0.0
-    for mine, theirs, camera, scale in ((a, b, one, size), (b, a, other, wide)):
-        normal = np.cross(between, theirs)
+    baseline = camera_b.position - camera_a.position
+    largest = 0.0
+    for ray_set, opposite_rays, camera, scale in (
+        (rays_a, rays_b, camera_a, size_a),
+        (rays_b, rays_a, camera_b, size_b),
+    ):
+        normal = np.cross(baseline, opposite_rays)
         with np.errstate(invalid="ignore", divide="ignore"):
-            sine = np.abs(np.einsum("mi,mi->m", mine, normal))
+            sine = np.abs(np.einsum("mi,mi->m", ray_set, normal))
             sine = sine / np.linalg.norm(normal, axis=1)
-        known = np.isfinite(sine)
-        if known.sum() < MIN_SHARED:
+        is_finite = np.isfinite(sine)
+        if is_finite.sum() < MIN_SHARED:
             return np.inf
         # Lengths are at depth 1 of the camera.
-        total = max(total, float(np.median(sine[known])) * camera.focal[0] / scale)
-    return total
+        largest = max(
+            largest, float(np.median(sine[is_finite])) * camera.focal[0] / scale
+        )
+    return largest
 
 
 def _solved(
@@ -232,13 +257,13 @@ def _solved(
     """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
-    chosen = sorted(group)
-    views = np.stack([people[c][group[c]] for c in chosen])
+    selected = sorted(group)
+    views = np.stack([people[c][group[c]] for c in selected])
     noise = np.array([_NOISE * _size(view) for view in views])
     points: FloatArray = _kernels.triangulate_points(
         np.ascontiguousarray(views[None, :, :, :2]), None,
-        camera_numbers([cameras[c] for c in chosen]),
-        np.ones((1, len(chosen)), bool), noise, _GATE, _CONDITION,
+        camera_numbers([cameras[c] for c in selected]),
+        np.ones((1, len(selected)), bool), noise, _GATE, _CONDITION,
         detailed=False,
     )[0][0]  # fmt: skip
     triangulated = np.isfinite(points).all(axis=-1)
@@ -272,12 +297,12 @@ def read_keypoints(
     """Return the keypoints of a folder, with people tracked across cameras.
 
     Args:
-        folder: Holds a folder for each camera, called as its calibration is, or in the
-            order of the cameras. Names of files end with the frame's number, as in
+        folder: Contains a folder for each camera, named after its calibration or in the
+            order of the cameras. File names end with the frame number, as in
             ``take_000000000012_keypoints.json``.
         cameras: Calibrations of all cameras: people are matched by intersecting rays.
         fps: The frame rate, which the files do not state.
-        people: Most people to keep, by visibility; None keeps all.
+        people: Largest number of people to keep, most visible first; None keeps all.
 
     Raises:
         FormatError: A file cannot be read, or there are none (CAM010).
@@ -290,22 +315,24 @@ def read_keypoints(
         hint = f"set it with {argument('source.fps')}"
         raise OptionError(Fault("CAM010", message, str(folder), (), hint))
     rate = rate_option(fps)
-    folders = sorted(each for each in folder.iterdir() if any(each.glob("*.json")))
+    folders = sorted(
+        subfolder for subfolder in folder.iterdir() if any(subfolder.glob("*.json"))
+    )
     if not folders:
         message = "contains no folder of JSON files for each camera"
         raise FormatError(Fault("CAM010", message, str(folder)))
     names = _camera_names(folders, cameras)
-    frames = [dict(_frames(each)) for each in folders]
+    frames = [dict(_frames(subfolder)) for subfolder in folders]
     first = min(min(files) for files in frames)
     last = max(max(files) for files in frames)
     if last - first >= MAX_FRAMES:
         message = f"frames are numbered {first} to {last}: more than {MAX_FRAMES}"
         raise FormatError(Fault("CAM010", message, str(folder)))
-    shown = Observations(
+    frame_clock = Observations(
         (), Clock(rate, Fraction(1), Fraction(1), last - first + 1),
         np.zeros((1, len(folders), 0, 2)), names, path=str(folder),
     )  # fmt: skip
-    chosen = matched(shown, cameras)
+    chosen = matched(frame_clock, cameras)
     detections = [
         [_people(files[f]) if f in files else [] for files in frames]
         for f in range(first, last + 1)
@@ -316,9 +343,9 @@ def read_keypoints(
         hint = "all files must use one body model"
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
     keypoints = counts.pop()
-    followed = follow_people(detections, chosen.cameras, float(rate), keypoints, people)
+    tracks = follow_people(detections, chosen.cameras, float(rate), keypoints, people)
     labels = _NAMES.get(keypoints) or tuple(f"point{i:02d}" for i in range(keypoints))
-    persons = followed.shape[2] // keypoints
+    persons = tracks.shape[2] // keypoints
     points = tuple(
         label if persons == 1 else f"person{p + 1}_{label}"
         for p in range(persons)
@@ -326,28 +353,28 @@ def read_keypoints(
     )
     clock = Clock(rate, Fraction(first), Fraction(1), len(detections))
     return Observations(
-        points, clock, np.ascontiguousarray(followed[..., :2]), names,
-        confidences=np.ascontiguousarray(followed[..., 2]), path=str(folder),
+        points, clock, np.ascontiguousarray(tracks[..., :2]), names,
+        confidences=np.ascontiguousarray(tracks[..., 2]), path=str(folder),
     )  # fmt: skip
 
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     """Return the camera of each folder: by name, else in order."""
-    known = set(cameras.names)
+    calibrated = set(cameras.names)
     suffixes = ("", "_json", "-json")
     names = []
     for folder in folders:
-        bare = [folder.name.removesuffix(end) for end in suffixes]
-        names.append(next((name for name in bare if name in known), ""))
+        stripped = [folder.name.removesuffix(end) for end in suffixes]
+        names.append(next((name for name in stripped if name in calibrated), ""))
     if all(names):
         return tuple(names)
     if any(names):
         missing = folders[names.index("")].name
-        near = similar(missing, cameras.names)
+        suggestions = similar(missing, cameras.names)
         message = f"camera {missing!r} has no calibration"
         hint = (
-            f"did you mean {near!r}?"
-            if near
+            f"did you mean {suggestions!r}?"
+            if suggestions
             else (f"the calibration has {listed(cameras.names)}")
         )
         raise OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
@@ -360,17 +387,17 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
 
 def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
     """Yield a camera's files with their frame numbers."""
-    taken: dict[int, Path] = {}
+    file_of_frame: dict[int, Path] = {}
     for path in sorted(folder.glob("*.json")):
         number = _NUMBER.search(path.name.removesuffix("_keypoints.json"))
         if number is None or len(number[1]) > 15:
             message = "has no frame number in its name"
             raise FormatError(Fault("CAM010", message, str(path)))
         frame = int(number[1])
-        if frame in taken:
-            message = f"has frame number {frame}, as {taken[frame].name} has"
+        if frame in file_of_frame:
+            message = f"has frame number {frame}, as {file_of_frame[frame].name} has"
             raise FormatError(Fault("CAM010", message, str(path)))
-        taken[frame] = path
+        file_of_frame[frame] = path
         yield frame, path
 
 
@@ -390,7 +417,7 @@ def _people(path: Path) -> list[FloatArray]:
     if len(people) > MAX_PEOPLE:
         message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
         raise FormatError(Fault("CAM010", message, str(path)))
-    kept = []
+    detected = []
     for keypoints in valid:
         if not 0 < len(keypoints) <= MAX_KEYPOINTS:
             message = f"a person has {len(keypoints)} keypoints"
@@ -398,8 +425,8 @@ def _people(path: Path) -> list[FloatArray]:
         missing = ~np.isfinite(keypoints).all(axis=1) | (keypoints[:, 2] <= 0)
         keypoints[missing] = [np.nan, np.nan, 0]
         if not missing.all():
-            kept.append(keypoints)
-    return kept
+            detected.append(keypoints)
+    return detected
 
 
 def _reason(error: Exception) -> str:

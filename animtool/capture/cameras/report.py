@@ -20,8 +20,8 @@ from animtool.motion.markers import Markers
 
 # Fraction of a camera's outliers above which it is reported [1].
 MANY_OUTLIERS = 0.1
-# Fraction of a frame's gaps above which it is reported [1].
-LOST = 0.5
+# Fraction of lost points in a frame above which it is reported [1].
+MANY_LOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +29,17 @@ class CameraReport:
     """How well a camera agrees with the triangulated points.
 
     Attributes:
-        name: Of the camera.
+        name: Name of the camera.
         observed: Number of observations.
         used: Observations used for points.
-        outliers: Fraction of the triangulated points' observations left out [1].
-        error_px: Root mean square reprojection error of the used ones [px].
-        error_mm: The same at the depth of the points [mm].
-        noise_px: Standard deviation of an axis, as measured [px].
-        no_ray: Observations that its lens model does not cover.
-        outside: Observations outside of its image.
-        shifts: Frames through which it does not fit its calibration.
+        outliers: Fraction of the observations of triangulated points that were rejected
+            [1].
+        error_px: Root mean square reprojection error of the used observations [px].
+        error_mm: The same error at the depth of the points [mm].
+        noise_px: Measured standard deviation along an axis [px].
+        no_ray: Number of observations outside the domain of its lens model.
+        outside: Number of observations outside its image.
+        shifts: Frame ranges in which it does not fit its calibration.
         disagrees: Single frames in which it disagrees with the others.
     """
 
@@ -145,11 +146,11 @@ class Tallies:
 
 
 def camera_notices(
-    report: CameraReport, camera: Camera, clock: Clock, path: str, *, kept: bool
+    report: CameraReport, camera: Camera, clock: Clock, path: str, *, is_kept: bool
 ) -> Iterator[Fault]:
     """Yield warnings about a camera.
 
-    kept: Whether it takes part where its pose shifted.
+    is_kept: Whether the camera is used even where its pose shifted.
     """
 
     def warning(code: str, message: str, hint: str | None = None) -> Fault:
@@ -168,13 +169,15 @@ def camera_notices(
         if shift.kept:
             text += "; it is kept: without it, the others do not agree better"
         else:
-            text += "; it is kept" if kept else "; it is excluded there"
+            text += "; it is kept" if is_kept else "; it is excluded there"
         yield warning("CAM101", text, "calibrate it again")
     if report.disagrees:
-        worst = max(report.disagrees, key=lambda each: each.outliers)
-        named = frame_spans([each.frame + 1 for each in report.disagrees])
+        worst = max(report.disagrees, key=lambda disagreement: disagreement.outliers)
+        frames_text = frame_spans(
+            [disagreement.frame + 1 for disagreement in report.disagrees]
+        )
         text = f"camera {report.name!r} disagrees with the others in "
-        text += f"{counted(len(report.disagrees), 'frame')}: {named}"
+        text += f"{counted(len(report.disagrees), 'frame')}: {frames_text}"
         if worst.outliers > 0:
             text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
@@ -201,16 +204,18 @@ def camera_notices(
 def lost_frames(
     positions: FloatArray, visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
-    """Yield frames in which no two cameras agree on most visible points.
+    """Yield warnings about frames in which most visible points have no position.
 
     Args:
         positions: ``(F, M, 3)``, NaN for a gap.
         visible: Points visible to two or more cameras ``(F, M)``.
-        clock: Of the frames.
-        path: Of the observations.
+        clock: Clock of the frames.
+        path: Path of the observations.
     """
-    lost = (visible & np.isnan(positions[..., 0])).sum(axis=1)
-    frames = np.flatnonzero((lost > LOST * visible.sum(axis=1)) & (lost >= MIN_VIEW))
+    lost_counts = (visible & np.isnan(positions[..., 0])).sum(axis=1)
+    frames = np.flatnonzero(
+        (lost_counts > MANY_LOST * visible.sum(axis=1)) & (lost_counts >= MIN_VIEW)
+    )
     if not len(frames) or len(frames) == clock.count:
         return
     text = f"cameras disagree in {counted(len(frames), 'frame')}: "
@@ -227,12 +232,16 @@ def gap_notices(
     positions: ``(F, M, 3)``, NaN for a gap.
     """
     triangulated = np.isfinite(positions[..., 0])
-    never = [names[i] for i in np.flatnonzero(~triangulated.any(axis=0)).tolist()]
-    if never:
-        text = f"no two cameras agree on {listed(never)} in any frame"
+    never_triangulated = [
+        names[i] for i in np.flatnonzero(~triangulated.any(axis=0)).tolist()
+    ]
+    if never_triangulated:
+        text = f"no two cameras agree on {listed(never_triangulated)} in any frame"
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
-    lost = views - int(triangulated.sum())
-    if lost > 0:
-        text = f"{counted(lost, 'point')} that two or more cameras see are gaps: no "
+    lost_count = views - int(triangulated.sum())
+    if lost_count > 0:
+        text = (
+            f"{counted(lost_count, 'point')} that two or more cameras see are gaps: no "
+        )
         text += "two agree, or their rays are too close to parallel"
         yield Fault("CAM105", text, path or None, severity=Severity.NOTE)

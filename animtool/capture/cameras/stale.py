@@ -12,15 +12,15 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import merge_runs, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
-# Least fraction of outliers of a camera that does not fit its calibration [1].
+# Minimum fraction of outliers of a camera that does not fit its calibration [1].
 MIN_REJECTED = 0.5
-# Its least duration [s] and number of observations.
+# Minimum duration [s] and number of observations to judge it.
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
-_STEPS = 8
-# Least observations to test a camera in a frame; how many times its
-# noise the rest deviates, and by how many standard errors.
-MIN_VIEW, LOUD, SAMPLING_SPREAD = 3, 2.0, 6.0
+_GAUSS_NEWTON_STEPS = 8
+# Minimum observations for testing a camera in a frame; how far the other observations
+# deviate, over the noise; and by how many standard errors.
+MIN_VIEW, LOUD_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,11 @@ class PoseShift:
     """Frames in which a camera does not fit its calibration.
 
     Attributes:
-        first: The first one, from 0.
-        end: After the last one.
+        first: Index of the first frame.
+        end: One past the last frame.
         outliers: Fraction of its observations that are outliers [1].
         change: The pose change that explains it; None if none does.
-        kept: Whether it takes part anyway, as the others fit no better without.
+        kept: Whether it is used anyway, because leaving it out improves nothing.
     """
 
     first: int
@@ -77,9 +77,10 @@ class Disagreement:
     """A frame in which a camera does not agree with the others.
 
     Attributes:
-        frame: From 0.
+        frame: Frame index.
         outliers: Fraction of its observations that are outliers [1].
-        error_px: Root mean square reprojection error of the rest [px]; NaN without any.
+        error_px: Root mean square reprojection error of the other observations [px];
+            NaN without any.
     """
 
     frame: int
@@ -103,23 +104,27 @@ def shifted_ranges(
     Args:
         judged: Observations of triangulated points ``(F, C)``.
         rejected: Outliers among them ``(F, C)``.
-        active: Cameras that take part ``(F, C)``.
+        active: Whether each camera is used ``(F, C)``.
         rate: Frames a second.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    best: tuple[int, list[PoseShift]] | None = None
-    most = 0
+    worst_fit: tuple[int, list[PoseShift]] | None = None
+    most_rejections = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
         count = _around(np.where(live, judged[:, camera], 0), window)
-        wrong = _around(np.where(live, rejected[:, camera], 0), window)
-        off = live & (wrong > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
+        rejected_count = _around(np.where(live, rejected[:, camera], 0), window)
+        is_off = (
+            live & (rejected_count > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
+        )
         rejections = np.where(live[:, None], rejected, 0.0)
-        ranges = _shifted(judged, rejections, camera, off, window)
-        total = sum(int(rejected[m.first : m.end, camera].sum()) for m in ranges)
-        if total > most:
-            best, most = (camera, ranges), total
-    return best
+        ranges = _shifted(judged, rejections, camera, is_off, window)
+        rejection_total = sum(
+            int(rejected[shift.first : shift.end, camera].sum()) for shift in ranges
+        )
+        if rejection_total > most_rejections:
+            worst_fit, most_rejections = (camera, ranges), rejection_total
+    return worst_fit
 
 
 def stale_ranges(
@@ -131,11 +136,11 @@ def stale_ranges(
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     count = _around(judged[:, camera], window)
-    wrong = _around(rejected[:, camera], window)
-    off = (wrong > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
-    if not (off & (count >= MIN_OBSERVATIONS)).any():
-        off[:] = True
-    return _shifted(judged, rejected, camera, off, window)
+    rejected_count = _around(rejected[:, camera], window)
+    is_off = (rejected_count > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
+    if not (is_off & (count >= MIN_OBSERVATIONS)).any():
+        is_off[:] = True
+    return _shifted(judged, rejected, camera, is_off, window)
 
 
 def disagreements(
@@ -145,17 +150,17 @@ def disagreements(
 
     Args:
         values: Tallies of the kernel ``(F, C, 8)``.
-        camera: Its index.
-        noise: Of its observations, as a standard deviation of an axis [px].
-        live: Frames in which it takes part ``(F,)``.
+        camera: Camera index.
+        noise: Noise of its observations, as a standard deviation of an axis [px].
+        live: Whether the camera is used in each frame ``(F,)``.
     """
     _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = pixels / used / (2 * noise**2)
-        spread = 1 + SAMPLING_SPREAD / np.sqrt(used)
-    many = rejected > MIN_REJECTED * judged
-    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, spread))
-    frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (many | loud))
+        ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
+    mostly_rejected = rejected > MIN_REJECTED * judged
+    is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
+    frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (mostly_rejected | is_loud))
     return [
         Disagreement(
             f,
@@ -171,7 +176,7 @@ def truncated_error(
     visible: BoolArray,
     noise: FloatArray,
     gate: float,
-    more: BoolArray | bool = False,
+    has_extra: BoolArray | bool = False,
 ) -> float:
     """Return the mean squared reprojection error over its expectation, truncated.
 
@@ -180,32 +185,36 @@ def truncated_error(
 
     Args:
         residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
-        visible: The observations that count ``(F, C, M)``.
-        noise: Of each camera [px] ``(C,)``.
+        visible: Which observations are counted ``(F, C, M)``.
+        noise: Noise of each camera [px] ``(C,)``.
         gate: Outlier threshold, over the noise.
-        more: Whether one more camera takes part in a point ``(F, M)``.
+        has_extra: Whether one more camera is used for a point ``(F, M)``.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
     count = visible.sum(axis=1)
-    # A point takes 3 of the 2 n residuals of all n cameras that see it.
-    free = 2 * count - 3 * count / np.maximum(count + more, 1)
-    return float(squares[visible].sum() / max(float(free.sum()), 1e-12))
+    # A point takes 3 of the 2n residuals of all n cameras that see it.
+    degrees_of_freedom = 2 * count - 3 * count / np.maximum(count + has_extra, 1)
+    return float(squares[visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12))
 
 
 def _shifted(
-    judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
+    judged: FloatArray,
+    rejected: FloatArray,
+    camera: int,
+    is_off: BoolArray,
+    window: int,
 ) -> list[PoseShift]:
     """Return runs of frames in which a camera does not fit, to the frame."""
-    wrong = np.concatenate(
+    is_rejected = np.concatenate(
         [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
     )
     ranges = []
-    for begin, end in _runs(off, window):
-        first = begin - int(np.argmin(wrong[:begin][::-1])) if begin else 0
-        if begin and wrong[:begin].all():
+    for begin, end in _runs(is_off, window):
+        first = begin - int(np.argmin(is_rejected[:begin][::-1])) if begin else 0
+        if begin and is_rejected[:begin].all():
             first = 0
-        last = end + int(np.argmin(wrong[end:]))
+        last = end + int(np.argmin(is_rejected[end:]))
         fraction = _rejected_fraction(judged, rejected, camera, first, last)
         ranges.append(PoseShift(first, last, fraction))
     return ranges
@@ -219,19 +228,19 @@ def _rejected_fraction(
 
 def _around(values: FloatArray, window: int) -> FloatArray:
     """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
-    total = np.concatenate([[0], np.cumsum(values)])
+    cumulative = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
     first = np.maximum(frames - window // 2, 0)
     end = np.minimum(first + window, len(values))
     first = np.maximum(end - window, 0)
-    return np.asarray(total[end] - total[first])
+    return np.asarray(cumulative[end] - cumulative[first])
 
 
-def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
+def _runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
     """Return runs of at least a window of frames; shorter gaps are closed."""
     # A shift that lasts a window shows for at least half of one around it.
-    least = max(1, window // 2)
-    return [(a, b) for a, b in merge_runs(runs(off), window) if b - a >= least]
+    min_frames = max(1, window // 2)
+    return [(a, b) for a, b in merge_runs(runs(is_off), window) if b - a >= min_frames]
 
 
 def pose_change(
@@ -242,23 +251,23 @@ def pose_change(
     Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
 
     Args:
-        camera: As it was calibrated.
+        camera: The camera with its calibrated pose.
         points: In the world [m] ``(F, M, 3)``, NaN for gaps.
         pixels: Its observations of them ``(F, M, 2)``, NaN if not visible.
     """
-    known = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
-    points, pixels = points[known], pixels[known]
+    is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
+    points, pixels = points[is_valid], pixels[is_valid]
     if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
     refined = camera
-    for _ in range(_STEPS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         refined = Camera(
             camera.name, camera.focal, camera.centre, rotation, translation,
             camera.size, camera.skew, camera.distortion,
         )  # fmt: skip
-        off = project(refined, points) - pixels
-        lengths = np.linalg.norm(off, axis=-1)
+        residual_vectors = project(refined, points) - pixels
+        lengths = np.linalg.norm(residual_vectors, axis=-1)
         usable = np.isfinite(lengths)
         if usable.sum() < MIN_OBSERVATIONS:
             return None
@@ -268,33 +277,35 @@ def pose_change(
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
-        step = np.linalg.lstsq(matrix, -(off[usable] * root).ravel(), rcond=None)[0]
+        step = np.linalg.lstsq(
+            matrix, -(residual_vectors[usable] * root).ravel(), rcond=None
+        )[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    left = np.linalg.norm(project(refined, points) - pixels, axis=-1)
-    before = np.linalg.norm(project(camera, points) - pixels, axis=-1)
-    if not np.nanmedian(left) < 0.5 * np.nanmedian(before):
+    residuals = np.linalg.norm(project(refined, points) - pixels, axis=-1)
+    initial_residuals = np.linalg.norm(project(camera, points) - pixels, axis=-1)
+    if not np.nanmedian(residuals) < 0.5 * np.nanmedian(initial_residuals):
         return None
     angle_vector = log(from_matrix(refined.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(angle_vector)),
         float(np.linalg.norm(refined.position - camera.position)),
-        float(np.nanmedian(left)),
+        float(np.nanmedian(residuals)),
     )
 
 
 def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
     """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
-    here = project(camera, points)
-    size = 1e-6
+    projected = project(camera, points)
+    increment = 1e-6
     columns = []
     for axis in range(6):
-        rotation = to_matrix(exp(size * np.eye(6)[axis][:3]))
-        shift = size * np.eye(6)[axis][3:]
+        rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
+        shift = increment * np.eye(6)[axis][3:]
         nudged = Camera(
             camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
             rotation @ camera.translation + shift, camera.size, camera.skew,
             camera.distortion,
         )  # fmt: skip
-        columns.append((project(nudged, points) - here) / size)
+        columns.append((project(nudged, points) - projected) / increment)
     return np.stack(columns, axis=-1)

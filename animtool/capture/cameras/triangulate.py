@@ -42,16 +42,16 @@ from animtool.motion.markers import Markers
 
 # Observations per block: memory stays below 50 MB.
 BLOCK = 500_000
-# Noise above this fraction of an image's width means that cameras and observations do
-# not belong together [1].
+# With noise above this fraction of an image's width, cameras and observations do not
+# belong together [1].
 MAX_NOISE = 0.03
-# Noise above this fraction of the width exceeds that of keypoint detectors [1].
+# Keypoint detectors have less noise than this fraction of the width [1].
 SUSPECT_NOISE = 0.01
-# Frames for estimating a camera's pose change.
+# Number of frames for estimating a camera's pose change.
 _CHANGE_FRAMES = 50
-# Errors this near each other are equal [1]: outliers of a camera that
-# is kept are left out of the points anyway.
-TIE = 1.02
+# Relative difference below which errors count as equal [1]: outliers of a camera that
+# is kept are rejected anyway.
+TIE_RATIO = 1.02
 
 Progress = Callable[[float], None]
 
@@ -66,9 +66,9 @@ def triangulate(
     """Return the points that calibrated cameras observe.
 
     Args:
-        observations: Pixels over frames.
+        observations: Pixels in each frame.
         cameras: Their calibrations, in any order where the observations name theirs.
-        options: How; None is the defaults.
+        options: Triangulation options; None uses the defaults.
         progress: Called with the fraction done.
 
     Raises:
@@ -134,12 +134,12 @@ class _TriangulationRun:
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
-        measured = measured_noise(
+        noise = measured_noise(
             self.observations, self.cameras.cameras, self.options.gate, self._condition
         )
         if not self.options.keep_moved:
-            self.active[:, list(measured.stale)] = False
-        self.noise = measured.pixels
+            self.active[:, list(noise.stale)] = False
+        self.noise = noise.pixels
         middle = float(np.median(self.noise))
         widths = [
             c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
@@ -148,11 +148,11 @@ class _TriangulationRun:
         if middle > MAX_NOISE * width:
             message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
             self._disagree(message)
-        if not measured.agree or middle > SUSPECT_NOISE * width:
+        if not noise.agree or middle > SUSPECT_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
             hint = "one of them may have moved; calibrate them again"
             self._warn("CAM108", message, hint)
-        return measured.stale
+        return noise.stale
 
     @property
     def _condition(self) -> float:
@@ -164,14 +164,14 @@ class _TriangulationRun:
 
     def _solve(self, first: int, end: int) -> None:
         """Solve frames block by block, and store the results."""
-        for begin, stop in self._blocks(first, end):
-            at = slice(begin, stop)
-            self.positions[at], self.known[at], self.tallies.values[at], *_ = (
+        for first_frame, end_frame in self._blocks(first, end):
+            block = slice(first_frame, end_frame)
+            self.positions[block], self.known[block], self.tallies.values[block], *_ = (
                 _kernels.triangulate_points(
-                    self.observations.pixels(begin, stop),
-                    self.observations.trust(begin, stop),
+                    self.observations.pixels(first_frame, end_frame),
+                    self.observations.trust(first_frame, end_frame),
                     self.numbers,
-                    np.ascontiguousarray(self.active[at]),
+                    np.ascontiguousarray(self.active[block]),
                     self.noise,
                     self.options.gate,
                     self._condition,
@@ -179,7 +179,7 @@ class _TriangulationRun:
                 )
             )
             if self.progress is not None:
-                self.progress(stop / self.frames)
+                self.progress(end_frame / self.frames)
 
     def _blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         size = max(1, BLOCK // (self.views * self.markers))
@@ -196,15 +196,15 @@ class _TriangulationRun:
         for camera, change in stale.items():
             judged, rejected = self.tallies.judged, self.tallies.rejected
             ranges = stale_ranges(judged, rejected, camera, rate)
-            was = self.active[:, camera].copy()
+            previously_active = self.active[:, camera].copy()
             self.shifts[camera] += self._left_out(
-                camera, [replace(each, change=change) for each in ranges]
+                camera, [replace(shift, change=change) for shift in ranges]
             )
             if not self.options.keep_moved:
                 self.active[:, camera] = True
-                for each in self.shifts[camera]:
-                    self.active[each.first : each.end, camera] = each.kept
-                self._solve_changed(self.active[:, camera] != was)
+                for shift in self.shifts[camera]:
+                    self.active[shift.first : shift.end, camera] = shift.kept
+                self._solve_changed(self.active[:, camera] != previously_active)
 
     def _left_out(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
         """Return ranges, marking a camera as kept where leaving it out does not help.
@@ -213,22 +213,25 @@ class _TriangulationRun:
         """
         if self.options.keep_moved:
             return ranges
-        return [replace(m, kept=not self._better_excluded(camera, m)) for m in ranges]
+        return [
+            replace(shift, kept=not self._better_excluded(camera, shift))
+            for shift in ranges
+        ]
 
     def _better_excluded(self, camera: int, shift: PoseShift) -> bool:
         """Return whether the other cameras agree better without one camera."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
-        at = slice(shift.first, shift.end, step)
+        frames = slice(shift.first, shift.end, step)
         pixels = self.observations.pixels(shift.first, shift.end, step)
         trust = self.observations.trust(shift.first, shift.end, step)
         visible = np.isfinite(pixels).all(axis=-1)
-        views = visible & self.active[at][..., None]
+        views = visible & self.active[frames][..., None]
         views[:, camera] = False
         views &= (views.sum(axis=1) > 1)[:, None]
         errors = []
-        for kept in (True, False):
-            active = np.ascontiguousarray(self.active[at])
-            active[:, camera] = kept
+        for keep in (True, False):
+            active = np.ascontiguousarray(self.active[frames])
+            active[:, camera] = keep
             *_, residuals, states = _kernels.triangulate_points(
                 pixels,
                 trust,
@@ -249,7 +252,7 @@ class _TriangulationRun:
                     takes_part,
                 )
             )
-        return errors[1] <= TIE * errors[0]
+        return errors[1] <= TIE_RATIO * errors[0]
 
     def _solve_changed(self, changed: BoolArray) -> None:
         """Solve frames again whose set of cameras changed."""
@@ -259,29 +262,29 @@ class _TriangulationRun:
     def _exclude_shifted(self) -> None:
         """Exclude cameras where they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
-        checked = self.active.copy()
+        is_active = self.active.copy()
         for camera, shifts in enumerate(self.shifts):
-            for each in shifts:
-                checked[each.first : each.end, camera] = False
+            for shift in shifts:
+                is_active[shift.first : shift.end, camera] = False
         for _ in range(self.views):
             judged, rejected = self.tallies.judged, self.tallies.rejected
-            worst = shifted_ranges(judged, rejected, checked, rate)
+            worst = shifted_ranges(judged, rejected, is_active, rate)
             if worst is None:
                 break
             camera, ranges = worst
             ranges = self._left_out(camera, ranges)
-            self.shifts[camera] += [self._explained(camera, each) for each in ranges]
-            for each in ranges:
-                checked[each.first : each.end, camera] = False
-                if not (self.options.keep_moved or each.kept):
-                    self.active[each.first : each.end, camera] = False
-                    self._solve(each.first, each.end)
+            self.shifts[camera] += [self._explained(camera, shift) for shift in ranges]
+            for shift in ranges:
+                is_active[shift.first : shift.end, camera] = False
+                if not (self.options.keep_moved or shift.kept):
+                    self.active[shift.first : shift.end, camera] = False
+                    self._solve(shift.first, shift.end)
 
     def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
         """Return single frames in which a camera disagrees with the others."""
         live = self.active[:, camera].copy()
-        for each in self.shifts[camera]:
-            live[each.first : each.end] = False
+        for shift in self.shifts[camera]:
+            live[shift.first : shift.end] = False
         noise = float(self.noise[camera])
         return tuple(disagreements(self.tallies.values, camera, noise, live))
 
@@ -330,11 +333,15 @@ class _TriangulationRun:
             )
             for c, shifts in enumerate(self.shifts)
         )
-        kept = self.options.keep_moved
+        keep_moved = self.options.keep_moved
         notices = self.notices
         for report, camera in zip(reports, cameras, strict=True):
             notices += camera_notices(
-                report, camera, observations.clock, observations.path, kept=kept
+                report,
+                camera,
+                observations.clock,
+                observations.path,
+                is_kept=keep_moved,
             )
         notices += lost_frames(
             self.positions,
@@ -355,7 +362,7 @@ class _TriangulationRun:
             notices=tuple(notices),
         )
         path = self.cameras.path or None
-        notices += [replace(one, path=path) for one in implausible(markers)]
+        notices += [replace(notice, path=path) for notice in implausible(markers)]
         return Triangulation(
             markers,
             self.known[..., 2].copy(),

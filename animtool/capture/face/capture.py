@@ -41,7 +41,7 @@ from animtool.documents.references import split_reference
 _UNITS = {f"_{unit}": unit.meters for unit in LengthUnit}
 _POINTS = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")
 MAX_POSITIONS = 200_000_000
-MAX_NAMED = 12
+MAX_LISTED = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +50,12 @@ class FaceCapture:
 
     Attributes:
         path: The file.
-        names: Of the landmarks; None where the file has none.
+        names: Names of the landmarks; None where the file has none.
         clock: Times of the frames.
         points: World space [m] ``(F, N, 3)``, or of one camera [px] ``(F, N, 2)``; NaN
             where missing.
         up: The up axis of the world.
-        model: The face in the same file; None if it has none.
+        model: The face that the same file contains; None if it has none.
         notices: Warnings.
     """
 
@@ -82,16 +82,16 @@ def read_capture(
 ) -> FaceCapture:
     """Return the landmarks of a file: an npz, or any file of markers.
 
-    An npz holds positions ``landmarks_mm`` (or ``_cm``, ``_m``, ``_in``) ``(F, N, 3)``
-    or pixels ``landmarks_px`` ``(F, N, 2)``, the rate ``fs``, and if it likes the texts
-    ``landmark_names``, and a face: ``neutral_mm`` ``(N, 3)``, ``delta_mm``
-    ``(S, N, 3)``, the texts ``shape_names``.
+    An npz has positions ``landmarks_mm`` (or ``_cm``, ``_m``, ``_in``) ``(F, N, 3)`` or
+    pixels ``landmarks_px`` ``(F, N, 2)``, and the rate ``fs``. Optional: the texts
+    ``landmark_names``, and a face: ``neutral_mm`` ``(N, 3)``, ``delta_mm`` ``(S, N,
+    3)``, the texts ``shape_names``.
 
     Args:
-        path: The file; ``take.npz#landmarks_b_mm`` names the array too.
-        unit: Unit of positions; None is the file's.
-        up: The up axis; None is the file's, or Y.
-        fps: The frame rate; None is the file's.
+        path: The file; ``take.npz#landmarks_b_mm`` selects an array too.
+        unit: Unit of positions; None takes it from the file.
+        up: The up axis; None takes it from the file, else Y.
+        fps: The frame rate; None takes it from the file.
 
     Raises:
         FormatError: It cannot be read, or its arrays do not fit together (FAC003).
@@ -100,12 +100,12 @@ def read_capture(
     text, array = split_reference(str(path), "")
     path = Path(text)
     if path.suffix.lower() != ".npz":
-        read = find_reader(path).markers_opener(path)
-        markers = read(path, unit=unit, up=up, fps=fps)
-        named = [name for name in markers.names if not name.startswith("*")]
+        reader = find_reader(path).markers_opener(path)
+        markers = reader(path, unit=unit, up=up, fps=fps)
+        labelled = [name for name in markers.names if not name.startswith("*")]
         return FaceCapture(
             path,
-            tuple(markers.names) if len(named) == len(markers.names) else None,
+            tuple(markers.names) if len(labelled) == len(markers.names) else None,
             markers.clock,
             markers.positions,
             markers.up,
@@ -131,33 +131,33 @@ def _read(
     up: UpAxis,
     fps: FractionLike | None,
 ) -> FaceCapture:
-    known = archives.names(path)
-    names = [name for name in known if _POINTS.fullmatch(name)]
+    keys = archives.names(path)
+    names = [name for name in keys if _POINTS.fullmatch(name)]
     if array:
         names = [array]
     if not names:
-        hint = f"it holds {listed(known)}; landmarks_mm (F, N, 3) are positions in mm"
+        hint = f"it holds {listed(keys)}; landmarks_mm (F, N, 3) are positions in mm"
         raise _wrong(path, "has no array landmarks_mm or landmarks_px", hint)
     key = names[0]
-    head = archives.header(path, key)
+    header = archives.header(path, key)
     width = 2 if key.endswith("_px") else 3
-    if len(head.shape) != 3 or head.shape[2] != width or head.kind not in "fiu":
-        message = f"{key} has shape {head.shape}, not (frames, landmarks, {width})"
+    if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
+        message = f"{key} has shape {header.shape}, not (frames, landmarks, {width})"
         raise _wrong(path, message)
-    frames, count, _ = head.shape
+    frames, count, _ = header.shape
     if not frames or not count or frames * count > MAX_POSITIONS:
         raise _wrong(path, f"{key} has {frames} frames of {count} landmarks")
     scale = 1.0 if width == 2 else _meters(key, unit)
     points = np.array(archives.stored(path, key), np.float64) * scale
     notices = []
-    # NaN is missing; so are values that are not numbers.
+    # NaN marks missing values; infinite ones count as missing too.
     infinite = np.isinf(points).any(axis=-1)
     if infinite.any():
         points[infinite] = np.nan
         message = f"{int(infinite.sum())} landmarks are infinite: treated as missing"
         notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
     texts = None
-    if "landmark_names" in known:
+    if "landmark_names" in keys:
         texts = tuple(archives.texts(path, "landmark_names"))
         if len(texts) != count or len(set(texts)) < count:
             message = (
@@ -167,10 +167,10 @@ def _read(
     return FaceCapture(
         path,
         texts,
-        Clock(_rate(archives, path, known, fps), Fraction(1), Fraction(1), frames),
+        Clock(_rate(archives, path, keys, fps), Fraction(1), Fraction(1), frames),
         points,
         up,
-        _model(archives, path, known, texts, unit),
+        _model(archives, path, keys, texts, unit),
         tuple(notices),
     )
 
@@ -182,33 +182,33 @@ def _meters(key: str, unit: LengthUnit | None) -> float:
 
 
 def _rate(
-    archives: Archives, path: Path, known: Sequence[str], fps: FractionLike | None
+    archives: Archives, path: Path, array_names: Sequence[str], fps: FractionLike | None
 ) -> Fraction:
     if fps is not None:
         return rate_option(fps)
-    if "fs" not in known:
+    if "fs" not in array_names:
         hint = f"set it with {argument('source.fps')}"
         raise _wrong(path, "states no rate (fs)", hint)
-    stated = archives.stored(path, "fs").ravel()
+    stored_rates = archives.stored(path, "fs").ravel()
     try:
-        return parse_rate(rate_from_float(float(stated[0])))
+        return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
         raise _wrong(
-            path, f"fs is {stated[:1].tolist()}, which is not a frame rate"
+            path, f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
         ) from error
 
 
 def _model(
     archives: Archives,
     path: Path,
-    known: Sequence[str],
+    array_names: Sequence[str],
     names: tuple[str, ...] | None,
     unit: LengthUnit | None,
 ) -> FaceModel | None:
     """Return the face in an npz; None if it has none."""
-    neutral = next((key for key in known if re.match(r"neutral(_|$)", key)), None)
-    deltas = next((key for key in known if re.match(r"deltas?(_|$)", key)), None)
-    if neutral is None or deltas is None or "shape_names" not in known:
+    neutral = next((key for key in array_names if re.match(r"neutral(_|$)", key)), None)
+    deltas = next((key for key in array_names if re.match(r"deltas?(_|$)", key)), None)
+    if neutral is None or deltas is None or "shape_names" not in array_names:
         return None
 
     def meters(key: str) -> FloatArray:
@@ -246,25 +246,27 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
     columns = {name: i for i, name in enumerate(capture.names)}
-    there = [columns.get(name, -1) for name in model.names]
-    if max(there) < 0:
+    columns_of = [columns.get(name, -1) for name in model.names]
+    if max(columns_of) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
-    ordered = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
-    for i, at in enumerate(there):
-        if at >= 0:
-            ordered[:, i] = capture.points[:, at]
+    ordered_points = np.full(
+        (len(capture.points), count, capture.points.shape[2]), np.nan
+    )
+    for i, column in enumerate(columns_of):
+        if column >= 0:
+            ordered_points[:, i] = capture.points[:, column]
     notices = []
-    for names, what in (
-        ([n for n, at in zip(model.names, there, strict=True) if at < 0],
+    for names, problem in (
+        ([n for n, column in zip(model.names, columns_of, strict=True) if column < 0],
          "landmarks of the face are not in the capture: "),
         ([n for n in capture.names if n not in set(model.names)],
          "landmarks of the capture are not on the face: "),
     ):  # fmt: skip
         if names:
-            message = f"{len(names)} {what}"
+            message = f"{len(names)} {problem}"
             notices.append(
                 naming("FAC107", message, names, path, severity=Severity.WARNING)
             )
-    return ordered, notices
+    return ordered_points, notices

@@ -23,7 +23,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
-# Tolerance of the sum of a landmark's weights: text is rounded.
+# Tolerance for the sum of a landmark's weights, since text is rounded.
 SUM_TOLERANCE = 1e-3
 
 Vertex = Annotated[int, Ge(0)]
@@ -104,26 +104,26 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
     """Return a document as a landmarks file; mismatches are FAC008."""
     check_version(document, "landmarks")
     model = validated(document, LandmarksModel)
-    taken: dict[str, int] = {}
+    index_of_name: dict[str, int] = {}
     for i, point in enumerate(model.points):
-        at: Location = ("points", i)
-        if point.name in taken:
+        location: Location = ("points", i)
+        if point.name in index_of_name:
             message = f"two landmarks are called {point.name!r}"
-            hint = f"the other is points[{taken[point.name]}]"
-            document.add("FAC008", (*at, "name"), message, hint)
-        taken.setdefault(point.name, i)
+            hint = f"the other is points[{index_of_name[point.name]}]"
+            document.add("FAC008", (*location, "name"), message, hint)
+        index_of_name.setdefault(point.name, i)
         if (point.vertex is None) == (point.vertices is None):
             message = "a landmark is either at one vertex or between several"
             hint = "write vertex: 12, or vertices: [12, 13, 14]"
-            document.add("FAC008", at, message, hint)
+            document.add("FAC008", location, message, hint)
         if point.weights is not None:
             count = len(point.vertices or ())
             if len(point.weights) != count:
                 message = f"has {len(point.weights)} weights for {count} vertices"
-                document.add("FAC008", (*at, "weights"), message)
+                document.add("FAC008", (*location, "weights"), message)
             elif abs(sum(point.weights) - 1) > SUM_TOLERANCE:
                 message = f"the weights have a sum of {sum(point.weights):g}, not 1"
-                document.add("FAC008", (*at, "weights"), message)
+                document.add("FAC008", (*location, "weights"), message)
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
@@ -135,31 +135,35 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
 def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     """Return a rig's landmarks and their displacement by each shape.
 
-    Shapes with a weight are solved for; combined shapes follow.
+    Shapes with a weight are solved for; combined shapes depend on them.
 
     Raises:
         FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
     """
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
     rows = _rows(file, surfaces)
-    neutral = np.stack([_at(surfaces[m].points, at, w) for m, at, w in rows])
+    neutral = np.stack([_at(surfaces[m].points, weight, w) for m, weight, w in rows])
     deltas: dict[str, FloatArray] = {}
-    bent: list[ShapeDeltas] = []
+    bent_shapes: list[ShapeDeltas] = []
     for shape in rig.shapes:
         displaced = _displacement(shape, surfaces, rows)
         if displaced is None:
             continue
         deltas[shape.name] = displaced[0]
-        between = tuple(InbetweenDeltas(at, values) for at, values in displaced[1])
-        bent.append(ShapeDeltas(shape.name, displaced[0], inbetweens=between))
-    plain = [
+        displacements_at = tuple(
+            InbetweenDeltas(weight, values) for weight, values in displaced[1]
+        )
+        bent_shapes.append(
+            ShapeDeltas(shape.name, displaced[0], inbetweens=displacements_at)
+        )
+    solved_shapes = [
         shape for shape in rig.shapes if not shape.combine and shape.name in deltas
     ]
-    names = tuple(shape.name for shape in plain)
-    # A combined shape may combine others that move no landmark: all are kept.
+    names = tuple(shape.name for shape in solved_shapes)
+    # A combined shape may combine others that move no landmark: keep all.
     shapes = tuple(rig.shapes)
-    curved = any(s.combine and s.name in deltas for s in shapes)
-    curved = curved or any(shape.inbetweens for shape in bent)
+    has_correctives = any(s.combine and s.name in deltas for s in shapes)
+    has_correctives = has_correctives or any(shape.inbetweens for shape in bent_shapes)
     columns = {shape.name: i for i, shape in enumerate(shapes)}
     return FaceModel(
         file.names,
@@ -169,9 +173,11 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         if names
         else np.zeros((0, *neutral.shape)),
         BentShapes(
-            shapes, prepare_shapes(bent, neutral), tuple(columns[n] for n in names)
+            shapes,
+            prepare_shapes(bent_shapes, neutral),
+            tuple(columns[n] for n in names),
         )
-        if curved
+        if has_correctives
         else None,
     )
 
@@ -182,32 +188,38 @@ _Row = tuple[str, IntArray, FloatArray]
 def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
     """Return mesh, vertices and weights of each landmark."""
     document, model = file.document, file.model
-    shaped = [name for name, surface in surfaces.items() if surface.shapes]
-    default = model.mesh or (shaped[0] if len(shaped) == 1 else None)
+    meshes_with_shapes = [name for name, surface in surfaces.items() if surface.shapes]
+    default_mesh = model.mesh or (
+        meshes_with_shapes[0] if len(meshes_with_shapes) == 1 else None
+    )
     rows: list[_Row] = []
     for i, point in enumerate(model.points):
-        at: Location = ("points", i)
-        mesh = point.mesh or default
+        location: Location = ("points", i)
+        mesh = point.mesh or default_mesh
         if mesh is None:
             message = "no mesh is named, and several have shapes"
-            document.add("FAC008", at, message, f"allowed: {', '.join(shaped)}")
+            document.add(
+                "FAC008", location, message, f"allowed: {', '.join(meshes_with_shapes)}"
+            )
             continue
         if mesh not in surfaces:
-            where = (*at, "mesh") if point.mesh else ("mesh",)
+            mesh_location = (*location, "mesh") if point.mesh else ("mesh",)
             message = f"the rig has no mesh {mesh!r}"
-            document.add("FAC008", where, message, nearest(mesh, surfaces))
+            document.add("FAC008", mesh_location, message, nearest(mesh, surfaces))
             continue
         vertices = [point.vertex] if point.vertex is not None else point.vertices or []
         count = len(surfaces[mesh].points)
         for k, vertex in enumerate(vertices):
             if vertex >= count:
-                where = (*at, "vertex") if point.vertex is not None else (
-                    *at, "vertices", k
+                mesh_location = (*location, "vertex") if point.vertex is not None else (
+                    *location, "vertices", k
                 )  # fmt: skip
                 message = f"mesh {mesh!r} has no vertex {vertex}; it has {count}"
-                document.add("FAC008", where, message)
-        even = [1.0 / max(len(vertices), 1)] * len(vertices)
-        rows.append((mesh, np.array(vertices), np.array(point.weights or even)))
+                document.add("FAC008", mesh_location, message)
+        equal_weights = [1.0 / max(len(vertices), 1)] * len(vertices)
+        rows.append(
+            (mesh, np.array(vertices), np.array(point.weights or equal_weights))
+        )
     document.check()
     return rows
 
@@ -239,10 +251,12 @@ def _displacement(
             offsets[match.vertices] = values
         return np.stack(
             [
-                _at(offsets, at, w) if mesh == shape.mesh else np.zeros(3)
-                for mesh, at, w in rows
+                _at(offsets, vertices, w) if mesh == shape.mesh else np.zeros(3)
+                for mesh, vertices, w in rows
             ]
         )
 
-    between = [(one.at, at_landmarks(one.deltas)) for one in match.inbetweens]
-    return at_landmarks(match.deltas), between
+    inbetweens = [
+        (inbetween.at, at_landmarks(inbetween.deltas)) for inbetween in match.inbetweens
+    ]
+    return at_landmarks(match.deltas), inbetweens

@@ -16,7 +16,8 @@ from animtool.rig.parts import Shape
 from animtool.rig.shapes import combined_weights
 from animtool.skin.shapes import PreparedShapes, blend_points
 
-# Shapes that move landmarks by less than this fraction of the face's size move none.
+# Shapes that move landmarks by less than this fraction of the face's size count as
+# static.
 MIN_MOTION = 1e-6
 # Shapes whose displacements have a cosine above this cannot be distinguished.
 SAME_SHAPE = 1 - 1e-9
@@ -27,12 +28,12 @@ class FaceModel:
     """Landmarks of a face, and their displacement by its shapes.
 
     Attributes:
-        names: Of the landmarks; ``0``, ``1``, … where they have none.
-        shapes: Names of the shapes with a weight of their own.
+        names: Names of the landmarks; ``0``, ``1``, … where they have none.
+        shapes: Names of the shapes that have their own weight.
         neutral: Landmarks at rest [m] ``(N, 3)``.
         deltas: Added at weight 1 [m] ``(S, N, 3)``.
-        bent: The full shapes, if in-betweens or correctives add to the sum of
-            deltas; None if nothing does.
+        bent: The nonlinear shapes, if in-betweens or correctives add to the sum of
+            deltas; None if all are linear.
 
     Raises:
         OptionError: Arrays do not fit together or are not finite (FAC003).
@@ -57,10 +58,10 @@ class FaceModel:
                 faults.append(
                     Fault("FAC003", f"{name} contains a value that is not finite")
                 )
-        for what, names in (("landmarks", self.names), ("shapes", self.shapes)):
+        for label, names in (("landmarks", self.names), ("shapes", self.shapes)):
             if len(set(names)) < len(names):
-                twice = next(n for n in names if names.count(n) > 1)
-                faults.append(Fault("FAC003", f"two {what} are called {twice!r}"))
+                duplicate = next(n for n in names if names.count(n) > 1)
+                faults.append(Fault("FAC003", f"two {label} are called {duplicate!r}"))
         if faults:
             raise OptionError(faults)
 
@@ -70,11 +71,11 @@ class FaceModel:
         return spread(self.neutral)
 
     def offsets(self, weights: FloatArray) -> FloatArray:
-        """Return displacement beyond the sum of deltas at weights [m] ``(F, N, 3)``."""
+        """Return the displacement beyond the sum of deltas ``(F, N, 3)`` [m]."""
         if self.bent is None:
             return np.zeros((len(weights), *self.neutral.shape))
-        displaced = self.bent.points(weights)
-        return displaced - self.neutral - np.tensordot(weights, self.deltas, 1)
+        bent_points = self.bent.points(weights)
+        return bent_points - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return landmarks at weights, in the face's frame [m]."""
@@ -126,7 +127,7 @@ class FaceModel:
         keep their model position.
 
         Args:
-            captured: Landmarks of the neutral frame, NaN where missing [m] ``(N, 3)``.
+            captured: Landmarks of the neutral frame [m] ``(N, 3)``, NaN where missing.
         """
         visible = np.isfinite(captured).all(axis=1)
         scale = spread(captured[visible]) / spread(self.neutral[visible])
@@ -140,8 +141,8 @@ class FaceModel:
 class BentShapes:
     """Shapes of a mesh at landmarks, with in-betweens and correctives."""
 
-    shapes: tuple[Shape, ...]  # of the rig, those that move landmarks or combine such
-    prepared: PreparedShapes  # those of them with deltas
+    shapes: tuple[Shape, ...]  # of the rig: those that move landmarks or are combined
+    prepared: PreparedShapes  # the shapes that have deltas
     solved: tuple[int, ...]  # index of each solved shape in ``shapes``
 
     def points(self, weights: FloatArray) -> FloatArray:
@@ -149,23 +150,24 @@ class BentShapes:
         by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
         for i, column in zip(self.solved, weights.T, strict=True):
             by_name[self.shapes[i].name] = column
-        combined = combined_weights(self.shapes, by_name)
+        all_weights = combined_weights(self.shapes, by_name)
         return blend_points(
-            self.prepared, np.stack([combined[n] for n in self.prepared.names], axis=-1)
+            self.prepared,
+            np.stack([all_weights[n] for n in self.prepared.names], axis=-1),
         )
 
     def select(self, shapes: BoolArray) -> BentShapes:
         """Return the model of some of the solved shapes."""
-        kept = np.flatnonzero(shapes).tolist()
-        return replace(self, solved=tuple(self.solved[i] for i in kept))
+        selected = np.flatnonzero(shapes).tolist()
+        return replace(self, solved=tuple(self.solved[i] for i in selected))
 
 
 def spread(points: FloatArray) -> float:
     """Return the root mean square distance of points from their mean."""
     if not len(points):
         return 0.0
-    away = points - points.mean(axis=0)
-    return float(np.sqrt((away * away).sum(axis=1).mean()))
+    offsets = points - points.mean(axis=0)
+    return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))
 
 
 def landmark_names(count: int, names: Sequence[str] | None = None) -> tuple[str, ...]:

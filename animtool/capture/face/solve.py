@@ -27,43 +27,44 @@ from animtool.core.errors import Fault, OptionError, Severity, counted, listed, 
 from animtool.core.record import dataclass
 from animtool.maths.so3 import align_signs, slerp
 
-# Frames of a window, and its overlap on both sides: a
-# change propagates over a few frames only.
+# Frames of a window, and its overlap on both sides: a change propagates over a few
+# frames only.
 WINDOW, OVERLAP = 256, 32
-# Least landmarks in a frame for a pose and a weight.
+# Minimum landmarks in a frame for a pose and a weight.
 MIN_LANDMARKS = 4
 # Frames for the noise estimate.
 NOISE_FRAMES = 200
-# Half of the residuals of noise in three directions are shorter than so many
-# deviations, and in two.
+# Median length of noise vectors of standard deviation 1 in three directions, and in
+# two.
 MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
-# Residuals longer than so many deviations of the noise count for less: 3 % of good.
+# Residuals longer than this many standard deviations are downweighted: 3 % of good
+# ones.
 ROBUST_DEVIATIONS = 3.0
-# Least noise, over the face's size: below, weights are exact to a thousandth.
+# Minimum noise relative to the face's size: below, weights are exact to a thousandth.
 MIN_NOISE = 1e-5
 # Speed of weights of a lively face [1/s].
 TYPICAL_SPEED = 3.0
 # Typical deviation of weights from 0: weights that landmarks do not show stay small.
 TYPICAL_WEIGHT = 0.5
 # Convergence threshold of a weight's change.
-ENOUGH = 1e-5
-ROUNDS = 30
+CONVERGED_CHANGE = 1e-5
+MAX_ROUNDS = 30
 # Rounds for in-betweens and correctives.
-BENT_ROUNDS = 6
-BENT_ENOUGH = 1e-4
-# Largest ratio of a capture's size to the face's: beyond, units differ.
+MAX_BENT_ROUNDS = 6
+BENT_CONVERGED_CHANGE = 1e-4
+# Largest size ratio between capture and face: beyond, their units differ.
 MAX_SCALE = 3.0
 # A landmark with less than half weight in this fraction of frames is misplaced.
 MISPLACED_FRACTION = 0.5
-MAX_NAMED = 12
+MAX_LISTED = 12
 
 
 class FrameStatus(StrEnum):
     """How a frame was solved."""
 
     SOLVED = "solved"
-    GAP = "gap"  # too few landmarks: weights and pose are between those of others
-    POOR = "poor"  # more than half of the landmarks were taken for outliers
+    GAP = "gap"  # too few landmarks: weights and pose are interpolated
+    POOR = "poor"  # more than half of the landmarks are outliers
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class LandmarkScore:
     name: str  # of the landmark
     rms: float  # root mean square residual where its weight is at least one half
     seen: int  # frames in which it is visible
-    outliers: int  # those of them with less weight
+    outliers: int  # visible frames in which its weight is below one half
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +91,17 @@ class FaceFit:
 
     Attributes:
         model: The face.
-        weights: Of its shapes, 0 to 1 ``(F, S)``.
-        rotations: Of the head, world from face ``(F, 4)``.
-        translations: Likewise [m] ``(F, 3)``.
-        residuals: How far landmarks are from the face, in [m], or [px] of a camera
-            ``(F, N)``; NaN where missing.
-        shares: Robust weight of each, 0 to 1 ``(F, N)``.
-        status: Of each frame.
-        noise: Deviation of the noise in one direction, in the unit of the residuals.
-        rounds: Of the slowest window.
-        change: Largest change of a weight in a window's last round.
+        weights: Weights of its shapes, 0 to 1 ``(F, S)``.
+        rotations: Rotations of the head, world from face ``(F, 4)``.
+        translations: Translations of the head [m] ``(F, 3)``.
+        residuals: Distance of landmarks from the face in [m], or [px] of a camera ``(F,
+            N)``; NaN where missing.
+        shares: Robust weight of each landmark, 0 to 1 ``(F, N)``.
+        status: Status of each frame.
+        noise: Standard deviation of the noise in one direction, in the unit of the
+            residuals.
+        rounds: Rounds of the slowest window.
+        change: Largest change of a weight in the last round of a window.
         notices: Warnings.
     """
 
@@ -118,18 +120,22 @@ class FaceFit:
     @property
     def rms(self) -> float:
         """Root mean square residual of landmarks with weight of at least one half."""
-        good = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
-        return float(np.sqrt((self.residuals[good] ** 2).mean())) if good.any() else 0.0
+        is_inlier = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
+        return (
+            float(np.sqrt((self.residuals[is_inlier] ** 2).mean()))
+            if is_inlier.any()
+            else 0.0
+        )
 
     @property
     def landmarks(self) -> list[LandmarkScore]:
         """Fit of each landmark."""
         visible = np.isfinite(self.residuals)
-        used = visible & (self.shares >= MISPLACED_FRACTION)
-        squares = np.where(used, self.residuals, 0.0) ** 2
-        rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
-        counts = visible.sum(axis=0), (visible & ~used).sum(axis=0)
-        columns = (rms.tolist(), *(each.tolist() for each in counts))
+        is_inlier = visible & (self.shares >= MISPLACED_FRACTION)
+        squares = np.where(is_inlier, self.residuals, 0.0) ** 2
+        rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
+        counts = visible.sum(axis=0), (visible & ~is_inlier).sum(axis=0)
+        columns = (rms.tolist(), *(count_column.tolist() for count_column in counts))
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
         ]
@@ -154,11 +160,11 @@ def fit_face(
 
     Args:
         model: The face.
-        observed: Its landmarks in the world, in the model's order, NaN where missing
-            [m] ``(F, N, 3)``; with a camera, free of distortion [px] ``(F, N, 2)``.
+        observed: Landmarks in the world, in the model's order, NaN where missing [m]
+            ``(F, N, 3)``; with a camera, undistorted pixels [px] ``(F, N, 2)``.
         fps: Frames a second.
-        smooth: Cost of changes from frame to frame: 1 suits the noise and a
-            lively face, 0 is none.
+        smooth: Penalty on changes between frames: 1 suits typical noise and a lively
+            face, 0 disables it.
         camera: fx, fy, cx, cy of a camera that looks along +Z with Y down [px].
         progress: Called with the fraction done, 0 to 1.
 
@@ -184,18 +190,18 @@ def fit_face(
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh of the shapes?"
         raise OptionError(Fault("FAC007", message, hint=hint))
-    # Shapes with similar displacements are solved as one, and split evenly; shapes that
-    # bend are solved by themselves.
-    kept, group = _shared(model, moving)
-    face = model.select(kept)
-    counts = np.bincount(group[moving], minlength=len(model.shapes))[kept]
+    # Shapes with similar displacements are solved as one, and split evenly. Shapes with
+    # in-betweens or correctives are solved separately.
+    solved_shapes, group = _shared(model, moving)
+    face = model.select(solved_shapes)
+    counts = np.bincount(group[moving], minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
-    columns = np.cumsum(kept) - 1
+    columns = np.cumsum(solved_shapes) - 1
     all_weights[:, moving] = weights[:, columns[group[moving]]]
     rotations, translations = _bridged(poses, usable)
     poor = usable & ((shares < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names))
@@ -221,12 +227,12 @@ def fit_face(
 
 def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and the representative of each moving shape."""
-    kept, group = moving.copy(), np.arange(len(moving))
+    solved_shapes, group = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.bent is None else ():
-        same = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if group[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
-            group[b], kept[b] = a, False
-    return kept, group
+        distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
+        if group[a] == a and distance <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            group[b], solved_shapes[b] = a, False
+    return solved_shapes, group
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
@@ -246,12 +252,12 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     if camera is not None or spread(model.neutral) == 0:
         return
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    full = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
+    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
         :: max(1, len(visible) // 50)
     ]
     ratios = [
         spread(observed[f, visible[f]]) / max(spread(model.neutral[visible[f]]), 1e-300)
-        for f in full.tolist()
+        for f in sampled_frames.tolist()
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
@@ -282,11 +288,12 @@ class _Fit:
         self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _first_poses(self) -> FloatArray:
+        """Return initial head poses."""
         if self.camera is None:
             return head_poses(self.face.neutral, self.observed)
         middle = np.full(self.observed.shape[1:], np.nan)
-        some = np.isfinite(self.observed[..., 0]).any(axis=0)
-        middle[some] = np.nanmedian(self.observed[:, some], axis=0)
+        has_landmarks = np.isfinite(self.observed[..., 0]).any(axis=0)
+        middle[has_landmarks] = np.nanmedian(self.observed[:, has_landmarks], axis=0)
         pose = camera_pose(self.face.neutral, middle, self.camera)
         if pose is None or not pose[6] > 0:
             message = "no face in the camera matches the rig's"
@@ -325,31 +332,37 @@ class _Fit:
             threshold,
             smooth,
             self.rest,
-            ENOUGH,
+            CONVERGED_CHANGE,
             rounds,
             begin is not None,
         )
 
     def _noise(self) -> float:
         """Return the noise's standard deviation, from frames solved separately."""
-        good = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
-        chosen = good[np.linspace(0, len(good) - 1, NOISE_FRAMES).astype(int)]
+        usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
+        chosen = usable_frames[
+            np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
+        ]
         chosen = np.unique(chosen)
-        least = MIN_NOISE * self.face.size * self.unit
-        self.rest = (least * 10 / TYPICAL_WEIGHT) ** 2
+        min_noise = MIN_NOISE * self.face.size * self.unit
+        self.rest = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.unit
-        noise = least
+        noise = min_noise
         for _ in range(3):
             weights, _, residuals, _, _, _ = self._run(chosen, threshold, 0.0, 6)
             visible = np.isfinite(residuals)
             width = self.observed.shape[-1]
             rows = width * visible.sum()
-            # Each pose and each weight off its bounds takes one residual.
-            taken = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
-            free = max(1.0 - taken / max(rows, 1), 0.05)
+            # Each pose, and each weight inside its bounds, takes one residual.
+            parameters = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
+            residual_fraction = max(1.0 - parameters / max(rows, 1), 0.05)
             median = MEDIAN_3D if width == 3 else MEDIAN_2D
-            noise = float(np.median(residuals[visible])) / median / np.sqrt(free)
-            noise = max(noise, least)
+            noise = (
+                float(np.median(residuals[visible]))
+                / median
+                / np.sqrt(residual_fraction)
+            )
+            noise = max(noise, min_noise)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
@@ -365,32 +378,38 @@ class _Fit:
         rounds, change = 0, 0.0
         for first in range(0, count, WINDOW):
             begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
-            solved = self._window(slice(begin, end))
-            kept = slice(first, min(count, first + WINDOW))
-            inner = slice(first - begin, kept.stop - begin)
-            weights[kept], poses[kept] = solved[0][inner], solved[1][inner]
-            residuals[kept], shares[kept] = solved[2][inner], solved[3][inner]
-            rounds, change = max(rounds, solved[4]), max(change, solved[5])
+            window = self._window(slice(begin, end))
+            inner_frames = slice(first, min(count, first + WINDOW))
+            inner = slice(first - begin, inner_frames.stop - begin)
+            weights[inner_frames], poses[inner_frames] = (
+                window[0][inner],
+                window[1][inner],
+            )
+            residuals[inner_frames], shares[inner_frames] = (
+                window[2][inner],
+                window[3][inner],
+            )
+            rounds, change = max(rounds, window[4]), max(change, window[5])
             if progress is not None:
-                progress(kept.stop / count)
+                progress(inner_frames.stop / count)
         return weights, poses, residuals, shares, rounds, change
 
     def _window(
         self, frames: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
         threshold = ROBUST_DEVIATIONS * self.noise
-        solved = self._run(frames, threshold, self.smooth, ROUNDS)
+        result = self._run(frames, threshold, self.smooth, MAX_ROUNDS)
         if self.face.bent is None:
-            return solved
-        for _ in range(BENT_ROUNDS):
-            weights, poses = solved[0], solved[1]
+            return result
+        for _ in range(MAX_BENT_ROUNDS):
+            weights, poses = result[0], result[1]
             neutral = self.face.neutral + self.face.offsets(weights)
-            solved = self._run(
-                frames, threshold, self.smooth, ROUNDS, neutral, (weights, poses)
+            result = self._run(
+                frames, threshold, self.smooth, MAX_ROUNDS, neutral, (weights, poses)
             )
-            if np.abs(solved[0] - weights).max() < BENT_ENOUGH:
+            if np.abs(result[0] - weights).max() < BENT_CONVERGED_CHANGE:
                 break
-        return solved
+        return result
 
 
 def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -398,17 +417,19 @@ def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArr
     rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if usable.all():
         return rotations, shifts
-    good, frames = np.flatnonzero(usable), np.arange(len(usable))
-    rotations[good] = align_signs(rotations[good])
-    after = np.minimum(np.searchsorted(good, frames), len(good) - 1)
-    before = np.maximum(np.searchsorted(good, frames, "right") - 1, 0)
-    a, b = good[before], good[after]
-    span = np.maximum(b - a, 1)
-    fraction = np.clip((frames - a) / span, 0.0, 1.0)
-    bad = ~usable
-    rotations[bad] = slerp(rotations[a[bad]], rotations[b[bad]], fraction[bad])
-    shifts[bad] = shifts[a[bad]] + fraction[bad, None] * (
-        shifts[b[bad]] - shifts[a[bad]]
+    good_frames, frames = np.flatnonzero(usable), np.arange(len(usable))
+    rotations[good_frames] = align_signs(rotations[good_frames])
+    next_good = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
+    previous_good = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
+    a, b = good_frames[previous_good], good_frames[next_good]
+    gap_length = np.maximum(b - a, 1)
+    fraction = np.clip((frames - a) / gap_length, 0.0, 1.0)
+    is_gap = ~usable
+    rotations[is_gap] = slerp(
+        rotations[a[is_gap]], rotations[b[is_gap]], fraction[is_gap]
+    )
+    shifts[is_gap] = shifts[a[is_gap]] + fraction[is_gap, None] * (
+        shifts[b[is_gap]] - shifts[a[is_gap]]
     )
     return align_signs(rotations), shifts
 
@@ -421,29 +442,30 @@ def _notices(
     shares: FloatArray,
 ) -> list[Fault]:
     notices = []
-    for frames, code, what in (
+    for frames, code, problem in (
         (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
         (poor, "FAC104", "landmarks that are mostly outliers"),
     ):
-        which = np.flatnonzero(frames).tolist()
-        if which:
+        numbers = np.flatnonzero(frames).tolist()
+        if numbers:
             message = (
-                f"{counted(len(which), 'frame')} with {what}; from the first, frames "
-                f"{listed(which, MAX_NAMED)}"
+                f"{counted(len(numbers), 'frame')} with {problem}; "
+                "from the first, frames "
+                f"{listed(numbers, MAX_LISTED)}"
             )
             notices.append(Fault(code, message, severity=Severity.WARNING))
-    used = visible & usable[:, None]
-    counts = used.sum(axis=0)
-    off = (used & (shares < MISPLACED_FRACTION)).sum(
+    is_used = visible & usable[:, None]
+    counts = is_used.sum(axis=0)
+    is_misplaced = (is_used & (shares < MISPLACED_FRACTION)).sum(
         axis=0
     ) > MISPLACED_FRACTION * np.maximum(counts, 1)
-    for names, what in (
+    for names, problem in (
         ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
          "are never seen: "),
-        ([n for n, o in zip(model.names, off.tolist(), strict=True) if o],
+        ([n for n, o in zip(model.names, is_misplaced.tolist(), strict=True) if o],
          "do not match the face in most frames: "),
     ):  # fmt: skip
         if names:
-            message = f"{counted(len(names), 'landmark')} {what}"
+            message = f"{counted(len(names), 'landmark')} {problem}"
             notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
     return notices

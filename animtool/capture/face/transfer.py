@@ -22,9 +22,9 @@ class TransferredWeights:
     """Weights on another face.
 
     Attributes:
-        weights: Of the target's shapes ``(F, S)``.
+        weights: Weights of the target's shapes ``(F, S)``.
         links: Source shapes of each target shape, by name.
-        fit: Fit of its landmarks, if they were used; else None.
+        fit: Fit to the target's landmarks, if they were used; else None.
         notices: Shapes without a counterpart.
     """
 
@@ -51,13 +51,13 @@ def transfer_weights(
     the sizes of the faces.
 
     Args:
-        weights: Of the source's shapes ``(F, S)``.
+        weights: Weights of the source's shapes ``(F, S)``.
         source: Names of the source's shapes.
         target: Names of the target's shapes.
-        remap: Names of one as those of the other.
-        faces: Source and target with landmarks, for a fit; None goes by name.
+        remap: Shape names of one face by those of the other.
+        faces: Source and target face with landmarks, for a fit; None matches by name.
         fps: Frames a second, for a fit.
-        smooth: As `fit_face` takes it.
+        smooth: Smoothness, as in `fit_face`.
 
     Raises:
         FormatError: The remap file names an unknown shape (FAC001).
@@ -75,42 +75,55 @@ def transfer_weights(
             hint = "pair them in a remap file"
             raise OptionError(Fault("FAC009", message, hint=hint))
         moves = np.abs(weights).max(axis=0, initial=0) > 0
-        kept = {name for name, m in zip(source, moves.tolist(), strict=True) if m}
-        lost = [name for name in links.lost if name in kept]
+        moving_shapes = {
+            name for name, m in zip(source, moves.tolist(), strict=True) if m
+        }
+        unlinked = [name for name in links.lost if name in moving_shapes]
         notices = []
-        if lost:
-            message = f"{len(lost)} shapes that move are not in the target: "
-            notices.append(naming("FAC108", message, lost, severity=Severity.WARNING))
-        linked = links.apply(weights, len(target))
-        return TransferredWeights(linked, links, None, tuple(notices))
-    ours, theirs = faces
-    shared = [name for name in theirs.names if name in set(ours.names)]
-    if len(shared) < 4:
-        message = f"the faces share {len(shared)} landmarks; 4 are needed"
+        if unlinked:
+            message = f"{len(unlinked)} shapes that move are not in the target: "
+            notices.append(
+                naming("FAC108", message, unlinked, severity=Severity.WARNING)
+            )
+        linked_weights = links.apply(weights, len(target))
+        return TransferredWeights(linked_weights, links, None, tuple(notices))
+    source_face, target_face = faces
+    shared_names = [
+        name for name in target_face.names if name in set(source_face.names)
+    ]
+    if len(shared_names) < 4:
+        message = f"the faces share {len(shared_names)} landmarks; 4 are needed"
         raise OptionError(Fault("FAC004", message))
     columns = {name: i for i, name in enumerate(source)}
     offsets = np.stack(
         [
             weights[:, columns[name]] if name in columns else np.zeros(len(weights))
-            for name in ours.shapes
+            for name in source_face.shapes
         ],
         axis=-1,
     )
-    indices = [ours.names.index(name) for name in shared]
-    linked = (ours.points(offsets) - ours.neutral)[:, indices]
-    at = [theirs.names.index(name) for name in shared]
-    size = FaceModel(tuple(shared), (), theirs.neutral[at], np.zeros((0, len(at), 3)))
-    scale = size.size / max(_size(ours.neutral[indices]), 1e-300)
-    points = np.full((len(weights), len(theirs.names), 3), np.nan)
-    points[:, at] = theirs.neutral[at] + scale * linked
-    fit = fit_face(theirs, points, fps, smooth=smooth)
-    solved = np.zeros((len(weights), len(target)))
-    for i, name in enumerate(theirs.shapes):
+    indices = [source_face.names.index(name) for name in shared_names]
+    linked_weights = (source_face.points(offsets) - source_face.neutral)[:, indices]
+    shared_columns = [target_face.names.index(name) for name in shared_names]
+    size = FaceModel(
+        tuple(shared_names),
+        (),
+        target_face.neutral[shared_columns],
+        np.zeros((0, len(shared_columns), 3)),
+    )
+    scale = size.size / max(_size(source_face.neutral[indices]), 1e-300)
+    points = np.full((len(weights), len(target_face.names), 3), np.nan)
+    points[:, shared_columns] = (
+        target_face.neutral[shared_columns] + scale * linked_weights
+    )
+    fit = fit_face(target_face, points, fps, smooth=smooth)
+    target_weights = np.zeros((len(weights), len(target)))
+    for i, name in enumerate(target_face.shapes):
         if name in set(target):
-            solved[:, list(target).index(name)] = fit.weights[:, i]
-    return TransferredWeights(solved, links, fit, fit.notices)
+            target_weights[:, list(target).index(name)] = fit.weights[:, i]
+    return TransferredWeights(target_weights, links, fit, fit.notices)
 
 
 def _size(points: FloatArray) -> float:
-    away = points - points.mean(axis=0)
-    return float(np.sqrt((away * away).sum(axis=1).mean()))
+    offsets = points - points.mean(axis=0)
+    return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))

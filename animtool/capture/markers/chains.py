@@ -1,4 +1,4 @@
-"""Runs of the same unlabelled marker before and after it was hidden."""
+"""Joining of unlabelled runs of one marker across gaps."""
 
 from __future__ import annotations
 
@@ -7,45 +7,57 @@ import numpy as np
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import FloatArray, IntArray
 
-# Evidence of distances between points for their markers.
+# Likelihood of distances between points for pairs of markers.
 
-# Of a pair on one segment, distances are as at rest but for noise and skin [m], and
-# more where they vary; and how likely a pair is on one that varies by so much [m].
-NOISE, SKIN, ONE_SEGMENT, LOOSE = 0.0007, 0.7, 0.5, 0.003
-# Other pairs are about as far apart as at rest, by so much of it, and [m].
-PLAY, PLAY_LEAST = 0.25, 0.015
-# The density of distances of points that have nothing to do with each other [1/m], and
-# what no pair is below.
-ANY, LEAST = 1.0, 0.05
-# Of pairs that are not on one segment, near ones and steady ones say more [m].
-FAR, UNSTEADY = 0.25, 0.02
+# Distances of two markers on one segment equal those at rest up to noise and skin
+# motion [m], which grows with their spread; and the probability of one segment falls
+# with that spread [m].
+DISTANCE_NOISE, SKIN_FACTOR, SAME_SEGMENT_PRIOR, LOOSE_SPREAD = 0.0007, 0.7, 0.5, 0.003
+# Tolerance of other pairs: a fraction of their rest distance, and a minimum [m].
+PLAY_FRACTION, MIN_PLAY = 0.25, 0.015
+# Probability density of distances between unrelated points [1/m], and the minimum
+# density of any pair.
+UNRELATED_DENSITY, MIN_DENSITY = 1.0, 0.05
+# Of pairs on different segments, near ones and steady ones are weighted more [m].
+FAR_DISTANCE, UNSTEADY_SPREAD = 0.25, 0.02
 
 
 def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
     """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
 
-    It compares each distance's likelihood for the pair at rest with that for any two
-    points. 0 where a distance is unknown.
+    Compares each distance's likelihood for the rest pair with that for any two points.
+    0 where a distance is unknown.
 
-    mean, spread: Of observed distances ``(...)`` [m]. rest: ``(M,)`` or ``(..., M)``.
+    mean, spread: Mean and spread of observed distances ``(...)`` [m]. rest: ``(M,)`` or
+    ``(..., M)``.
     """
-    known = np.isfinite(mean)
-    mean = np.where(known, mean, 0.0)[..., None]
-    spread = np.where(known, spread, 1.0)[..., None]
-    off = mean - rest
-    tight = NOISE + SKIN * spread
-    one = ONE_SEGMENT / (1.0 + (spread / LOOSE) ** 2)
-    rigid = one / (np.pi * tight * (1.0 + (off / tight) ** 2))
-    wide = PLAY_LEAST + spread + PLAY * rest
-    other = (1.0 - one) / (np.pi * wide * (1.0 + (off / wide) ** 2)) + LEAST
-    weight = 1.0 / ((1.0 + (mean / FAR) ** 2) * (1.0 + (spread / UNSTEADY) ** 2))
-    said = weight * np.log(other / ANY) + np.log1p(rigid / other)
-    return np.asarray(np.where(known[..., None] & np.isfinite(rest), said, 0.0))
+    is_known = np.isfinite(mean)
+    mean = np.where(is_known, mean, 0.0)[..., None]
+    spread = np.where(is_known, spread, 1.0)[..., None]
+    deviation = mean - rest
+    rigid_tolerance = DISTANCE_NOISE + SKIN_FACTOR * spread
+    same_segment = SAME_SEGMENT_PRIOR / (1.0 + (spread / LOOSE_SPREAD) ** 2)
+    rigid_density = same_segment / (
+        np.pi * rigid_tolerance * (1.0 + (deviation / rigid_tolerance) ** 2)
+    )
+    loose_tolerance = MIN_PLAY + spread + PLAY_FRACTION * rest
+    loose_density = (1.0 - same_segment) / (
+        np.pi * loose_tolerance * (1.0 + (deviation / loose_tolerance) ** 2)
+    ) + MIN_DENSITY
+    weight = 1.0 / (
+        (1.0 + (mean / FAR_DISTANCE) ** 2) * (1.0 + (spread / UNSTEADY_SPREAD) ** 2)
+    )
+    log_likelihood = weight * np.log(loose_density / UNRELATED_DENSITY) + np.log1p(
+        rigid_density / loose_density
+    )
+    return np.asarray(
+        np.where(is_known[..., None] & np.isfinite(rest), log_likelihood, 0.0)
+    )
 
 
-# Runs are joined where distances say so at least this much, and so much more than of
-# any other run that is seen along with one of them [nat].
-SURE, CLEAR = 3.0, 1.5
+# Minimum evidence for joining two runs, and its margin over any other run that is
+# visible at the same time as one of them [nat].
+MIN_EVIDENCE, MIN_MARGIN = 3.0, 1.5
 
 
 def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
@@ -64,26 +76,29 @@ def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     together = overlap > 0
     likelihood[together] = -np.inf
     concurrent = together & ~np.eye(count, dtype=bool)
-    # Of two runs that are one marker each is the other's best among those that are seen
-    # along with one of them.
-    order = np.argwhere(likelihood > SURE)
+    # Two runs of one marker are each other's best among those visible at the same time
+    # as the other.
+    order = np.argwhere(likelihood > MIN_EVIDENCE)
     order = order[order[:, 0] < order[:, 1]]
-    scored = []
+    scored_pairs = []
     for a, b in order.tolist():
         value = likelihood[a, b]
-        rivals_b = likelihood[a][concurrent[b]]  # what could be a instead of b
+        rivals_b = likelihood[a][concurrent[b]]  # the runs that could replace a
         rivals_a = likelihood[b][concurrent[a]]
         rival = max(rivals_a.max(initial=0.0), rivals_b.max(initial=0.0))
-        if value > rival + CLEAR:
-            scored.append((value - rival, a, b))
-    scored.sort(reverse=True)
+        if value > rival + MIN_MARGIN:
+            scored_pairs.append((value - rival, a, b))
+    scored_pairs.sort(reverse=True)
     members = {run: [run] for run in range(count)}
-    for _, a, b in scored:
-        one, two = int(chain[a]), int(chain[b])
-        if one == two or together[np.ix_(members[one], members[two])].any():
+    for _, a, b in scored_pairs:
+        chain_a, chain_b = int(chain[a]), int(chain[b])
+        if (
+            chain_a == chain_b
+            or together[np.ix_(members[chain_a], members[chain_b])].any()
+        ):
             continue
-        members[one] += members.pop(two)
-        chain[members[one]] = one
+        members[chain_a] += members.pop(chain_b)
+        chain[members[chain_a]] = chain_a
     return np.unique(chain, return_inverse=True)[1]
 
 
@@ -93,11 +108,11 @@ def likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
     likelihood = np.zeros((count, count))
     for run in range(count):
         mean = moving.mean[run]
-        # (S, B): of what is seen along, and the other run's distance to it.
-        says = evidence(mean, moving.spread[run], moving.mean)
+        # (S, B): mean distances of concurrent points to both runs
+        log_likelihood = evidence(mean, moving.spread[run], moving.mean)
         weight = np.minimum(1.0, np.minimum(overlap[run][:, None], overlap) / 60.0)
-        known = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
-        likelihood[run] = (says * weight * known).sum(axis=0)
+        is_known = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
+        likelihood[run] = (log_likelihood * weight * is_known).sum(axis=0)
     return 0.5 * (likelihood + likelihood.T)
 
 

@@ -29,16 +29,16 @@ from animtool.motion.markers import Markers
 if TYPE_CHECKING:
     from animtool.capture.markers.skeleton import MarkerSubject, SkeletonMarkers
 
-# Longest gap to fill by a curve through the frames around [s].
+# Longest gap that is filled by a curve through the surrounding frames [s].
 CURVE_SECONDS = 0.05
-# Frames on either side for the curve, and the least on one side.
-AROUND, MIN_FRAMES = 6, 3
-DEGREE = 5
-# What is about as near as noise is not looked for elsewhere [m], and in which share of
-# a gap another marker is seen that holds a joint.
-CLOSE, MOSTLY = 0.001, 0.8
-# Cross-validation next to a gap is this much better than in the gap.
-DOUBT = 1.6
+# Frames on either side for fitting the curve, and the minimum on one side.
+CURVE_FRAMES, MIN_FRAMES = 6, 3
+CURVE_DEGREE = 5
+# A prediction with an error below this is not compared with others [m]; and the
+# fraction of a gap in which another marker must be visible to determine the joint.
+CLOSE_ENOUGH, MIN_HOLDER_VISIBILITY = 0.001, 0.8
+# Cross-validation next to a gap underestimates the error within it by this factor.
+OPTIMISM = 1.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class FillReport:
         filled: Positions that were filled.
         left: Positions that are still missing.
         gaps: Every gap, by marker and frame.
-        spikes: Spikes that were removed, which are gaps then.
+        spikes: Spikes that were removed and became gaps.
         swaps: Spans in which two markers had each other's names.
         notices: Warnings.
     """
@@ -147,14 +147,14 @@ def _filled_markers(
             notices += skeleton.notices
         positions, gaps = _filled(markers, options.longest, skeleton)
     measured = markers.visible
-    now = np.asarray(np.isfinite(positions).all(axis=-1))
-    filled = now & ~measured
+    is_known = np.asarray(np.isfinite(positions).all(axis=-1))
+    filled = is_known & ~measured
     if markers.filled is not None:
-        filled |= markers.filled & now
+        filled |= markers.filled & is_known
     result = replace(
         markers, positions=positions, filled=filled if filled.any() else None
     )
-    left = int((~now[:, labelled]).sum())
+    left = int((~is_known[:, labelled]).sum())
     if left and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
@@ -164,14 +164,14 @@ def _filled_markers(
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
     notices += implausible(markers)
     report = FillReport(
-        len(markers), len(markers.names), int((now & ~measured).sum()), left, gaps,
+        len(markers), len(markers.names), int((is_known & ~measured).sum()), left, gaps,
         spikes, swaps, notices,
     )  # fmt: skip
     return result, report
 
 
 def _filled(
-    markers: Markers, longest: float | None, skeleton: SkeletonMarkers | None
+    markers: Markers, max_seconds: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
     """Return positions with gaps filled, shorter ones first, and the gaps."""
     positions = markers.positions.copy()
@@ -184,27 +184,33 @@ def _filled(
         gap = slice(first, first + length)
         path: FloatArray | None = None
         method = ""
-        if longest is None or length <= longest * rate:
+        if max_seconds is None or length <= max_seconds * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
                 prediction = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
-                others = measured[gap].mean(axis=0) >= MOSTLY
-                guess = skeleton.drift(marker, others) * length / rate
-                if guess and max(guess, prediction.off) > CLOSE:
-                    prediction = replace(prediction, off=max(guess, prediction.off))
-                    where = (positions, visible, marker, gap, spread[marker], rate)
+                mostly_visible = measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
+                drift = skeleton.drift(marker, mostly_visible) * length / rate
+                if drift and max(drift, prediction.error) > CLOSE_ENOUGH:
+                    prediction = replace(prediction, error=max(drift, prediction.error))
+                    arguments = (positions, visible, marker, gap, spread[marker], rate)
                     prediction, method = _likeliest(
                         (prediction, "skeleton"),
-                        (predict_in_parent(skeleton, *where), "skeleton"),
-                        (predict(*where), "markers"),
+                        (predict_in_parent(skeleton, *arguments), "skeleton"),
+                        (predict(*arguments), "markers"),
                     )
                 path = prediction.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
                 path = _curve(positions[:, marker], visible[:, marker], gap)
             if path is None:
-                learnt = predict(positions, visible, marker, gap, spread[marker], rate)
-                path = None if learnt is None else learnt.positions
+                prediction_from_markers = predict(
+                    positions, visible, marker, gap, spread[marker], rate
+                )
+                path = (
+                    None
+                    if prediction_from_markers is None
+                    else prediction_from_markers.positions
+                )
                 method = "markers"
         if path is not None:
             positions[gap, marker] = path
@@ -219,11 +225,14 @@ def _filled(
 
 def _likeliest(*predictions: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
     """Return the prediction with the least error, and its method; the first of ties."""
-    (best, name), *others = (
-        (each, name) for each, name in predictions if each is not None
+    (best, name), *alternatives = (
+        (prediction, name) for prediction, name in predictions if prediction is not None
     )
-    off = best.off / DOUBT
-    return min([(replace(best, off=off), name), *others], key=lambda each: each[0].off)
+    error = best.error / OPTIMISM
+    return min(
+        [(replace(best, error=error), name), *alternatives],
+        key=lambda prediction: prediction[0].error,
+    )
 
 
 def _gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
@@ -246,17 +255,19 @@ def _curve(path: FloatArray, visible: BoolArray, gap: slice) -> FloatArray | Non
     frames = np.array([*before[::-1], *after])
     middle = 0.5 * (gap.start + gap.stop - 1)
     scale = float(max(frames[-1] - middle, middle - frames[0]))
-    degree = min(DEGREE, len(frames) - 3)
+    degree = min(CURVE_DEGREE, len(frames) - 3)
     powers = np.vander((frames - middle) / scale, degree + 1)
-    inside = np.vander((np.arange(gap.start, gap.stop) - middle) / scale, degree + 1)
-    return np.asarray(inside @ (np.linalg.pinv(powers) @ path[frames]))
+    gap_powers = np.vander(
+        (np.arange(gap.start, gap.stop) - middle) / scale, degree + 1
+    )
+    return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 
 def _run(visible: BoolArray, start: int, step: int) -> list[int]:
     """Return the visible frames next to a gap, up to a limit."""
     frames: list[int] = []
     frame = start
-    while 0 <= frame < len(visible) and visible[frame] and len(frames) < AROUND:
+    while 0 <= frame < len(visible) and visible[frame] and len(frames) < CURVE_FRAMES:
         frames.append(frame)
         frame += step
     return frames

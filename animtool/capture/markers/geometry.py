@@ -9,10 +9,10 @@ from animtool.core.record import dataclass
 
 # Most frames sampled of a long take.
 MAX_FRAMES = 1500
-# Least frames for a spread.
+# Minimum frames for a spread.
 MIN_FRAMES = 12
-# Middle, and one standard deviation below and above [%].
-QUANTILES = (15.87, 50.0, 84.13)
+# Median, and one standard deviation below and above [%].
+PERCENTILES = (15.87, 50.0, 84.13)
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class MarkerDistances:
     """Distances between M markers.
 
     Attributes:
-        mean: Of each pair ``(M, M)`` [m]; NaN if never visible.
+        mean: Mean of each pair ``(M, M)`` [m]; NaN if never visible.
         spread: How much each varies ``(M, M)`` [m], standard deviation.
     """
 
@@ -38,30 +38,30 @@ def distances(positions: FloatArray) -> MarkerDistances:
     sample = positions[::step]
     mean = np.full((count, count), np.nan)
     spread = np.full((count, count), np.nan)
-    least = min(MIN_FRAMES, len(sample))
+    min_frames = min(MIN_FRAMES, len(sample))
     for i in range(count - 1):
         lengths = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
-        known = np.isfinite(lengths)
-        enough = np.flatnonzero(known.sum(axis=0) >= least)
-        if not len(enough):
+        is_finite = np.isfinite(lengths)
+        has_enough = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
+        if not len(has_enough):
             continue
-        low, middle, high = _quantiles(lengths[:, enough])
-        columns = enough + i + 1
+        low, middle, high = _quantiles(lengths[:, has_enough])
+        columns = has_enough + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
     return MarkerDistances(mean, spread)
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
-    """Return those of `QUANTILES` of each column ``(3, N)``, NaN left out."""
+    """Return those of `PERCENTILES` of each column ``(3, N)``, NaN left out."""
     ordered = np.sort(values, axis=0)
-    last = np.isfinite(values).sum(axis=0) - 1
-    at = np.array(QUANTILES)[:, None] / 100.0 * last
-    below = at.astype(np.int64)
-    part = at - below
+    last_row = np.isfinite(values).sum(axis=0) - 1
+    position = np.array(PERCENTILES)[:, None] / 100.0 * last_row
+    lower_row = position.astype(np.int64)
+    part = position - lower_row
     columns = np.arange(values.shape[1])
-    low = ordered[below, columns]
-    high = ordered[np.minimum(below + 1, last), columns]
+    low = ordered[lower_row, columns]
+    high = ordered[np.minimum(lower_row + 1, last_row), columns]
     step = high - low
     return np.asarray(
         np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
@@ -70,10 +70,10 @@ def _quantiles(values: FloatArray) -> FloatArray:
 
 def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
     """Return the take's distances, or those at rest where the take has none."""
-    known = np.isfinite(moving.mean)
+    is_known = np.isfinite(moving.mean)
     return MarkerDistances(
-        np.where(known, moving.mean, rest.mean),
-        np.where(known, moving.spread, rest.spread),
+        np.where(is_known, moving.mean, rest.mean),
+        np.where(is_known, moving.spread, rest.spread),
     )
 
 
@@ -97,14 +97,14 @@ def fitted(
     middle = weights @ shape
     centred = shape - middle[:, None]
     cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], centred)
-    left, _, right = np.linalg.svd(cross)
-    sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
-    left[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
-    rotation = left @ right
+    left_vectors, _, right_vectors = np.linalg.svd(cross)
+    sign = np.sign(np.linalg.det(left_vectors) * np.linalg.det(right_vectors))
+    left_vectors[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
+    rotation = left_vectors @ right_vectors
     return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
 
 
-# Iterations of fitting all frames to their median; the shape has converged by then.
+# Iterations of fitting all frames to their median; the shape converges in these.
 SHAPE_ITERATIONS = 3
 
 

@@ -1,4 +1,4 @@
-"""Labelling of unnamed points, from a trial at rest and their motion."""
+"""Labelling of unnamed points, from a static trial and their motion."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from animtool.motion.markers import Markers
 
 # Initial labelling of runs: groups that stay rigid.
 
-# Distances that vary less are within a segment [m].
+# Distances that vary less are within one segment [m].
 RIGID = 0.006
-# How far the shape of a group of four may be off, for it to be named first [m].
-SEED = 0.003
-# How far the distances of such a group may be off, and what is tried where none is so
-# near [m]; and how many runs a run is grouped with.
-NEAREST, FARTHEST, COMPANY = 0.002, 0.006, 7
+# Largest shape error of a group of four that may start the naming [m].
+SEED_ERROR = 0.003
+# Tolerances for the distances of such a group, the second if the first finds none [m];
+# and the number of partners that each run is grouped with.
+SEED_TOLERANCE, LOOSE_SEED_TOLERANCE, PARTNERS = 0.002, 0.006, 7
 MAX_GROUPS = 400
-# Number of seed groups, of which the one that explains most is taken.
-STARTS, GROUPS = 3, 12
+# Number of starting groups, of which the one with the most evidence is kept.
+MAX_SEEDS, GROUPS = 3, 12
 # Iterations of joining runs to chains.
-ROUNDS = 2
+CHAIN_ROUNDS = 2
 
 
 def identify(
@@ -42,23 +42,23 @@ def identify(
 ) -> IntArray | None:
     """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
     chain = np.arange(points.shape[1])
-    for _ in range(ROUNDS):
+    for _ in range(CHAIN_ROUNDS):
         moving = distances(points)
         visible = np.isfinite(points[..., 0]).astype(np.float64)
-        again = chained(moving, visible.T @ visible)
-        points, chain = merged(points, again), again[chain]
+        rechained = chained(moving, visible.T @ visible)
+        points, chain = merged(points, rechained), rechained[chain]
     moving = distances(points)
     visible = np.isfinite(points[..., 0]).astype(np.float64)
     groups = _fours(moving)
-    seeds = _seeds(points, groups, moving, shape, rest, NEAREST)
+    seeds = _seeds(points, groups, moving, shape, rest, SEED_TOLERANCE)
     if not seeds:
-        seeds = _seeds(points, groups, moving, shape, rest, FARTHEST)
-    begun = Naming(moving, visible.T @ visible, rest)
+        seeds = _seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
+    initial_naming = Naming(moving, visible.T @ visible, rest)
     best: Naming | None = None
-    for seed in [_agreeing(seeds, begun.together), *seeds[:STARTS]]:
+    for seed in [_agreeing(seeds, initial_naming.together), *seeds[:MAX_SEEDS]]:
         if not seed:
             continue
-        naming = begun.copy()
+        naming = initial_naming.copy()
         for point, marker in seed.items():
             naming.assign(point, marker)
         naming.grow()
@@ -75,12 +75,12 @@ def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int
     for seed in seeds:
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
             continue
-        both = names | seed
-        points, markers = np.array(list(both)), np.array(list(both.values()))
+        combined = names | seed
+        points, markers = np.array(list(combined)), np.array(list(combined.values()))
         clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
         np.fill_diagonal(clash, False)
         if not clash.any():
-            names = both
+            names = combined
     return names
 
 
@@ -96,9 +96,9 @@ def _seeds(
     seeds = []
     for group in groups:
         for markers in _matches(group, moving.mean, rest, tolerance):
-            off = _shape_error(points[:, group], shape[list(markers)])
-            if off < SEED:
-                seeds.append((off, dict(zip(group, markers, strict=True))))
+            error = _shape_error(points[:, group], shape[list(markers)])
+            if error < SEED_ERROR:
+                seeds.append((error, dict(zip(group, markers, strict=True))))
     seeds.sort(key=lambda entry: entry[0])
     return [pairs for _, pairs in seeds]
 
@@ -107,16 +107,18 @@ def _fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
     """Return groups of four mutually rigid runs, the most rigid first."""
     spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
-    worst: dict[tuple[int, ...], float] = {}
+    worst_spread: dict[tuple[int, ...], float] = {}
     for run, row in enumerate(spread):
-        company = np.argsort(row, kind="stable")[:COMPANY]
+        company = np.argsort(row, kind="stable")[:PARTNERS]
         company = company[row[company] < RIGID]
-        for others in combinations(company.tolist(), 3):
-            group = tuple(sorted((run, *others)))
-            if group not in worst:
+        for partners in combinations(company.tolist(), 3):
+            group = tuple(sorted((run, *partners)))
+            if group not in worst_spread:
                 pairs = combinations(group, 2)
-                worst[group] = max(float(spread[a, b]) for a, b in pairs)
-    order = sorted((value, group) for group, value in worst.items() if value < RIGID)
+                worst_spread[group] = max(float(spread[a, b]) for a, b in pairs)
+    order = sorted(
+        (value, group) for group, value in worst_spread.items() if value < RIGID
+    )
     return [group for _, group in order[:MAX_GROUPS]]
 
 
@@ -128,8 +130,8 @@ def _matches(
     partial = np.stack([first, second], axis=1)
     partial = partial[first != second]
     for k in range(2, len(group)):
-        off = np.abs(rest[partial] - lengths[group[k], group[:k]][None, :, None])
-        fits: BoolArray = np.asarray((off < tolerance).all(axis=1))
+        deviation = np.abs(rest[partial] - lengths[group[k], group[:k]][None, :, None])
+        fits: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         fits[np.arange(len(partial))[:, None], partial] = False
         row, marker = np.nonzero(fits)
         partial = np.concatenate([partial[row], marker[:, None]], axis=1)
@@ -146,9 +148,10 @@ def _shape_error(points: FloatArray, shape: FloatArray) -> float:
     return float(np.sqrt(np.median(((fit - complete) ** 2).sum(axis=-1).mean(axis=1))))
 
 
-# Runs that are named first are as long [frame], in a part of a take as long [s].
+# Minimum length of the runs that are named first [frame], and of the part of the take
+# they come from [s].
 MIN_RUN = 30
-BASE = 10.0
+BASE_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +162,8 @@ class Doubt:
         markers: Their names.
         first: First frame in which all of them are visible, from 0.
         last: Last such frame.
-        score: Evidence for the exchange [nat]: 0 if as much as for the names
-            assigned, below 0 less.
+        score: Evidence for the exchange [nat]: 0 if it equals that for the assigned
+            names, negative if less.
     """
 
     markers: tuple[str, ...]
@@ -177,8 +180,8 @@ class LabelReport:
         frames: Number of frames.
         markers: Number of names.
         points: Visible points over all frames.
-        labelled: Those that got a name.
-        rejected: Those that are not markers.
+        labelled: Points that got a name.
+        rejected: Points that are not markers.
         runs: Number of gapless runs.
         missing: Names without a point in any frame.
         coverage: Fraction of frames in which each name has a point.
@@ -204,17 +207,16 @@ class LabelReport:
 
 
 def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
-    """Return a point cloud labelled with the names of a trial at rest.
+    """Return a point cloud labelled with the names of a static trial.
 
-    Points are joined to runs by their motion. Runs at constant distance are on one
-    segment: groups of them are matched to the trial by distances and handedness; then
-    the clearest run is added, one after another. Runs after a gap get the name whose
-    position, by distances to named runs, they have. Points at no marker's position stay
-    unnamed.
+    Points are joined to runs by their motion. Runs that keep their distance are on one
+    segment: groups of them are matched to the trial by distances and handedness. Then
+    runs are named one at a time, the clearest first. A run after a gap gets the name
+    that fits its distances to the named runs. Points that fit no marker stay unnamed.
 
     Args:
         cloud: Points in any order, which may change from frame to frame.
-        static: The subject's labelled trial at rest; its frames are averaged.
+        static: The subject's labelled static trial; its frames are averaged.
 
     Raises:
         OptionError: The trial has fewer than four markers (MKR020), or nothing in the
@@ -229,24 +231,30 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    work = RunLabels(cloud.positions, tracklets, rate, first, lengths)
-    names_of, exchanges, pairs = distinguish_twins(work.by_marker(), rest)
-    work.names_of = np.where(work.names_of >= 0, names_of[work.names_of], -1)
+    run_labels = RunLabels(cloud.positions, tracklets, rate, first, lengths)
+    names_of, exchanges, pairs = distinguish_twins(run_labels.by_marker(), rest)
+    run_labels.names_of = np.where(
+        run_labels.names_of >= 0, names_of[run_labels.names_of], -1
+    )
     for pair in pairs:
-        _exchange_parts(work, rest, pair)
-    work.name_runs()
-    return _labelled(cloud, names, tracklets, work.names_of, exchanges)
+        _exchange_parts(run_labels, rest, pair)
+    run_labels.name_runs()
+    return _labelled(cloud, names, tracklets, run_labels.names_of, exchanges)
 
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
-    known = np.flatnonzero(static.visible.any(axis=0))
-    known = np.array([i for i in known.tolist() if not static.names[i].startswith("*")])
-    if len(known) < 4:
-        message = f"the trial has {len(known)} labelled markers; labelling needs 4"
+    visible_columns = np.flatnonzero(static.visible.any(axis=0))
+    visible_columns = np.array(
+        [i for i in visible_columns.tolist() if not static.names[i].startswith("*")]
+    )
+    if len(visible_columns) < 4:
+        message = (
+            f"the trial has {len(visible_columns)} labelled markers; labelling needs 4"
+        )
         raise OptionError(Fault("MKR020", message))
-    rest = np.nanmedian(static.positions[:, known], axis=0)
-    return tuple(static.names[i] for i in known.tolist()), rest
+    rest = np.nanmedian(static.positions[:, visible_columns], axis=0)
+    return tuple(static.names[i] for i in visible_columns.tolist()), rest
 
 
 def _labelled(
@@ -267,9 +275,9 @@ def _labelled(
     def chosen(values: Any, empty: float) -> Any:
         if values is None:
             return None
-        where = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
-        picked = np.take_along_axis(values, np.maximum(where, 0), 1)
-        return np.where(where < 0, np.asarray(empty, values.dtype), picked)
+        slot_index = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
+        picked = np.take_along_axis(values, np.maximum(slot_index, 0), 1)
+        return np.where(slot_index < 0, np.asarray(empty, values.dtype), picked)
 
     labelled = replace(
         cloud,
@@ -280,9 +288,9 @@ def _labelled(
         filled=chosen(cloud.filled, 0),
     )
     coverage = (slots >= 0).mean(axis=0)
-    points, got = int((ids >= 0).sum()), int((slots >= 0).sum())
-    shares = dict(zip(names, coverage.tolist(), strict=True))
-    missing = [name for name, fraction in shares.items() if not fraction]
+    points, named_count = int((ids >= 0).sum()), int((slots >= 0).sum())
+    coverage_values = dict(zip(names, coverage.tolist(), strict=True))
+    missing = [name for name, fraction in coverage_values.items() if not fraction]
     notices = implausible(cloud)
     if missing:
         message = f"no points were found for {', '.join(missing)}"
@@ -291,8 +299,8 @@ def _labelled(
     if doubts:
         notices.append(_doubted(doubts, cloud))
     report = LabelReport(
-        frames, len(names), points, got, points - got, len(tracklets.first), missing,
-        shares, doubts, notices,
+        frames, len(names), points, named_count, points - named_count,
+        len(tracklets.first), missing, coverage_values, doubts, notices,
     )  # fmt: skip
     return labelled, report
 
@@ -312,12 +320,14 @@ def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
 
 def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
     """Return the warning that some markers cannot be distinguished."""
-    parts = []
+    doubt_texts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
-        parts.append(f"{', '.join(doubt.markers)} (frames {span_label(first, last)})")
+        doubt_texts.append(
+            f"{', '.join(doubt.markers)} (frames {span_label(first, last)})"
+        )
     message = "by distances and shapes, these names could be swapped: " + "; ".join(
-        parts
+        doubt_texts
     )
     hint = (
         "look at a frame; a trial with a pose nearer to the take would tell them apart"
@@ -343,16 +353,16 @@ def _first_names(
 def _base(tracklets: Tracklets, frames: int, rate: float) -> tuple[slice, IntArray]:
     """Return the frames that are labelled first, and their longer runs."""
     first, last = tracklets.first, tracklets.last
-    length = min(frames, max(MIN_RUN, int(BASE * rate)))
-    best, count = 0, -1
+    length = min(frames, max(MIN_RUN, int(BASE_SECONDS * rate)))
+    best_start, best_count = 0, -1
     for start in range(0, frames - length + 1, max(1, length // 4)):
         shared = np.minimum(last, start + length - 1) - np.maximum(first, start) + 1
         score = int(shared[shared > MIN_RUN].sum())
-        if score > count:
-            best, count = start, score
-    end = best + length
-    shared = np.minimum(last, end - 1) - np.maximum(first, best) + 1
-    return slice(best, end), np.flatnonzero(shared >= min(MIN_RUN, length))
+        if score > best_count:
+            best_start, best_count = start, score
+    end = best_start + length
+    shared = np.minimum(last, end - 1) - np.maximum(first, best_start) + 1
+    return slice(best_start, end), np.flatnonzero(shared >= min(MIN_RUN, length))
 
 
 def _window(
@@ -362,27 +372,29 @@ def _window(
     ids = tracklets.ids[frames]
     column = np.full(len(tracklets.first) + 1, -1)
     column[runs] = np.arange(len(runs))
-    where = np.where(ids >= 0, column[ids], -1)
+    run_column = np.where(ids >= 0, column[ids], -1)
     points = np.full((len(ids), len(runs), 3), np.nan)
-    frame, slot = np.nonzero(where >= 0)
-    points[frame, where[frame, slot]] = positions[frames][frame, slot]
+    frame, slot = np.nonzero(run_column >= 0)
+    points[frame, run_column[frame, slot]] = positions[frames][frame, slot]
     return points
 
 
-def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) -> None:
+def _exchange_parts(
+    run_labels: RunLabels, rest: FloatArray, pair: tuple[int, int]
+) -> None:
     """Exchange two names in the parts of a take whose shapes require it.
 
     A part ends at a gap of both markers, where continuity is lost.
     """
-    runs = np.flatnonzero(np.isin(work.names_of, pair))
-    first, last = work.tracklets.first, work.tracklets.last
+    runs = np.flatnonzero(np.isin(run_labels.names_of, pair))
+    first, last = run_labels.tracklets.first, run_labels.tracklets.last
     runs = runs[np.argsort(first[runs], kind="stable")]
     ends = np.maximum.accumulate(last[runs])
     parts = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
     if len(parts) < 2:
         return
-    marked = work.by_marker()
+    marker_positions = run_labels.by_marker()
     for part in parts:
         frames = slice(int(first[part].min()), int(last[part].max()) + 1)
-        if exchanged_in(marked[frames], rest, pair):
-            work.names_of[part] = sum(pair) - work.names_of[part]
+        if exchanged_in(marker_positions[frames], rest, pair):
+            run_labels.names_of[part] = sum(pair) - run_labels.names_of[part]

@@ -1,4 +1,4 @@
-"""Assignment of names to points that explains all their distances best."""
+"""Assignment of names to points with the most evidence from all their distances."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ from animtool.capture.markers.chains import evidence, likelihoods
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
-# Least total evidence for naming a point [nat].
-WORTH = 1.0
+# Minimum total evidence for naming a point [nat].
+MIN_EVIDENCE = 1.0
 # Spread of pairs that are named together [m], and partners of each point.
-RIGID, PARTNERS = 0.006, 3
-# Trials of reassigning names, and their least gain [nat].
-TRIALS, GAIN = 40, 0.05
-# Markers named for less than this fraction of the longest visible one, and unnamed
-# points visible for longer than that, have the names around them reassigned: number of
-# restarts, radius [m], random bias [nat], and probability of restarting from scratch.
-LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
+RIGID_SPREAD, PARTNERS = 0.006, 3
+# Trials of reassigning names, and their minimum gain [nat].
+TRIALS, MIN_GAIN = 40, 0.05
+# Markers named for less than this fraction of the longest visible marker, and unnamed
+# points visible for longer than that fraction, have the names around them reassigned:
+# number of restarts, radius [m], random bias [nat], and probability of restarting from
+# scratch.
+(
+    MIN_NAMED_FRACTION,
+    LONG_FRACTION,
+    RESTARTS,
+    RESTART_RADIUS,
+    RANDOM_BIAS,
+    EMPTY_START,
+) = (
     0.5,
     0.3,
     60,
@@ -30,12 +38,12 @@ LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
     0.4,
 )
 # Radius around a doubtful marker [m].
-AROUND = 0.3
+DOUBT_RADIUS = 0.3
 # Markers this near at rest are exchanged in triples and double pairs [m].
-NEAR = 0.28
-# Exchanges are tried if names are within this of the best [nat].
-WITHIN = 10.0
-MAX_CHANGES = 40
+EXCHANGE_DISTANCE = 0.28
+# Exchanges are tried if the names are within this margin of the best [nat].
+EXCHANGE_MARGIN = 10.0
+MAX_EXCHANGES = 40
 
 
 class Naming:
@@ -73,21 +81,21 @@ class Naming:
 
     def copy(self) -> Naming:
         """Return a copy that can be changed independently."""
-        other = object.__new__(Naming)
-        other.__dict__.update(self.__dict__)
+        duplicate = object.__new__(Naming)
+        duplicate.__dict__.update(self.__dict__)
         for name in ("names_of", "scores", "taken"):
-            setattr(other, name, getattr(self, name).copy())
-        return other
+            setattr(duplicate, name, getattr(self, name).copy())
+        return duplicate
 
     def total(self) -> float:
         """Return the log-likelihood of all distances given the names [nat]."""
-        named = np.flatnonzero(self.names_of >= 0)
-        return 0.5 * float(self.scores[named, self.names_of[named]].sum())
+        is_named = np.flatnonzero(self.names_of >= 0)
+        return 0.5 * float(self.scores[is_named, self.names_of[is_named]].sum())
 
     def assign(self, point: int, marker: int) -> None:
         """Name a point; -1 removes its name."""
-        before = int(self.names_of[point])
-        for name, sign in ((before, -1), (marker, 1)):
+        previous = int(self.names_of[point])
+        for name, sign in ((previous, -1), (marker, 1)):
             if name >= 0:
                 self.scores += sign * self.pair_scores[point, :, name]
                 self.taken[self.together[point], name] += sign
@@ -110,7 +118,7 @@ class Naming:
             score[rows, marker] = -np.inf
             rival = np.maximum(score.max(axis=1), 0.0)
             clear = np.full(len(rows), -1.0)
-            worth = np.isfinite(best) & (best > WORTH * self.length)
+            worth = np.isfinite(best) & (best > MIN_EVIDENCE * self.length)
             clear[worth] = (best - rival)[worth]
             point = int(clear.argmax())
             if pair and pair[0] > max(0.0, clear[point]):
@@ -122,37 +130,39 @@ class Naming:
                 return
 
     def _pair(self, score: FloatArray) -> Any:
-        """Return the clearest rigid pair: its evidence [nat], and points with names."""
+        """Return the clearest rigid pair: its evidence [nat], its points and names."""
         first, second = self.pairs
-        free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
-        first, second = first[free], second[free]
+        is_free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
+        first, second = first[is_free], second[is_free]
         if not len(first):
             return None
-        both = score[first][:, :, None] + score[second][:, None, :]
-        both = (both + self.pair_scores[first, second]).reshape(len(first), -1)
+        pair_scores = score[first][:, :, None] + score[second][:, None, :]
+        pair_scores = (pair_scores + self.pair_scores[first, second]).reshape(
+            len(first), -1
+        )
         rows = np.arange(len(first))
-        top = both.argmax(axis=1)
-        best = both[rows, top].copy()
-        both[rows, top] = -np.inf
-        rival = np.maximum(both.max(axis=1), 0.0)
+        best_names = pair_scores.argmax(axis=1)
+        best = pair_scores[rows, best_names].copy()
+        pair_scores[rows, best_names] = -np.inf
+        rival = np.maximum(pair_scores.max(axis=1), 0.0)
         clear = np.full(len(first), -1.0)
         worth = np.isfinite(best)
-        worth[worth] = (best > WORTH * (self.length[first] + self.length[second]))[
-            worth
-        ]
+        worth[worth] = (
+            best > MIN_EVIDENCE * (self.length[first] + self.length[second])
+        )[worth]
         clear[worth] = 0.5 * (best - rival)[worth]
         row = int(clear.argmax())
-        i, j = divmod(int(top[row]), score.shape[1])
+        i, j = divmod(int(best_names[row]), score.shape[1])
         return float(clear[row]), (int(first[row]), i), (int(second[row]), j)
 
-    def improve(self, most: float = -np.inf) -> None:
+    def improve(self, best_total: float = -np.inf) -> None:
         """Rename points, and exchange markers, while that fits distances better.
 
-        most: Exchanges are not tried far below this total [nat].
+        best_total: Exchanges are not tried far below this total [nat].
         """
-        for _ in range(MAX_CHANGES):
+        for _ in range(MAX_EXCHANGES):
             changed = self._move()
-            if self.total() < most - WITHIN:
+            if self.total() < best_total - EXCHANGE_MARGIN:
                 return
             names = self._exchanges()
             if names is None:
@@ -168,19 +178,23 @@ class Naming:
         """Give points a better free name; return whether any changed."""
         changed = False
         for point in range(len(self.names_of)):
-            now = int(self.names_of[point])
-            taken = self.taken[point].copy()
-            here = 0.0
-            if now >= 0:
-                taken[now] -= 1
-                here = float(self.scores[point, now])
-            score = np.where(taken > 0, -np.inf, self.scores[point])
-            other = int(score.argmax())
-            least = here + GAIN if now >= 0 else WORTH * self.length[point]
-            if other != now and score[other] > least:
-                self.assign(point, other)
+            current = int(self.names_of[point])
+            blocked = self.taken[point].copy()
+            current_score = 0.0
+            if current >= 0:
+                blocked[current] -= 1
+                current_score = float(self.scores[point, current])
+            score = np.where(blocked > 0, -np.inf, self.scores[point])
+            candidate = int(score.argmax())
+            min_score = (
+                current_score + MIN_GAIN
+                if current >= 0
+                else MIN_EVIDENCE * self.length[point]
+            )
+            if candidate != current and score[candidate] > min_score:
+                self.assign(point, candidate)
                 changed = True
-            elif now >= 0 and here < 0.0:
+            elif current >= 0 and current_score < 0.0:
                 self.assign(point, -1)
                 changed = True
         return changed
@@ -191,42 +205,47 @@ class Naming:
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
         named = np.flatnonzero(self.names_of >= 0)
-        have, first = np.unique(self.names_of[named], return_index=True)
+        named_markers, first = np.unique(self.names_of[named], return_index=True)
         count = self.scores.shape[1]
         rows = self.pair_scores[named[first]]
-        more = np.setdiff1d(np.arange(len(named)), first)
-        for point in named[more].tolist():
-            rows[np.searchsorted(have, self.names_of[point])] += self.pair_scores[point]
+        later_points = np.setdiff1d(np.arange(len(named)), first)
+        for point in named[later_points].tolist():
+            rows[np.searchsorted(named_markers, self.names_of[point])] += (
+                self.pair_scores[point]
+            )
         pair_scores: FloatArray = np.zeros((count,) * 4, self.pair_scores.dtype)
-        pair_scores[np.ix_(have, have)] = rows[:, named[first]]
-        for point in named[more].tolist():
-            pair_scores[have, self.names_of[point]] += rows[:, point]
+        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, named[first]]
+        for point in named[later_points].tolist():
+            pair_scores[named_markers, self.names_of[point]] += rows[:, point]
         pair_scores[np.arange(count), np.arange(count)] = 0.0
         names = np.arange(count)
-        for _ in range(MAX_CHANGES):
+        for _ in range(MAX_EXCHANGES):
             # Evidence of each marker for each name, given the names of all others.
-            alone = np.zeros((count, count))
-            for other in have.tolist():
-                alone += pair_scores[:, other, :, names[other]]
-            best, gain = None, GAIN
+            single_scores = np.zeros((count, count))
+            for other in named_markers.tolist():
+                single_scores += pair_scores[:, other, :, names[other]]
+            best, gain = None, MIN_GAIN
             for old, new in self.moves:
-                value = gain_of(pair_scores, alone, names, old, new)
-                top = int(value.argmax()) if len(value) else 0
-                if len(value) and value[top] > gain:
-                    best, gain = (old[top], new[top]), float(value[top])
+                value = gain_of(pair_scores, single_scores, names, old, new)
+                best_exchange = int(value.argmax()) if len(value) else 0
+                if len(value) and value[best_exchange] > gain:
+                    best, gain = (
+                        (old[best_exchange], new[best_exchange]),
+                        float(value[best_exchange]),
+                    )
             if best is None:
                 break
             names[best[0]] = names[best[1]]
         return names if (names != np.arange(count)).any() else None
 
-    def doubt(self, tried: set[tuple[int, int]]) -> tuple[int, int] | None:
+    def doubt(self, tried_moves: set[tuple[int, int]]) -> tuple[int, int] | None:
         """Return the point, and another marker, with the most evidence for renaming."""
         rows = np.arange(len(self.names_of))
         named = self.names_of >= 0
-        now = np.where(named, self.scores[rows, self.names_of], 0.0)
-        regret = self.scores - now[:, None]
+        current_scores = np.where(named, self.scores[rows, self.names_of], 0.0)
+        regret = self.scores - current_scores[:, None]
         regret[rows[named], self.names_of[named]] = -np.inf
-        for point, marker in tried:
+        for point, marker in tried_moves:
             regret[point, marker] = -np.inf
         point, marker = divmod(int(regret.argmax()), regret.shape[1])
         return (point, marker) if regret[point, marker] > 0.0 else None
@@ -251,8 +270,8 @@ class Naming:
         lengths = np.zeros(self.scores.shape[1])
         named = self.names_of >= 0
         np.add.at(lengths, self.names_of[named], self.length[named])
-        lacking = np.flatnonzero(lengths < LACKING)
-        if not len(lacking) and (self.length[~named] > LONG).any():
+        lacking = np.flatnonzero(lengths < MIN_NAMED_FRACTION)
+        if not len(lacking) and (self.length[~named] > LONG_FRACTION).any():
             return np.arange(len(lengths))
         return lacking
 
@@ -276,7 +295,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
     markers.
     """
     best = _redoubted(best, rest)
-    most = best.total()
+    best_total = best.total()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
@@ -284,46 +303,46 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         if not len(lacking):
             break
         centre = int(rng.choice(lacking))
-        around = rest[centre] < rng.uniform(*RADIUS)
+        is_near = rest[centre] < rng.uniform(*RESTART_RADIUS)
         if len(lacking) < len(rest) and rng.random() < 0.5:
-            around |= (rest[lacking] < AROUND).any(axis=0)
-        offsets = rng.uniform(*BIAS) * best.length[:, None]
+            is_near |= (rest[lacking] < DOUBT_RADIUS).any(axis=0)
+        offsets = rng.uniform(*RANDOM_BIAS) * best.length[:, None]
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
-        other = best.copy()
+        candidate = best.copy()
         # Sometimes restart from scratch with another group.
         seed = (
             seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
         )
-        other.restart(around | bool(seed), seed, bias)
-        other.improve(-np.inf if seed else most)
-        total = other.total()
-        if total > most + GAIN:
-            best = _redoubted(other, rest)
-            most = best.total()
+        candidate.restart(is_near | bool(seed), seed, bias)
+        candidate.improve(-np.inf if seed else best_total)
+        candidate_total = candidate.total()
+        if candidate_total > best_total + MIN_GAIN:
+            best = _redoubted(candidate, rest)
+            best_total = best.total()
     return best
 
 
 def _redoubted(best: Naming, rest: FloatArray) -> Naming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
-    most = best.total()
-    tried: set[tuple[int, int]] = set()
+    best_total = best.total()
+    tried_moves: set[tuple[int, int]] = set()
     for _ in range(TRIALS):
-        move = best.doubt(tried)
+        move = best.doubt(tried_moves)
         if move is None:
             break
-        tried.add(move)
+        tried_moves.add(move)
         point, marker = move
-        about = rest[marker] < AROUND
+        nearby = rest[marker] < DOUBT_RADIUS
         if best.names_of[point] >= 0:
-            about = about | (rest[best.names_of[point]] < AROUND)
-        for around in (np.zeros(len(rest), bool), about):
-            other = best.copy()
-            other.eject(point, marker, around)
-            other.improve(most)
-            total = other.total()
-            if total > most + GAIN:
-                best, most = other, total
+            nearby = nearby | (rest[best.names_of[point]] < DOUBT_RADIUS)
+        for is_reassigned in (np.zeros(len(rest), bool), nearby):
+            candidate = best.copy()
+            candidate.eject(point, marker, is_reassigned)
+            candidate.improve(best_total)
+            candidate_total = candidate.total()
+            if candidate_total > best_total + MIN_GAIN:
+                best, best_total = candidate, candidate_total
                 break
     return best
 
@@ -333,18 +352,18 @@ def pair_evidence(
 ) -> FloatArray:
     """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
     count, markers = len(overlap), len(rest)
-    # Single precision: the table is large, and evidence needs no more.
+    # Single precision: the table is large, and evidence is not more precise.
     pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
-        others = slice(point + 1, count)
+        later_points = slice(point + 1, count)
         table = evidence(
-            moving.mean[point, others],
-            moving.spread[point, others],
+            moving.mean[point, later_points],
+            moving.spread[point, later_points],
             rest.reshape(1, -1),
         ).reshape(-1, markers, markers)
-        table *= overlap[point, others, None, None]
-        pair_scores[point, others] = table
-        pair_scores[others, point] = table.transpose(0, 2, 1)
+        table *= overlap[point, later_points, None, None]
+        pair_scores[point, later_points] = table
+        pair_scores[later_points, point] = table.transpose(0, 2, 1)
     return np.asarray(pair_scores)
 
 
@@ -352,41 +371,41 @@ def _rigid_pairs(
     moving: MarkerDistances, overlap: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """Return pairs of points that stay rigid, among the most rigid of each."""
-    known = (overlap > 0) & np.isfinite(moving.spread)
-    spread = np.where(known, moving.spread, np.inf)
-    company = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
+    is_known = (overlap > 0) & np.isfinite(moving.spread)
+    spread = np.where(is_known, moving.spread, np.inf)
+    partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
     pairs = {
         (min(point, other), max(point, other))
-        for point, others in enumerate(company.tolist())
+        for point, others in enumerate(partners.tolist())
         for other in others
-        if spread[point, other] < RIGID
+        if spread[point, other] < RIGID_SPREAD
     }
-    listed = np.array(sorted(pairs), np.int64).reshape(-1, 2)
-    return listed[:, 0], listed[:, 1]
+    pair_array = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+    return pair_array[:, 0], pair_array[:, 1]
 
 
 def gain_of(
     pair_scores: FloatArray,
-    alone: FloatArray,
+    single_scores: FloatArray,
     names: IntArray,
     old: IntArray,
     new: IntArray,
 ) -> FloatArray:
     """Return the gain of exchanging markers' names ``(N,)`` [nat]."""
-    was, will = names[old], names[new]
-    value = (alone[old, will] - alone[old, was]).sum(axis=1)
+    old_names, new_names = names[old], names[new]
+    value = (single_scores[old, new_names] - single_scores[old, old_names]).sum(axis=1)
     for a, b in combinations(range(old.shape[1]), 2):
-        one, two = old[:, a], old[:, b]
-        value += pair_scores[one, two, will[:, a], will[:, b]]
-        value += pair_scores[one, two, was[:, a], was[:, b]]
-        value -= pair_scores[one, two, will[:, a], was[:, b]]
-        value -= pair_scores[one, two, was[:, a], will[:, b]]
+        old_pair, new_pair = old[:, a], old[:, b]
+        value += pair_scores[old_pair, new_pair, new_names[:, a], new_names[:, b]]
+        value += pair_scores[old_pair, new_pair, old_names[:, a], old_names[:, b]]
+        value -= pair_scores[old_pair, new_pair, new_names[:, a], old_names[:, b]]
+        value -= pair_scores[old_pair, new_pair, old_names[:, a], new_names[:, b]]
     return np.asarray(value)
 
 
 def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
-    near = rest < NEAR
+    near = rest < EXCHANGE_DISTANCE
     first, second = np.triu_indices(len(rest), 1)
     two = np.stack([first, second], axis=1)
     close = two[near[first, second]]

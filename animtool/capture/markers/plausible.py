@@ -7,17 +7,17 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
+from animtool.core.rates import rate_warning
 from animtool.motion.markers import Markers
-from animtool.motion.plausible import rate_warning
 
 # Sizes of captured subjects, from a hand to a group of people [m].
 MIN_SUBJECT, MAX_SUBJECT = 0.05, 60.0
-# A person with raised arms, at most, and a child [m].
-PERSON = (0.5, 3.0)
+# Size of a child, and of a person with raised arms [m].
+PERSON_SIZE = (0.5, 3.0)
 # Ratios of units: m, cm, mm and in.
-FACTORS = (10.0, 100.0, 1000.0, 39.37)
+UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
 # Frames sampled, and markers that a frame needs.
-SAMPLES, MIN_MARKERS = 100, 4
+SAMPLED_FRAMES, MIN_MARKERS = 100, 4
 
 
 def implausible(markers: Markers) -> list[Fault]:
@@ -27,24 +27,26 @@ def implausible(markers: Markers) -> list[Fault]:
     if size is None or MIN_SUBJECT <= size <= MAX_SUBJECT:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
-    factors = (*FACTORS, *(1 / factor for factor in FACTORS))
-    fitting = [f for f in factors if PERSON[0] <= size * f <= PERSON[1]]
+    factors = (*UNIT_FACTORS, *(1 / factor for factor in UNIT_FACTORS))
+    fitting = [f for f in factors if PERSON_SIZE[0] <= size * f <= PERSON_SIZE[1]]
     if fitting:
         factor = fitting[0]
-        shown = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
-        message += f"; {shown} that would be {length_text(size * factor)}"
+        factor_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
+        message += f"; {factor_text} that would be {length_text(size * factor)}"
     hint = f"set the unit of the file with {argument('source.unit')}"
     return [*notices, Fault("MKR117", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _size(markers: Markers) -> float | None:
     """Return the median diagonal of a frame's markers [m]; None for too few."""
-    named = [not name.startswith("*") for name in markers.names]
-    rows = np.unique(np.linspace(0, max(len(markers) - 1, 0), SAMPLES).astype(int))
-    points = markers.positions[rows][:, named if any(named) else slice(None)]
+    is_named = [not name.startswith("*") for name in markers.names]
+    rows = np.unique(
+        np.linspace(0, max(len(markers) - 1, 0), SAMPLED_FRAMES).astype(int)
+    )
+    points = markers.positions[rows][:, is_named if any(is_named) else slice(None)]
     sizes = []
     for frame in points:
-        known = frame[np.isfinite(frame).all(axis=1)]
-        if len(known) >= MIN_MARKERS:
-            sizes.append(float(np.linalg.norm(np.ptp(known, axis=0))))
+        visible_points = frame[np.isfinite(frame).all(axis=1)]
+        if len(visible_points) >= MIN_MARKERS:
+            sizes.append(float(np.linalg.norm(np.ptp(visible_points, axis=0))))
     return float(np.median(sizes)) if sizes else None

@@ -23,28 +23,28 @@ if TYPE_CHECKING:
     from animtool.capture.markers.skeleton import SkeletonMarkers
 
 # Training window on either side of a gap [s].
-WINDOW = 6.0
+TRAINING_SECONDS = 6.0
 # Training frames, next to the gap and in total.
-MAX_TRAINING, DENSE = 180, 16
+MAX_TRAINING, DENSE_FRAMES = 180, 16
 MIN_TRAINING = 12
 # Numbers of markers that define the frame, and the pose.
 FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 NOISE = 0.0005
-# The same squared is not below this share of how alike a frame is to itself [1]: what
-# float64 can factor.
-ROUNDING = 1e-12
+# Minimum noise variance relative to the kernel's variance [1], so that float64 can
+# factor the matrix.
+MIN_NOISE_RATIO = 1e-12
 # Amplitude [m] and time scale [s] of a marker's deviation from the pose.
-STRAYS = ((0.004, 0.12), (0.03, 0.35))
-# The same if nothing determines the joint.
-LOOSE = (*STRAYS, (0.05, 1.0))
+STRAY_KERNELS = ((0.004, 0.12), (0.03, 0.35))
+# The same if no marker determines the joint.
+LOOSE_KERNELS = (*STRAY_KERNELS, (0.05, 1.0))
 # The same for a skeleton's prediction: none, or as skin moves.
-SKIN = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
-# How much of the pose changes before what was learnt is forgotten, of its spread [1];
-# 0 is never: a marker moves with the pose in straight lines.
-REACHES = (0.0, 1.0, 3.0)
+SKIN_KERNELS = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
+# Length scale of the pose kernel relative to the pose's spread [1]; 0 is infinite: the
+# marker moves linearly with the pose.
+LENGTH_SCALES = (0.0, 1.0, 3.0)
 # Number of cross-validation spans.
-CHECKS = 6
+VALIDATION_SPANS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,11 @@ class Prediction:
 
     Attributes:
         positions: ``(G, 3)`` [m].
-        off: Cross-validation error in spans of the same length [m].
+        error: Cross-validation error in spans of the same length [m].
     """
 
     positions: FloatArray
-    off: float
+    error: float
 
 
 def predict(
@@ -77,20 +77,20 @@ def predict(
     positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``. spread: How
     much the distance to each marker varies ``(M,)``. rate: [frame/s].
     """
-    near = _near(visible, marker, gap, spread)
-    if len(near) < 3:
+    neighbours = _near(visible, marker, gap, spread)
+    if len(neighbours) < 3:
         return None
-    training = _training(visible, marker, gap, near, rate)
+    training = _training(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     predictions = []
     for count in FRAME_MARKERS:
-        if count <= len(near):
-            local, pose, back = _local(positions, frames, marker, near, count)
-            best = _best(local, pose, frames, gap, rate, STRAYS, count)
-            predictions.append(Prediction(back(best.positions), best.off))
-    return min(predictions, key=lambda each: each.off)
+        if count <= len(neighbours):
+            local, pose, to_world = _local(positions, frames, marker, neighbours, count)
+            best = _best(local, pose, frames, gap, rate, STRAY_KERNELS, count)
+            predictions.append(Prediction(to_world(best.positions), best.error))
+    return min(predictions, key=lambda each: each.error)
 
 
 def _best(
@@ -100,27 +100,30 @@ def _best(
     gap: slice,
     rate: float,
     strays: tuple[tuple[float, float], ...],
-    least: int = 1,
+    min_markers: int = 1,
 ) -> Prediction:
     """Return the prediction of the kernel with the least cross-validation error.
 
-    local: The marker in some frame of reference ``(F, 3)``, visible in all but the
-    frames of the gap, which are last. pose: Others there, the most rigid first ``(F, K,
-    3)``. least: Number of them used whenever any are.
+    local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
+    frames but those of the gap, which are last. pose: Other markers there, the most
+    rigid first ``(F, K, 3)``. min_markers: Number of pose markers used whenever there
+    are any.
     """
-    known = len(frames) - (gap.stop - gap.start)
+    known_count = len(frames) - (gap.stop - gap.start)
     best: Prediction | None = None
-    for many in POSE_MARKERS:
-        if many > pose.shape[1]:
+    for pose_markers in POSE_MARKERS:
+        if pose_markers > pose.shape[1]:
             continue
-        part = pose[:, : max(many, least)].reshape(len(frames), -1)
-        for reach, (stray, time) in product(REACHES, strays):
-            if not many and reach != REACHES[0]:
+        part = pose[:, : max(pose_markers, min_markers)].reshape(len(frames), -1)
+        for length_scale, (stray, time) in product(LENGTH_SCALES, strays):
+            if not pose_markers and length_scale != LENGTH_SCALES[0]:
                 continue
-            kernel = _kernel(part, frames / rate, reach, stray, time, local[:known])
-            off, values = _regressed(local[:known], kernel, frames, gap)
-            if best is None or off < best.off:
-                best = Prediction(values, off)
+            kernel = _kernel(
+                part, frames / rate, length_scale, stray, time, local[:known_count]
+            )
+            error, values = _regressed(local[:known_count], kernel, frames, gap)
+            if best is None or error < best.error:
+                best = Prediction(values, error)
     assert best is not None
     return best
 
@@ -140,42 +143,55 @@ def predict_in_parent(
     marker on the same joint if there is any. Its motion there is learnt as in
     `predict`, with the same arguments.
     """
-    near = _near(visible, marker, gap, spread)
-    training = _training(visible, marker, gap, near, rate)
+    neighbours = _near(visible, marker, gap, spread)
+    training = _training(visible, marker, gap, neighbours, rate)
     if len(training) < MIN_TRAINING or not skeleton.above(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
-    known = len(training)
-    origin, above = skeleton.origins[frames, marker], skeleton.parents[frames, marker]
-    rotations = [above]
+    known_count = len(training)
+    origin, parent_rotations = (
+        skeleton.origins[frames, marker],
+        skeleton.parents[frames, marker],
+    )
+    rotations = [parent_rotations]
     visible_throughout = np.asarray(visible[gap].all(axis=0))
     for mate in skeleton.mates(marker, visible_throughout):
         if np.isin(training, np.flatnonzero(visible[:, mate])).all():
-            rotations.append(_towards(above, positions[frames, mate] - origin))
+            rotations.append(
+                _towards(parent_rotations, positions[frames, mate] - origin)
+            )
     predictions = []
     for rotation in rotations:
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
-        around = positions[frames][:, near] - origin[:, None]
-        pose = np.einsum("fji,fkj->fki", rotation, around)
-        best = _best(local, pose, frames, gap, rate, LOOSE)
-        back = np.einsum("fij,fj->fi", rotation[known:], best.positions)
-        predictions.append(Prediction(back + origin[known:], best.off))
-    return min(predictions, key=lambda each: each.off)
+        neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
+        pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
+        best = _best(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        world_positions = np.einsum(
+            "fij,fj->fi", rotation[known_count:], best.positions
+        )
+        predictions.append(
+            Prediction(world_positions + origin[known_count:], best.error)
+        )
+    return min(predictions, key=lambda each: each.error)
 
 
-def _towards(above: FloatArray, arms: FloatArray) -> FloatArray:
+def _towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
     """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
-    local = np.einsum("fji,fj->fi", above, arms)
+    local = np.einsum("fji,fj->fi", parent_rotations, arms)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
     home = local.mean(axis=0)
     home /= np.linalg.norm(home)
     axis = np.cross(home, local)
-    bent = np.zeros((len(local), 3, 3))
-    bent[:, 0, 1], bent[:, 0, 2], bent[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    bent -= bent.transpose(0, 2, 1)
+    frames = np.zeros((len(local), 3, 3))
+    frames[:, 0, 1], frames[:, 0, 2], frames[:, 1, 2] = (
+        -axis[:, 2],
+        axis[:, 1],
+        -axis[:, 0],
+    )
+    frames -= frames.transpose(0, 2, 1)
     cosine = np.maximum(local @ home, -0.99)
-    swing = np.eye(3) + bent + bent @ bent / (1.0 + cosine)[:, None, None]
-    return np.asarray(above @ swing)
+    swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
+    return np.asarray(parent_rotations @ swing)
 
 
 def follow(
@@ -197,64 +213,76 @@ def follow(
     training = _training(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
-    path, known = points[:, marker], len(training)
-    off = np.einsum(
-        "fji,fj->fi", rotations[:known], positions[training, marker] - path[:known]
+    path, known_count = points[:, marker], len(training)
+    offsets = np.einsum(
+        "fji,fj->fi",
+        rotations[:known_count],
+        positions[training, marker] - path[:known_count],
     )
     correction = np.zeros((gap.stop - gap.start, 3))
-    least = np.inf
-    nothing = np.zeros((len(frames), 0))
-    for stray, time in SKIN if known >= MIN_TRAINING else ():
-        kernel = _kernel(nothing, frames / rate, REACHES[0], stray, time, off)
-        missed, values = _regressed(off, kernel, frames, gap)
-        if missed < least:
-            least, correction = missed, values
-    back = np.einsum("fij,fj->fi", rotations[known:], correction)
-    return Prediction(np.asarray(path[known:] + back, np.float64), least)
+    least_error = np.inf
+    no_pose = np.zeros((len(frames), 0))
+    for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING else ():
+        kernel = _kernel(no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets)
+        error, values = _regressed(offsets, kernel, frames, gap)
+        if error < least_error:
+            least_error, correction = error, values
+    world_correction = np.einsum("fij,fj->fi", rotations[known_count:], correction)
+    return Prediction(
+        np.asarray(path[known_count:] + world_correction, np.float64), least_error
+    )
 
 
 def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
     """Return the markers visible throughout a gap, the most rigid first."""
-    usable = visible[gap].all(axis=0) & np.isfinite(spread)
-    usable[marker] = False
-    order = np.argsort(np.where(usable, spread, np.inf), kind="stable")
-    return np.asarray(order[: min(max(POSE_MARKERS), int(usable.sum()))])
+    is_usable = visible[gap].all(axis=0) & np.isfinite(spread)
+    is_usable[marker] = False
+    order = np.argsort(np.where(is_usable, spread, np.inf), kind="stable")
+    return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
 
 def _training(
-    visible: BoolArray, marker: int, gap: slice, near: IntArray, rate: float
+    visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
 ) -> IntArray:
     """Return the training frames: all next to the gap, and some farther off."""
-    reach = int(WINDOW * rate)
-    begin, end = max(gap.start - reach, 0), min(gap.stop + reach, len(visible))
-    usable = visible[begin:end, marker] & visible[begin:end][:, near].all(axis=1)
-    frames = np.flatnonzero(usable) + begin
+    window = int(TRAINING_SECONDS * rate)
+    first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
+    usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(axis=1)
+    frames = np.flatnonzero(usable) + first
     frames = frames[(frames < gap.start) | (frames >= gap.stop)]
-    away = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
-    close = frames[away <= DENSE]
-    rest = frames[away > DENSE]
-    count = MAX_TRAINING - len(close)
-    if len(rest) > count:
-        rest = rest[np.linspace(0, len(rest) - 1, count).astype(np.int64)]
-    return np.sort(np.concatenate([close, rest]))
+    distance = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
+    dense_frames = frames[distance <= DENSE_FRAMES]
+    other_frames = frames[distance > DENSE_FRAMES]
+    count = MAX_TRAINING - len(dense_frames)
+    if len(other_frames) > count:
+        other_frames = other_frames[
+            np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
+        ]
+    return np.sort(np.concatenate([dense_frames, other_frames]))
 
 
 def _local(
-    positions: FloatArray, frames: IntArray, marker: int, near: IntArray, count: int
+    positions: FloatArray,
+    frames: IntArray,
+    marker: int,
+    neighbours: IntArray,
+    count: int,
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
     """Return marker and pose in the frame of the nearest, and the inverse mapping."""
-    around = positions[frames][:, near]
-    shape = mean_shape(around[:, :count])
-    rotation, shift = fitted(around[:, :count], shape)
-    pose = np.einsum("fji,fkj->fki", rotation, around - shift[:, None])
+    neighbour_positions = positions[frames][:, neighbours]
+    shape = mean_shape(neighbour_positions[:, :count])
+    rotation, shift = fitted(neighbour_positions[:, :count], shape)
+    pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
     offset = positions[frames, marker] - shift
     local = np.einsum("fji,fj->fi", rotation, offset)
 
-    def back(values: FloatArray) -> FloatArray:
-        gapped = rotation[-len(values) :], shift[-len(values) :]
-        return np.asarray(np.einsum("fij,fj->fi", gapped[0], values) + gapped[1])
+    def to_world(values: FloatArray) -> FloatArray:
+        gap_frames = rotation[-len(values) :], shift[-len(values) :]
+        return np.asarray(
+            np.einsum("fij,fj->fi", gap_frames[0], values) + gap_frames[1]
+        )
 
-    return local, pose, back
+    return local, pose, to_world
 
 
 def _regressed(
@@ -266,31 +294,33 @@ def _regressed(
     """
     from scipy.linalg import cho_factor, cho_solve
 
-    known = len(local)
+    known_count = len(local)
     mean = local.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
-    noise = max(NOISE**2, ROUNDING * float(np.trace(kernel[:known])) / known)
-    factor = cho_factor(kernel[:known] + noise * np.eye(known))
-    inverse = cho_solve(factor, np.eye(known))
+    noise = max(
+        NOISE**2, MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count
+    )
+    factor = cho_factor(kernel[:known_count] + noise * np.eye(known_count))
+    inverse = cho_solve(factor, np.eye(known_count))
     weights = inverse @ (local - mean)
-    values = kernel[known:] @ weights + mean
+    values = kernel[known_count:] @ weights + mean
     length = gap.stop - gap.start
-    training = frames[:known]
-    off = []
+    training = frames[:known_count]
+    errors = []
     for begin in _spans(training, gap):
         left_out = np.flatnonzero((training >= begin) & (training < begin + length))
-        if 0 < len(left_out) < known - MIN_TRAINING:
+        if 0 < len(left_out) < known_count - MIN_TRAINING:
             block = inverse[np.ix_(left_out, left_out)]
-            missed = np.linalg.solve(block, weights[left_out])
-            off.append((missed**2).sum(axis=1).mean())
-    return (float(np.sqrt(np.mean(off))) if off else np.inf), values
+            residuals = np.linalg.solve(block, weights[left_out])
+            errors.append((residuals**2).sum(axis=1).mean())
+    return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
 
 
 def _spans(training: IntArray, gap: slice) -> list[int]:
     """Return the starts of spans to leave out, on both sides of a gap."""
     length = gap.stop - gap.start
     begins = []
-    for k in range(CHECKS // 2):
+    for k in range(VALIDATION_SPANS // 2):
         begins.append(gap.start - (k + 1) * (length + 2))
         begins.append(gap.stop + k * (length + 2) + 2)
     return [b for b in begins if b + length > training[0] and b <= training[-1]]
@@ -299,23 +329,25 @@ def _spans(training: IntArray, gap: slice) -> list[int]:
 def _kernel(
     pose: FloatArray,
     times: FloatArray,
-    reach: float,
+    length_scale: float,
     stray: float,
     stray_time: float,
     local: FloatArray,
 ) -> FloatArray:
     """Return the covariance of all frames with the known ones ``(F, known)`` [m^2]."""
-    known = len(local)
+    known_count = len(local)
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
-    lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known]) / stray_time
+    lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known_count]) / stray_time
     over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
-    centred = pose - pose[:known].mean(axis=0)
-    features = centred / (np.sqrt((centred[:known] ** 2).sum(axis=1).mean()) + 1e-9)
-    products = features @ features[:known].T
-    if reach:
+    centred = pose - pose[:known_count].mean(axis=0)
+    features = centred / (
+        np.sqrt((centred[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
+    )
+    products = features @ features[:known_count].T
+    if length_scale:
         square = (features**2).sum(axis=1)
         squares = np.maximum(
-            square[:, None] + square[None, :known] - 2.0 * products, 0.0
+            square[:, None] + square[None, :known_count] - 2.0 * products, 0.0
         )
-        products = products + np.exp(-0.5 * squares / reach**2)
+        products = products + np.exp(-0.5 * squares / length_scale**2)
     return np.asarray(variance * products + over_time)

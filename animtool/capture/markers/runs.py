@@ -1,4 +1,4 @@
-"""Naming of runs of points by the distances between markers."""
+"""Naming of runs of points by their distances to named markers."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from animtool.core.array_types import FloatArray, IntArray
 
 # Tolerance of a distance: noise, and skin over bone [m].
 TOLERANCE = 0.006
-# How far markers that are not on one segment may be off, of how much they vary.
-SPREADS = 1.5
-# Largest cost of a pair, so that a wrong one does not decide.
-WORST = 9.0
-# Weight of a distance falls with how much it varies [m].
+# Tolerance of markers on different segments, in standard deviations of their distance.
+SPREAD_FACTOR = 1.5
+# Largest cost of a pair, so that a single wrong pair does not decide.
+MAX_PAIR_COST = 9.0
+# Spread of a distance at which its weight is halved [m].
 WEIGHT_SPREAD = 0.02
 # Frames sampled of a run.
 SAMPLES = 24
-# Mean cost above which a run is no marker: those of ghosts are above 5.5, those of
-# markers below 2.
-GHOST = 4.0
-# Least margin over the second best name for an early assignment.
-MARGIN = 1.5
+# Mean cost above which a run is no marker: ghosts exceed 5.5, markers stay below 2.
+GHOST_COST = 4.0
+# Minimum margin over the second best name for an early assignment.
+MIN_MARGIN = 1.5
 # Longest gap for comparing a run with those before and after it [s].
-BRIDGE = 0.3
+BRIDGE_SECONDS = 0.3
 # Iterations of learning distances.
-ROUNDS = 2
-# How a marker moves over a gap [m], [m/s^2], [m/s], and what that counts at most.
-NOISE, ACCELERATION, DRIFT, MAX_STEP = 0.004, 60.0, 0.3, 2.0
+LEARNING_ROUNDS = 2
+# Motion of a marker over a gap: noise [m], acceleration [m/s^2] and speed error [m/s];
+# and its largest cost.
+NOISE, ACCELERATION, SPEED_ERROR, MAX_STEP_COST = 0.004, 60.0, 0.3, 2.0
 # Assumed relative spread of markers never visible together.
 UNSEEN_SPREAD = 0.25
 
@@ -70,7 +70,7 @@ class RunLabels:
 
     def name_runs(self) -> None:
         """Name the remaining runs, the clearest first."""
-        for _ in range(ROUNDS):
+        for _ in range(LEARNING_ROUNDS):
             self._relearn()
             self._reject()
             while self._step(forced=False) or self._step(forced=True):
@@ -91,7 +91,7 @@ class RunLabels:
             marker = int(self.names_of[run])
             begin, end, path = self._span(run)
             costs = self._shape_costs(path, begin, end)
-            if costs[marker] > min(GHOST, costs.min() + MARGIN):
+            if costs[marker] > min(GHOST_COST, costs.min() + MIN_MARGIN):
                 self.names_of[run] = -1
                 self.marked[begin:end, marker] = np.nan
 
@@ -104,28 +104,30 @@ class RunLabels:
         if not len(runs):
             return False
         order = np.partition(self.costs[runs], 1, axis=1)
-        best, rival = order[:, 0], order[:, 1]
-        clear = best < GHOST
+        best_cost, rival = order[:, 0], order[:, 1]
+        clear = best_cost < GHOST_COST
         if not forced:
-            clear &= rival > np.where(clear, best, 0.0) + MARGIN
-        named = np.zeros((0, 2), np.int64)
+            clear &= rival > np.where(clear, best_cost, 0.0) + MIN_MARGIN
+        candidates = np.zeros((0, 2), np.int64)
         first, last = self.tracklets.first, self.tracklets.last
-        reach = int(BRIDGE * self.rate)
-        for row in np.argsort(best, kind="stable").tolist():
+        max_gap = int(BRIDGE_SECONDS * self.rate)
+        for row in np.argsort(best_cost, kind="stable").tolist():
             if not clear[row]:
                 continue
             run = int(runs[row])
             marker = int(self.costs[run].argmin())
-            touched = (named[:, 0] <= last[run]) & (named[:, 1] >= first[run])
-            if touched.any() if forced else not self._is_free(run, marker):
+            is_overlapped = (candidates[:, 0] <= last[run]) & (
+                candidates[:, 1] >= first[run]
+            )
+            if is_overlapped.any() if forced else not self._is_free(run, marker):
                 continue
             self.names_of[run] = marker
             begin, end, path = self._span(run)
             self.marked[begin:end, marker] = path
-            named = np.vstack([named, (begin - reach, end + reach)])
-        for begin, end in named.tolist():
+            candidates = np.vstack([candidates, (begin - max_gap, end + max_gap)])
+        for begin, end in candidates.tolist():
             self.stale |= (first <= end) & (last >= begin)
-        return len(named) > 0
+        return len(candidates) > 0
 
     def _is_free(self, run: int, marker: int) -> bool:
         begin, end = int(self.tracklets.first[run]), int(self.tracklets.last[run]) + 1
@@ -146,43 +148,49 @@ class RunLabels:
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distances for each marker."""
         sample = np.unique(np.linspace(0, end - begin - 1, SAMPLES).astype(np.int64))
-        others = self.marked[begin + sample]
-        lengths = np.linalg.norm(others - path[sample][:, None], axis=-1)  # (S, M)
+        marker_positions = self.marked[begin + sample]
+        lengths = np.linalg.norm(
+            marker_positions - path[sample][:, None], axis=-1
+        )  # (S, M)
         # The run itself may already have a name.
-        known = np.isfinite(lengths) & (lengths > 0.0)
+        is_known = np.isfinite(lengths) & (lengths > 0.0)
         spread = self.learnt.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
-        allowed = TOLERANCE + SPREADS * spread
-        off = (np.nan_to_num(lengths)[:, None] - self.learnt.mean[None]) / allowed[None]
-        worth = np.minimum(np.nan_to_num(off) ** 2, WORST)
-        weights = weight[None] * known[:, None]
+        tolerance = TOLERANCE + SPREAD_FACTOR * spread
+        deviation = (
+            np.nan_to_num(lengths)[:, None] - self.learnt.mean[None]
+        ) / tolerance[None]
+        worth = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
+        weights = weight[None] * is_known[:, None]
         weight_sum = weights.sum(axis=(0, 2))
-        total = (worth * weights).sum(axis=(0, 2))
-        return np.where(weight_sum > 0, total / np.maximum(weight_sum, 1e-9), np.inf)
+        summed = (worth * weights).sum(axis=(0, 2))
+        return np.where(weight_sum > 0, summed / np.maximum(weight_sum, 1e-9), np.inf)
 
     def _step_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distance from each marker before and after it."""
-        reach = int(BRIDGE * self.rate)
-        before = self.marked[max(begin - reach, 0) : begin][::-1]
-        after = self.marked[end : end + reach]
+        max_gap = int(BRIDGE_SECONDS * self.rate)
+        before = self.marked[max(begin - max_gap, 0) : begin][::-1]
+        after = self.marked[end : end + max_gap]
         cost = np.zeros(len(self.rest))
         for window, point in ((before, path[0]), (after, path[-1])):
             visible = np.isfinite(window[..., 0])
             for marker in np.flatnonzero(visible.any(axis=0)).tolist():
                 gap = int(visible[:, marker].argmax())
-                at, speed = window[gap, marker], np.zeros(3)
+                position, velocity = window[gap, marker], np.zeros(3)
                 if gap + 3 < len(window) and visible[gap + 3, marker]:
-                    speed = (at - window[gap + 3, marker]) / 3.0
-                off = np.linalg.norm(point - at - speed * (gap + 1))
+                    velocity = (position - window[gap + 3, marker]) / 3.0
+                distance = np.linalg.norm(point - position - velocity * (gap + 1))
                 time = (gap + 1) / self.rate
-                allowed = NOISE + 0.5 * ACCELERATION * time**2 + DRIFT * time
-                cost[marker] += (off / allowed) ** 2
-        return np.minimum(cost, MAX_STEP)
+                tolerance = NOISE + 0.5 * ACCELERATION * time**2 + SPEED_ERROR * time
+                cost[marker] += (distance / tolerance) ** 2
+        return np.minimum(cost, MAX_STEP_COST)
 
 
 def _learnt(rest: FloatArray, moving: MarkerDistances) -> MarkerDistances:
     """Return the distances of the take, or of the trial where unknown."""
-    known = np.isfinite(moving.mean)
-    mean = np.where(known, moving.mean, rest)
-    return MarkerDistances(mean, np.where(known, moving.spread, UNSEEN_SPREAD * rest))
+    is_known = np.isfinite(moving.mean)
+    mean = np.where(is_known, moving.mean, rest)
+    return MarkerDistances(
+        mean, np.where(is_known, moving.spread, UNSEEN_SPREAD * rest)
+    )

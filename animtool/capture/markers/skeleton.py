@@ -16,9 +16,9 @@ from animtool.maths import so3
 from animtool.motion.markers import Markers
 from animtool.rig.skeleton import JointType, Rig
 
-# How far a marker strays in a second whose joint is held by two others, one on it and
-# one below, by fewer, and by none [m].
-DRIFT = (0.004, 0.008, 0.02)
+# Drift of a marker in one second, if two other markers determine its joint, one on it
+# and one below; if fewer do; and if none does [m].
+DRIFT_PER_SECOND = (0.004, 0.008, 0.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +26,9 @@ class MarkerSubject:
     """The subject wearing the markers.
 
     Attributes:
-        rig: A rig of about the subject's build.
+        rig: A rig of roughly the subject's build.
         template: Where the markers are on it, to a few centimetres.
-        static: A take of the subject standing in about the rest pose; or None.
+        static: A take of the subject standing roughly in the rest pose; or None.
         options: How to solve.
     """
 
@@ -45,13 +45,13 @@ class SkeletonMarkers:
     Attributes:
         positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
             the template lacks.
-        rotations: Of the joints that carry them ``(F, M, 3, 3)``.
-        origins: Of those joints ``(F, M, 3)`` [m].
-        parents: Rotations of the joints above those ``(F, M, 3, 3)``.
+        rotations: Rotations of the joints the markers are attached to ``(F, M, 3, 3)``.
+        origins: Origins of those joints ``(F, M, 3)`` [m].
+        parents: Rotations of the parents of those joints ``(F, M, 3, 3)``.
         joints: Joint of each marker ``(M,)``; -1 for markers that the
             template lacks.
         above_joint: Parent of each joint ``(J,)``; -1 for the root.
-        free: Which joints turn about any axis ``(J,)``.
+        free: Which joints rotate about any axis ``(J,)``.
         known: Frames with enough markers for the pose ``(F,)``.
         notices: Notices of calibration and solve.
     """
@@ -67,9 +67,9 @@ class SkeletonMarkers:
     notices: tuple[Fault, ...]
 
     def tells(self, marker: int, frames: slice) -> bool:
-        """Return whether the skeleton gives a marker's position in all given frames."""
-        has = np.isfinite(self.positions[frames, marker]).all()
-        return bool(has and self.known[frames].all())
+        """Return whether the skeleton predicts a marker in all given frames."""
+        is_known = np.isfinite(self.positions[frames, marker]).all()
+        return bool(is_known and self.known[frames].all())
 
     def above(self, marker: int) -> bool:
         """Return whether a marker's joint has a parent."""
@@ -78,9 +78,9 @@ class SkeletonMarkers:
 
     def mates(self, marker: int, visible: BoolArray) -> list[int]:
         """Return the visible markers on the same joint ``(M,)``."""
-        same = (self.joints == self.joints[marker]) & visible
-        same[marker] = False
-        return [int(mate) for mate in np.flatnonzero(same)]
+        is_mate = (self.joints == self.joints[marker]) & visible
+        is_mate[marker] = False
+        return [int(mate) for mate in np.flatnonzero(is_mate)]
 
     def drift(self, marker: int, visible: BoolArray) -> float:
         """Return how fast a marker strays from its position on the skeleton [m/s].
@@ -95,8 +95,8 @@ class SkeletonMarkers:
         if mates >= 2 or (not self.free[joint] and mates + below):
             return 0.0
         if mates and below:
-            return DRIFT[0]
-        return DRIFT[1] if mates or below > 1 else DRIFT[2]
+            return DRIFT_PER_SECOND[0]
+        return DRIFT_PER_SECOND[1] if mates or below > 1 else DRIFT_PER_SECOND[2]
 
 
 def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
@@ -119,33 +119,52 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
     )
     take = solve.take()
     world, model = take.world(), solve.model
-    turned = np.einsum("feij,ej->fei", world.linear[:, model.joints], model.offsets)
-    points = world.positions[:, model.joints] + turned
+    rotated_offsets = np.einsum(
+        "feij,ej->fei", world.linear[:, model.joints], model.offsets
+    )
+    points = world.positions[:, model.joints] + rotated_offsets
     rotations = world.rotations[:, model.joints]
     rotation = up_from_up(model.rig.up, markers.up)
     if rotation is not None:
-        back = so3.conjugate(np.array(rotation))
-        points, rotations = so3.rotate(back, points), so3.multiply(back, rotations)
+        inverse_rotation = so3.conjugate(np.array(rotation))
+        points, rotations = (
+            so3.rotate(inverse_rotation, points),
+            so3.multiply(inverse_rotation, rotations),
+        )
     shape = len(markers), len(markers.names)
     positions = np.full((*shape, 3), np.nan)
     matrices = np.full((*shape, 3, 3), np.nan)
     positions[:, model.columns] = points
     matrices[:, model.columns] = so3.to_matrix(rotations)
-    origins, above = np.full_like(positions, np.nan), np.full_like(matrices, np.nan)
-    at = world.positions[:, model.joints]
+    origins, parent_matrices = (
+        np.full_like(positions, np.nan),
+        np.full_like(matrices, np.nan),
+    )
+    joint_positions = world.positions[:, model.joints]
     above_joint = np.asarray(model.rig.parents, np.int64)
-    over = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
+    parent_rotations = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
     if rotation is not None:
-        at, over = so3.rotate(back, at), so3.multiply(back, over)
-    origins[:, model.columns] = at
-    above[:, model.columns] = so3.to_matrix(over)
+        joint_positions, parent_rotations = (
+            so3.rotate(inverse_rotation, joint_positions),
+            so3.multiply(inverse_rotation, parent_rotations),
+        )
+    origins[:, model.columns] = joint_positions
+    parent_matrices[:, model.columns] = so3.to_matrix(parent_rotations)
     joints = np.full(shape[1], -1)
     joints[model.columns] = model.joints
-    known = np.ones(len(markers), np.bool_)
-    known[solve.score.sparse] = False
+    has_pose = np.ones(len(markers), np.bool_)
+    has_pose[solve.score.sparse] = False
     notices = (*calibration.notices, *solve.notices)
     hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
-    free = np.array([joint.type not in hinges for joint in model.rig.joints])
+    is_free = np.array([joint.type not in hinges for joint in model.rig.joints])
     return SkeletonMarkers(
-        positions, matrices, origins, above, joints, above_joint, free, known, notices
+        positions,
+        matrices,
+        origins,
+        parent_matrices,
+        joints,
+        above_joint,
+        is_free,
+        has_pose,
+        notices,
     )

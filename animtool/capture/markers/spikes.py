@@ -1,4 +1,4 @@
-"""Spikes: positions that are off for a few frames against the motion around them.
+"""Spikes: positions that deviate for a few frames from the motion around them.
 
 References:
     Wahba, G., "Spline Models for Observational Data", SIAM, 1990, chapter 1.
@@ -17,33 +17,35 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
-# Longer ones are motion [frame].
+# Longest spike; longer ones are motion [frame].
 MAX_LENGTH = 4
 # Frames on either side that predict a marker.
-AROUND = 7
-# Least positions for fitting the curve.
+SUPPORT_FRAMES = 7
+# Degree of the curve, and minimum number of positions for fitting it.
 DEGREE = 2
 MIN_SUPPORT = DEGREE + 3
-# How rough a motion is: variance of its third differences, of that of its noise.
-ROUGHNESS = tuple(10.0**power for power in range(-4, 3))
-# Least size of a spike [m], and over the typical deviation.
+# Roughness of a motion: variance of its third differences relative to that of its
+# noise.
+ROUGHNESS_LEVELS = tuple(10.0**power for power in range(-4, 3))
+# Minimum size of a spike [m], and over the typical deviation.
 MIN_SPIKE, MIN_SPIKE_RATIO = 0.006, 8.0
-# Factor on these with positions on one side only.
-ONE_SIDED = 2.0
-# How far the frames around may be off the curve through them, of what is a spike.
-SMOOTH = 0.35
+# Factor on these thresholds with positions on one side only.
+ONE_SIDED_FACTOR = 2.0
+# Largest deviation of the frames around from the curve through them, relative to the
+# spike.
+MAX_REST_RATIO = 0.35
 # Penalty per frame of a spike's length.
-PENALTY = 60.0
-# Half the frames that say how well a curve fits about a frame, and which share of them
-# is better: others are spikes, and what they upset.
+LENGTH_PENALTY = 60.0
+# Half the number of frames for the local fit quality, and the quantile taken: the worst
+# frames are spikes and their surroundings.
 FIT_WINDOW, FIT_QUANTILE = 24, 0.4
 # A spike can hide neighbours, which are found once it is removed.
-ROUNDS = 6
+MAX_ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Spike:
-    """A marker that is off for a few frames.
+    """A marker that deviates for a few frames.
 
     Attributes:
         marker: Its name.
@@ -61,8 +63,8 @@ class Spike:
 def find_spikes(markers: Markers) -> list[Spike]:
     """Return the spikes of all markers, by marker and frame.
 
-    A spike is up to four frames long. Its frames are far off the smooth curve through
-    the frames around, also across gaps, and the others are near it. The marker's
+    A spike is up to four frames long. Its frames deviate strongly from the smooth curve
+    through the frames around, also across gaps, while those stay near it. The marker's
     typical motion determines smoothness and threshold.
     """
     spikes = []
@@ -85,12 +87,12 @@ def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
 def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
     visible = np.isfinite(path[:, 0])
-    if int(visible.sum()) < 2 * AROUND + 1:
+    if int(visible.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
     path = np.where(visible[:, None], path, 0.0)
     rough, noise = _model(path, visible)
     spikes: list[tuple[int, int, float]] = []
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         new = _round(path, visible, rough, noise)
         if not new:
             break
@@ -107,30 +109,32 @@ def _round(
     candidates = []
     level: FloatArray | None = None
     for length in range(1, MAX_LENGTH + 1):
-        starts, off, gain, rest = _deviation(path, visible, length, rough)
+        starts, deviation, gain, residual = _deviation(path, visible, length, rough)
         if not len(starts):
             continue
-        factor = np.where(_one_sided(visible, starts, length), ONE_SIDED, 1.0)
+        factor = np.where(_one_sided(visible, starts, length), ONE_SIDED_FACTOR, 1.0)
         scale = noise[length - 1]
         if level is None:
             level = _local_level(starts, gain / (3.0 * scale**2), len(path))
-        about = level[starts]
+        local_scale = level[starts]
         limit = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
-        clear = gain / (scale**2 * about)
-        flags = (off >= factor * MIN_SPIKE) & (clear > limit)
-        flags &= rest < SMOOTH**2 * gain / length
+        clear = gain / (scale**2 * local_scale)
+        flags = (deviation >= factor * MIN_SPIKE) & (clear > limit)
+        flags &= residual < MAX_REST_RATIO**2 * gain / length
         for k in np.flatnonzero(flags).tolist():
-            score = float(clear[k]) - PENALTY * length
-            candidates.append((-score, int(starts[k]), length, float(off[k])))
+            score = float(clear[k]) - LENGTH_PENALTY * length
+            candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
     scale = noise[0] ** 2
-    taken = np.zeros(len(path), bool)
+    is_taken = np.zeros(len(path), bool)
     spikes = []
     for _, first, length, size in candidates:
-        if taken[first : first + length].any():
+        if is_taken[first : first + length].any():
             continue
         if not _is_upset(path, visible, first, length, rough, scale):
-            taken[max(first - AROUND, 0) : first + length + AROUND] = True
+            is_taken[
+                max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
+            ] = True
             spikes.append((first, first + length - 1, size))
     return spikes
 
@@ -143,22 +147,22 @@ def _is_upset(
     rough: float,
     scale: float,
 ) -> bool:
-    """Return whether a span is off only because of the few frames before a gap."""
-    begin, end = max(first - AROUND, 0), first + length
-    before = begin + np.flatnonzero(visible[begin:first])
-    after = end + np.flatnonzero(visible[end : end + AROUND])
-    for side in (before, after):
+    """Return whether a span deviates only because of the few frames before a gap."""
+    begin, end = max(first - SUPPORT_FRAMES, 0), first + length
+    frames_before = begin + np.flatnonzero(visible[begin:first])
+    frames_after = end + np.flatnonzero(visible[end : end + SUPPORT_FRAMES])
+    for side in (frames_before, frames_after):
         if not 0 < len(side) < length:
             continue
-        other = visible[begin : end + AROUND].copy()
-        other[side - begin] = False
-        starts, off, gain, _ = _deviation(
-            path[begin : end + AROUND], other, length, rough
+        reduced = visible[begin : end + SUPPORT_FRAMES].copy()
+        reduced[side - begin] = False
+        starts, deviation, gain, _ = _deviation(
+            path[begin : end + SUPPORT_FRAMES], reduced, length, rough
         )
-        at = np.flatnonzero(starts == first - begin)
-        if len(at) and (
-            off[at[0]] < MIN_SPIKE
-            or gain[at[0]] < scale * MIN_SPIKE_RATIO**2 * 3.0 * length
+        span_index = np.flatnonzero(starts == first - begin)
+        if len(span_index) and (
+            deviation[span_index[0]] < MIN_SPIKE
+            or gain[span_index[0]] < scale * MIN_SPIKE_RATIO**2 * 3.0 * length
         ):
             return True
     return False
@@ -166,28 +170,30 @@ def _is_upset(
 
 def _one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return which spans have no nearby position before or after them."""
-    padded = np.concatenate([np.zeros(AROUND, bool), visible, np.zeros(AROUND, bool)])
+    padded = np.concatenate(
+        [np.zeros(SUPPORT_FRAMES, bool), visible, np.zeros(SUPPORT_FRAMES, bool)]
+    )
     sums = np.concatenate([[0], np.cumsum(padded)])
-    before = sums[starts + AROUND] - sums[starts]
-    end = starts + AROUND + length
-    after = sums[end + AROUND] - sums[end]
-    return np.asarray((before == 0) | (after == 0))
+    count_before = sums[starts + SUPPORT_FRAMES] - sums[starts]
+    end = starts + SUPPORT_FRAMES + length
+    count_after = sums[end + SUPPORT_FRAMES] - sums[end]
+    return np.asarray((count_before == 0) | (count_after == 0))
 
 
 def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
     """Return the local noise level of single frames over the typical one ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
-    low = np.maximum(order - FIT_WINDOW, 0)
-    high = np.minimum(order + FIT_WINDOW, len(starts))
+    window_start = np.maximum(order - FIT_WINDOW, 0)
+    window_end = np.minimum(order + FIT_WINDOW, len(starts))
     padded = np.concatenate([square, [np.inf]])
-    width = 2 * FIT_WINDOW
-    rows = low[:, None] + np.arange(width)
-    rows = np.where(rows < high[:, None], rows, len(square))
-    windows = np.sort(padded[rows], axis=1)
-    at = (FIT_QUANTILE * (high - low)).astype(np.int64)
-    level = windows[np.arange(frames), np.minimum(at, width - 1)]
-    # That fraction of a chi-squared of three, over three, is below 0.63.
+    window_length = 2 * FIT_WINDOW
+    window_rows = window_start[:, None] + np.arange(window_length)
+    window_rows = np.where(window_rows < window_end[:, None], window_rows, len(square))
+    windows = np.sort(padded[window_rows], axis=1)
+    quantile_index = (FIT_QUANTILE * (window_end - window_start)).astype(np.int64)
+    level = windows[np.arange(frames), np.minimum(quantile_index, window_length - 1)]
+    # That quantile of a chi-squared distribution with 3 degrees, over 3, is below 0.63.
     return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
 
 
@@ -196,18 +202,18 @@ def _model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
 
     It is the roughness that predicts most positions best from those around.
     """
-    best = (np.inf, ROUGHNESS[0])
-    for rough in ROUGHNESS:
-        _, off, _, _ = _deviation(path, visible, 2, rough, complete=True)
-        if len(off):
-            best = min(best, (float(np.median(off)), rough))
+    best = (np.inf, ROUGHNESS_LEVELS[0])
+    for rough in ROUGHNESS_LEVELS:
+        _, deviation, _, _ = _deviation(path, visible, 2, rough, complete=True)
+        if len(deviation):
+            best = min(best, (float(np.median(deviation)), rough))
     noise = np.zeros(MAX_LENGTH)
     for length in range(1, MAX_LENGTH + 1):
         starts, _, gain, _ = _deviation(path, visible, length, best[1], complete=True)
         if not len(starts):
             starts, _, gain, _ = _deviation(path, visible, length, best[1])
         if len(starts):
-            # The median of a chi-squared of k is about k - 2/3.
+            # The median of a chi-squared distribution with k degrees is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
     noise = np.maximum.accumulate(noise)
     return best[1], np.maximum(noise, 1e-6)
@@ -223,36 +229,41 @@ def _deviation(
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return spans, and their deviation from the curve through frames around.
 
-    They are first frames ``(S,)``, the least deviation of each span's frames [m], the
-    drop in the fit's sum of squares from leaving the span out [m^2], and the mean
-    square of the rest. complete: Only spans with all frames around visible.
+    The first frames ``(S,)`` of the spans; the smallest deviation among each span's
+    frames [m]; the drop in the fit's sum of squares when the span is left out [m^2];
+    and the mean square of the residuals. complete: Only spans with all frames around
+    visible.
     """
-    size = length + 2 * AROUND
-    padded = np.zeros(len(path) + 2 * AROUND, bool)
-    padded[AROUND : AROUND + len(path)] = visible
+    size = length + 2 * SUPPORT_FRAMES
+    padded = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
+    padded[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = visible
     windows = np.lib.stride_tricks.sliding_window_view(padded, size)
-    spans = windows[:, AROUND : AROUND + length].all(axis=1)
-    around = np.concatenate(
-        [windows[:, :AROUND], windows[:, AROUND + length :]], axis=1
+    spans = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
+    is_visible_around = np.concatenate(
+        [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
     )
-    support = around.sum(axis=1)
-    spans &= support == 2 * AROUND if complete else support >= MIN_SUPPORT
+    support = is_visible_around.sum(axis=1)
+    spans &= support == 2 * SUPPORT_FRAMES if complete else support >= MIN_SUPPORT
     starts = np.flatnonzero(spans)
-    values = np.zeros((len(path) + 2 * AROUND, 3))
-    values[AROUND : AROUND + len(path)] = path
-    codes = around[starts] @ (1 << np.arange(2 * AROUND))
-    off, gain, rest = (np.zeros(len(starts)) for _ in range(3))
+    values = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
+    values[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
+    codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
+    deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
     for code in np.unique(codes).tolist():
         rows = np.flatnonzero(codes == code)
         offsets, weights, inverse, form = _pattern(code, length, rough)
-        near = values[starts[rows][:, None] + offsets]  # (S, K, 3)
-        inside = values[starts[rows][:, None] + AROUND + np.arange(length)]
-        missed = inside - weights @ near
-        gain[rows] = (missed * (inverse @ missed)).sum(axis=(1, 2))
-        off[rows] = np.sqrt((missed**2).sum(axis=2)).min(axis=1)
-        left = (near * (form @ near)).sum(axis=(1, 2))
-        rest[rows] = left / max(1, len(offsets) - DEGREE - 1)
-    return starts, off, gain, rest
+        support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
+        span_positions = values[
+            starts[rows][:, None] + SUPPORT_FRAMES + np.arange(length)
+        ]
+        prediction_error = span_positions - weights @ support_positions
+        gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
+        deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
+        remaining_squares = (support_positions * (form @ support_positions)).sum(
+            axis=(1, 2)
+        )
+        residuals[rows] = remaining_squares / max(1, len(offsets) - DEGREE - 1)
+    return starts, deviations, gain, residuals
 
 
 @lru_cache(maxsize=4096)
@@ -261,25 +272,37 @@ def _pattern(
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return how positions around a span predict it.
 
-    code: Bit mask of the visible frames around. The result is their indices in the
-    window, their weights, the inverse variance of the prediction error, and the
-    quadratic form of the positions' own misfit.
+    code: Bit mask of the visible frames around. Returns their indices in the window,
+    their weights, the inverse variance of the prediction error, and the quadratic form
+    of their residuals.
     """
-    around = np.array([*range(AROUND), *range(AROUND + length, 2 * AROUND + length)])
-    offsets = around[[bool(code >> k & 1) for k in range(2 * AROUND)]]
-    frames = np.concatenate([offsets, np.arange(AROUND, AROUND + length)]) + 1.0
-    # An integral of white noise, three times: its expected curve is a quintic spline.
-    early = np.minimum(frames[:, None], frames)
-    late = np.abs(frames[:, None] - frames)
-    curve = early**5 / 20.0 + early**4 * late / 8.0 + early**3 * late**2 / 12.0
+    offsets_around = np.array(
+        [
+            *range(SUPPORT_FRAMES),
+            *range(SUPPORT_FRAMES + length, 2 * SUPPORT_FRAMES + length),
+        ]
+    )
+    offsets = offsets_around[[bool(code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
+    frames = (
+        np.concatenate([offsets, np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)])
+        + 1.0
+    )
+    # White noise integrated three times: its expected curve is a quintic spline.
+    earlier_frame = np.minimum(frames[:, None], frames)
+    frame_distance = np.abs(frames[:, None] - frames)
+    curve = (
+        earlier_frame**5 / 20.0
+        + earlier_frame**4 * frame_distance / 8.0
+        + earlier_frame**3 * frame_distance**2 / 12.0
+    )
     kernel = rough * curve + np.eye(len(frames))
-    terms = np.vander((frames - frames.mean()) / AROUND, DEGREE + 1)
-    known = len(offsets)
+    terms = np.vander((frames - frames.mean()) / SUPPORT_FRAMES, DEGREE + 1)
+    support_count = len(offsets)
     inverse = np.linalg.inv(kernel)
     outer = inverse - inverse @ terms @ np.linalg.solve(
         terms.T @ inverse @ terms, terms.T @ inverse
     )
-    block = outer[known:, known:]
-    weights = -np.linalg.solve(block, outer[known:, :known])
-    form = outer[:known, :known] - weights.T @ block @ weights
+    block = outer[support_count:, support_count:]
+    weights = -np.linalg.solve(block, outer[support_count:, :support_count])
+    form = outer[:support_count, :support_count] - weights.T @ block @ weights
     return offsets, weights, block, form

@@ -14,31 +14,32 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
 
-# Least frames of an exchange; a shorter one is a spike.
+# Minimum frames of an exchange; a shorter one is a spike.
 MIN_SWAP = 4
 # Tolerance of an extrapolated position: noise [m], acceleration of a marker without a
 # history [m/s^2], and its speed [m/s]. Otherwise the acceleration is a multiple of the
 # marker's median, at least the minimum [m/s^2].
-NOISE, DEFAULT_ACCELERATION, SPEED = 0.003, 100.0, 3.0
+NOISE, DEFAULT_ACCELERATION, SPEED_ERROR = 0.003, 100.0, 3.0
 MIN_ACCELERATION, ACCELERATION_FACTOR = 20.0, 6.0
-# A marker on a throwing hand: candidates within reach are tested [m/s^2].
+# Acceleration of a marker on a throwing hand: markers within reach are candidates
+# [m/s^2].
 MAX_ACCELERATION = 500.0
 # Longest gap over which a marker's position is predicted [s].
-BRIDGE = 0.1
-# Samples that give the speed.
-PAST = 3
-# A jump goes to another marker's position if it is this many times nearer.
-NEARER = 2.5
-# Cost of a position that is anywhere, of a change of names, and of a frame that is
-# exchanged: where nothing else tells, the shorter part is.
-ANYWHERE, CHANGE, FRAME = 16.0, 5.0, 0.002
-# Distances to the other markers say less than positions from frame to frame: what they
-# say of a span counts at most, and how many frames of it are looked at.
-SHAPE, SAMPLES = 4.0, 24
-# By so much a distance may be off, noise and skin [m], and of how much it varies.
-TOLERANCE, SPREADS = 0.006, 1.5
-# How much likelier an exchange has to be than none, as a logarithm.
-CLEAR = 2.0
+BRIDGE_SECONDS = 0.1
+# Number of past samples for the velocity.
+PAST_SAMPLES = 3
+# A jump leads to another marker's position if that is this many times nearer.
+NEARER_RATIO = 2.5
+# Cost of an arbitrary position, of a change of names, and of an exchanged frame:
+# without other evidence, the shorter part is the exchanged one.
+ARBITRARY_COST, CHANGE_COST, FRAME_COST = 16.0, 5.0, 0.002
+# Distances to other markers are weaker evidence than frame-to-frame motion: the largest
+# evidence of a span, and the number of its frames that are sampled.
+MAX_SHAPE_GAIN, SHAPE_SAMPLES = 4.0, 24
+# Tolerance of a distance: noise and skin motion [m], and a factor on its spread.
+TOLERANCE, SPREAD_FACTOR = 0.006, 1.5
+# Minimum log-likelihood gain of an exchange.
+MIN_GAIN = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +60,9 @@ class Swap:
 def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     """Return markers with exchanged spans repaired, and the swaps.
 
-    A pair of markers, one of which jumps to the other's expected position, is tested
-    over the full take: of all ways to exchange them in spans of frames, the one is
-    chosen in which both move most smoothly and keep their typical distances to the
-    others.
+    A pair of markers is tested over the full take if one jumps to the other's expected
+    position. Of all exchanges of their names in spans of frames, the one is kept in
+    which both move most smoothly and keep their typical distances to the others.
     """
     swaps: list[Swap] = []
     count = len(markers.names)
@@ -73,27 +73,31 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     source = np.tile(np.arange(count), (len(markers), 1))
     lengths: MarkerDistances | None = None
     crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
-    done: set[tuple[int, int]] = set()
+    tested: set[tuple[int, int]] = set()
     while True:
         for a, b in _pairs(positions, rate):
-            if (a, b) not in crossings and (a, b) not in done:
+            if (a, b) not in crossings and (a, b) not in tested:
                 lengths = lengths or distances(positions)
                 crossings[a, b] = _crossed(positions, a, b, rate, lengths)
-        # The clearest first: among three markers it decides the others.
-        best = max(crossings, key=lambda pair: (crossings[pair][0], pair), default=None)
-        if best is None or crossings[best][0] < CLEAR:
+        # The clearest pair first: among three markers it decides about the others.
+        clearest = max(
+            crossings, key=lambda pair: (crossings[pair][0], pair), default=None
+        )
+        if clearest is None or crossings[clearest][0] < MIN_GAIN:
             break
-        pair = list(best)
-        for first, last in _spans(crossings[best][1], positions[:, pair]):
+        pair = list(clearest)
+        for first, last in _spans(crossings[clearest][1], positions[:, pair]):
             swaps.append(
                 Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
             )
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
             source[span, pair] = source[span, pair[::-1]]
-        done.add(best)
+        tested.add(clearest)
         crossings = {
-            other: of for other, of in crossings.items() if not set(other) & set(best)
+            other_pair: candidate
+            for other_pair, candidate in crossings.items()
+            if not set(other_pair) & set(clearest)
         }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
     return (_taken(markers, source) if swaps else markers), swaps
@@ -109,54 +113,64 @@ def _expected(
     frames, count, _ = positions.shape
     visible = np.isfinite(positions[..., 0])
     rows = np.arange(frames)[:, None]
-    last = np.maximum.accumulate(np.where(visible, rows, -1), axis=0)
-    last = np.vstack([np.full((1, count), -1), last[:-1]])
+    last_visible = np.maximum.accumulate(np.where(visible, rows, -1), axis=0)
+    last_visible = np.vstack([np.full((1, count), -1), last_visible[:-1]])
     columns = np.arange(count)
-    age = rows - last
-    known = (last >= 0) & (age <= BRIDGE * rate + 1)
-    at = positions[np.maximum(last, 0), columns]
-    speed = np.zeros_like(at)
-    has = np.zeros(visible.shape, bool)
-    for back in range(1, PAST):
-        earlier = positions[np.maximum(last - back, 0), columns]
-        # The farthest sample of a gapless run gives the speed.
-        ok = (last >= back) & np.isfinite(earlier[..., 0]) & (has | (back == 1))
-        speed[ok] = (at[ok] - earlier[ok]) / back
-        has = ok if back == 1 else has
+    age = rows - last_visible
+    is_known = (last_visible >= 0) & (age <= BRIDGE_SECONDS * rate + 1)
+    last_position = positions[np.maximum(last_visible, 0), columns]
+    velocity = np.zeros_like(last_position)
+    has_velocity = np.zeros(visible.shape, bool)
+    for samples_back in range(1, PAST_SAMPLES):
+        earlier = positions[np.maximum(last_visible - samples_back, 0), columns]
+        # The earliest sample of a gapless run gives the velocity.
+        is_usable = (
+            (last_visible >= samples_back)
+            & np.isfinite(earlier[..., 0])
+            & (has_velocity | (samples_back == 1))
+        )
+        velocity[is_usable] = (
+            last_position[is_usable] - earlier[is_usable]
+        ) / samples_back
+        has_velocity = is_usable if samples_back == 1 else has_velocity
     time = age / rate
-    allowed = NOISE + 0.5 * acceleration * time**2 + np.where(has, 0.0, SPEED * time)
-    return at + speed * age[..., None], allowed, known
+    tolerance = (
+        NOISE
+        + 0.5 * acceleration * time**2
+        + np.where(has_velocity, 0.0, SPEED_ERROR * time)
+    )
+    return last_position + velocity * age[..., None], tolerance, is_known
 
 
 def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
-    """Return pairs of which one jumps to the other's position, most frequent first."""
-    expected, allowed, known = _expected(positions, rate)
+    """Return pairs where one marker jumps to the other's position, by frequency."""
+    expected, tolerance, is_known = _expected(positions, rate)
     visible = np.isfinite(positions[..., 0])
-    off = np.linalg.norm(positions - expected, axis=-1)
-    goes_on = visible & known & (off <= allowed)
+    deviation = np.linalg.norm(positions - expected, axis=-1)
+    continues = visible & is_known & (deviation <= tolerance)
     counts: dict[tuple[int, int], int] = {}
-    frame, marker = np.nonzero(visible & ~goes_on)
+    frame, marker = np.nonzero(visible & ~continues)
     points = positions[frame, marker]
-    away = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
-    miss = np.where(known, off, np.inf)[frame, marker]
-    reach = allowed * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
-    there = known[frame] & (away <= reach[frame]) & ~goes_on[frame]
-    there &= NEARER * away < miss[:, None]
-    there[np.arange(len(marker)), marker] = False
-    for k, other in np.argwhere(there).tolist():
-        pair = tuple(sorted((int(marker[k]), other)))
+    offsets = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
+    miss = np.where(is_known, deviation, np.inf)[frame, marker]
+    reach = tolerance * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
+    is_reached = is_known[frame] & (offsets <= reach[frame]) & ~continues[frame]
+    is_reached &= NEARER_RATIO * offsets < miss[:, None]
+    is_reached[np.arange(len(marker)), marker] = False
+    for k, target in np.argwhere(is_reached).tolist():
+        pair = tuple(sorted((int(marker[k]), target)))
         counts[pair] = counts.get(pair, 0) + 1  # type: ignore[index,arg-type]
     return sorted(counts, key=lambda pair: (-counts[pair], pair))
 
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """One way to exchange two markers, up to a frame.
+    """A sequence of name exchanges between two markers, up to a frame.
 
     Attributes:
         cost: Negative log-likelihood.
-        state: 1 if it ends exchanged, else 0.
-        changes: Frames in which it changes.
+        state: 1 if the names are exchanged at its end, else 0.
+        changes: Frames in which the state changes.
         past: Last visible frames and positions of both markers.
     """
 
@@ -173,30 +187,36 @@ def _crossed(
 
     Also returns the log-likelihood gain over no exchange.
 
-    Viterbi search: of the paths that end straight and those that end crossed, the best
-    is kept from frame to frame, with the last visible positions of both markers.
+    Viterbi search: of the paths that end normally and of those that end exchanged, the
+    best one is kept from frame to frame, with the last visible positions of both
+    markers.
     """
-    both = positions[:, [a, b]]
-    visible = np.isfinite(both[..., 0])
-    acceleration = _acceleration(both, rate)
-    expected, allowed, known = _expected(both, rate, acceleration)
-    off = np.linalg.norm(both - expected, axis=-1)
-    smooth = ~visible | (known & (off <= allowed))
+    pair_positions = positions[:, [a, b]]
+    visible = np.isfinite(pair_positions[..., 0])
+    acceleration = _acceleration(pair_positions, rate)
+    expected, tolerance, is_known = _expected(pair_positions, rate, acceleration)
+    deviation = np.linalg.norm(pair_positions - expected, axis=-1)
+    is_smooth = ~visible | (is_known & (deviation <= tolerance))
     # In frames without events, both keep their names.
-    same = np.vstack([np.zeros((1, 2), bool), visible[1:] == visible[:-1]])
-    events = np.flatnonzero(~(smooth & same).all(axis=1)).tolist()
+    is_unchanged = np.vstack([np.zeros((1, 2), bool), visible[1:] == visible[:-1]])
+    events = np.flatnonzero(~(is_smooth & is_unchanged).all(axis=1)).tolist()
     events = sorted({0, *events})
-    ends = [*events[1:], len(both)]
-    never = _Path(0.0, 0, (), ([], []))
-    paths = [never, _Path(CHANGE, 1, (0,), ([], []))]
+    ends = [*events[1:], len(pair_positions)]
+    initial_path = _Path(0.0, 0, (), ([], []))
+    paths = [initial_path, _Path(CHANGE_COST, 1, (0,), ([], []))]
     points: list[list[Any]] = [
-        [at if has else None for at, has in zip(row, there, strict=True)]
-        for row, there in zip(both.tolist(), visible.tolist(), strict=True)
+        [
+            position if is_visible else None
+            for position, is_visible in zip(row, visible_row, strict=True)
+        ]
+        for row, visible_row in zip(
+            pair_positions.tolist(), visible.tolist(), strict=True
+        )
     ]
     for start, end in zip(events, ends, strict=True):
         shape = _shape(positions, a, b, start, end, lengths)
         length = int(visible[start:end].any(axis=1).sum())
-        worth = max(0.0, shape), max(0.0, -shape) + FRAME * length
+        worth = max(0.0, shape), max(0.0, -shape) + FRAME_COST * length
 
         def later(
             path: _Path,
@@ -207,21 +227,21 @@ def _crossed(
         ) -> _Path:
             cost, changes, past = path.cost + worth[state], path.changes, path.past
             if state != path.state:
-                cost, changes = cost + CHANGE, (*changes, start)
+                cost, changes = cost + CHANGE_COST, (*changes, start)
             pasts = []
             for marker in (0, 1):
                 point = points[start][marker ^ state]
                 if start and point is not None:
                     cost += _off(past[marker], start, point, rate, acceleration)
-                new = [
+                new_state = [
                     (frame, points[frame][marker ^ state])
-                    for frame in range(max(start, end - PAST), end)
+                    for frame in range(max(start, end - PAST_SAMPLES), end)
                     if points[frame][marker ^ state] is not None
                 ]
-                pasts.append([*past[marker], *new][-PAST:])
+                pasts.append([*past[marker], *new_state][-PAST_SAMPLES:])
             return _Path(cost, state, changes, (pasts[0], pasts[1]))
 
-        never = later(never, 0)
+        initial_path = later(initial_path, 0)
         if start == 0:
             paths = [later(path, path.state) for path in paths]
         else:
@@ -230,21 +250,21 @@ def _crossed(
                 for state in (0, 1)
             ]
     best = min(paths, key=lambda path: path.cost)
-    crossed = np.zeros(len(both), np.int64)
+    crossed = np.zeros(len(pair_positions), np.int64)
     for change in best.changes:
         crossed[change:] ^= 1
-    return never.cost - best.cost, crossed.astype(bool)
+    return initial_path.cost - best.cost, crossed.astype(bool)
 
 
-def _acceleration(both: FloatArray, rate: float) -> float:
+def _acceleration(pair_positions: FloatArray, rate: float) -> float:
     """Return the typical largest acceleration of two markers [m/s^2]."""
-    bent = np.linalg.norm(np.diff(both, 2, axis=0), axis=-1)
-    known = bent[np.isfinite(bent)]
-    if not len(known):
+    second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
+    finite = second_differences[np.isfinite(second_differences)]
+    if not len(finite):
         return DEFAULT_ACCELERATION
     return float(
         np.clip(
-            ACCELERATION_FACTOR * np.median(known) * rate**2,
+            ACCELERATION_FACTOR * np.median(finite) * rate**2,
             MIN_ACCELERATION,
             DEFAULT_ACCELERATION,
         )
@@ -254,25 +274,30 @@ def _acceleration(both: FloatArray, rate: float) -> float:
 def _off(
     past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
 ) -> float:
-    """Return the cost of a position after those visible before.
+    """Return the cost of a position, given the previous visible positions.
 
     It is a negative log-likelihood, bounded by that of an arbitrary position.
     """
     if not past:
-        return ANYWHERE
-    last, at = past[-1]
+        return ARBITRARY_COST
+    last, last_position = past[-1]
     age = frame - last
-    begin, first = next(entry for entry in past if last - entry[0] < PAST)
-    run = last - begin
-    ratio = age / run if run else 0.0
+    first_frame, first_position = next(
+        entry for entry in past if last - entry[0] < PAST_SAMPLES
+    )
+    run = last - first_frame
+    step_ratio = age / run if run else 0.0
     square: float = sum(
-        (p - x - ratio * (x - y)) ** 2 for p, x, y in zip(point, at, first, strict=True)
+        (p - x - step_ratio * (x - y)) ** 2
+        for p, x, y in zip(point, last_position, first_position, strict=True)
     )
     time = age / rate
-    allowed = NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED * time)
-    volume = 3.0 * math.log(allowed / NOISE)
-    cost: float = 0.5 * square / allowed**2 + volume
-    return min(cost, ANYWHERE)
+    tolerance = (
+        NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED_ERROR * time)
+    )
+    volume = 3.0 * math.log(tolerance / NOISE)
+    cost: float = 0.5 * square / tolerance**2 + volume
+    return min(cost, ARBITRARY_COST)
 
 
 def _shape(
@@ -286,52 +311,60 @@ def _shape(
     """Return how much better an exchange fits distances to the other markers."""
     if end - start < MIN_SWAP:
         return 0.0
-    frames = np.unique(np.linspace(start, end - 1, SAMPLES).astype(np.int64))
-    others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
-    better = []
-    for one, other in ((a, b), (b, a)):
+    frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
+    other_markers = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
+    gains = []
+    for pair, exchanged_pair in ((a, b), (b, a)):
         lengths = np.linalg.norm(
-            positions[frames][:, others] - positions[frames, one][:, None], axis=-1
+            positions[frames][:, other_markers] - positions[frames, pair][:, None],
+            axis=-1,
         )
         worth = []
-        for marker in (one, other):
-            spread = known_lengths.spread[marker, others]
-            mean = known_lengths.mean[marker, others]
-            off = (lengths - mean) / (TOLERANCE + SPREADS * spread)
-            worth.append(np.minimum(off**2, 9.0))
-        known = np.isfinite(worth[0] - worth[1])
-        if known.any():
+        for marker in (pair, exchanged_pair):
+            spread = known_lengths.spread[marker, other_markers]
+            mean = known_lengths.mean[marker, other_markers]
+            deviation = (lengths - mean) / (TOLERANCE + SPREAD_FACTOR * spread)
+            worth.append(np.minimum(deviation**2, 9.0))
+        is_known = np.isfinite(worth[0] - worth[1])
+        if is_known.any():
             scale = TOLERANCE + np.minimum(
-                known_lengths.spread[one, others], known_lengths.spread[other, others]
+                known_lengths.spread[pair, other_markers],
+                known_lengths.spread[exchanged_pair, other_markers],
             )
-            weight = np.where(known, (TOLERANCE / scale) ** 2, 0.0)
-            gain = np.where(known, worth[0] - worth[1], 0.0)
+            weight = np.where(is_known, (TOLERANCE / scale) ** 2, 0.0)
+            gain = np.where(is_known, worth[0] - worth[1], 0.0)
             if weight.sum() > 0:
-                better.append(float((weight * gain).sum() / weight.sum()))
-    return float(np.clip(SHAPE * sum(better), -SHAPE, SHAPE)) if better else 0.0
+                gains.append(float((weight * gain).sum() / weight.sum()))
+    return (
+        float(np.clip(MAX_SHAPE_GAIN * sum(gains), -MAX_SHAPE_GAIN, MAX_SHAPE_GAIN))
+        if gains
+        else 0.0
+    )
 
 
-def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
+def _spans(crossed: BoolArray, pair_positions: FloatArray) -> list[tuple[int, int]]:
     """Return first and last frames of crossed spans that are long enough.
 
     One that begins or ends while neither is visible does so in the middle of that gap.
     """
-    visible = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
+    visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
-    # A few straight frames between crossed ones are a spike.
+    # A few normal frames between exchanged ones are a spike.
     for first, end in merge_runs(runs(crossed), MIN_SWAP):
         frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP:
             continue
-        before = np.flatnonzero(visible[: frames[0]])
-        after = np.flatnonzero(visible[frames[-1] + 1 :])
+        visible_before = np.flatnonzero(visible[: frames[0]])
+        visible_after = np.flatnonzero(visible[frames[-1] + 1 :])
         begin, last = int(frames[0]), int(frames[-1])
-        if len(before):
+        if len(visible_before):
             begin = (
-                (int(before[-1]) + begin) // 2 + 1 if before[-1] < begin - 1 else begin
+                (int(visible_before[-1]) + begin) // 2 + 1
+                if visible_before[-1] < begin - 1
+                else begin
             )
-        if len(after):
-            last += int(after[0]) // 2
+        if len(visible_after):
+            last += int(visible_after[0]) // 2
         spans.append((begin, last))
     return spans
 

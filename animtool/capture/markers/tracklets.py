@@ -11,10 +11,10 @@ from animtool.core.record import dataclass
 MAX_ACCELERATION = 1000.0
 # Noise of two positions, and of the speed between them [m].
 NOISE = 0.004
-# Largest speed of a marker [m/s]: the reach of a new point.
+# Largest speed of a marker [m/s], which limits the reach of a new point.
 MAX_SPEED = 12.0
-# Past frames that predict the next position.
-PAST = 3
+# Number of past frames that predict the next position.
+PAST_FRAMES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +41,9 @@ class Tracklets:
 def follow(positions: FloatArray, rate: float) -> Tracklets:
     """Return the runs of points, tracked frame by frame.
 
-    A point continues a run if each is the other's nearest, within what a marker may
-    accelerate, and clearly nearer than any second one. Ambiguities end a run: labelling
-    joins runs again, also over gaps.
+    A point continues a run if each is the other's nearest, within the reach of a
+    marker's acceleration, and clearly nearer than any second candidate. Ambiguous
+    points end a run: labelling joins runs again, also over gaps.
 
     positions: ``(F, P, 3)`` [m]. rate: [frame/s].
     """
@@ -55,75 +55,81 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     first: list[int] = []
     last: list[int] = []
     reach = NOISE + MAX_ACCELERATION / rate**2
-    fresh = NOISE + MAX_SPEED / rate
-    past = np.zeros((0, PAST, 3))  # latest positions of the open runs, newest first
+    new_reach = NOISE + MAX_SPEED / rate
+    past = np.zeros(
+        (0, PAST_FRAMES, 3)
+    )  # latest positions of the open runs, newest first
     age = np.zeros(0, np.int64)
     open_runs = np.zeros(0, np.int64)
     for frame in range(frames):
         slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
-        expected, radius = _expected(past, age, reach, fresh)
-        near = cdist(expected, points) / radius[:, None]
-        run, point = _mutual(near)
-        taken = np.full(len(slots), -1)
-        taken[point] = run
-        old = taken >= 0
-        new_runs = np.arange(int((~old).sum())) + len(first)
+        expected, radius = _expected(past, age, reach, new_reach)
+        relative_distance = cdist(expected, points) / radius[:, None]
+        run, point = _mutual(relative_distance)
+        run_of_slot = np.full(len(slots), -1)
+        run_of_slot[point] = run
+        continued = run_of_slot >= 0
+        new_runs = np.arange(int((~continued).sum())) + len(first)
         numbers = np.empty(len(slots), np.int64)
-        numbers[old] = open_runs[taken[old]]
-        numbers[~old] = new_runs
+        numbers[continued] = open_runs[run_of_slot[continued]]
+        numbers[~continued] = new_runs
         first += [frame] * len(new_runs)
         last += [frame] * len(new_runs)
-        for number in numbers[old].tolist():
+        for number in numbers[continued].tolist():
             last[number] = frame
         ids[frame, slots] = numbers
-        before = np.zeros((len(slots), PAST, 3))
-        before[:, 0] = points
-        before[old, 1:] = past[taken[old], :-1]
-        grown = np.ones(len(slots), np.int64)
-        grown[old] = np.minimum(age[taken[old]] + 1, PAST)
-        past, age, open_runs = before, grown, numbers
+        new_past = np.zeros((len(slots), PAST_FRAMES, 3))
+        new_past[:, 0] = points
+        new_past[continued, 1:] = past[run_of_slot[continued], :-1]
+        new_age = np.ones(len(slots), np.int64)
+        new_age[continued] = np.minimum(age[run_of_slot[continued]] + 1, PAST_FRAMES)
+        past, age, open_runs = new_past, new_age, numbers
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
 def _expected(
-    past: FloatArray, age: IntArray, reach: float, fresh: float
+    past: FloatArray, age: IntArray, reach: float, new_reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return each run's expected next position, and its tolerance [m]."""
-    now, one, two = past[:, 0], past[:, 1], past[:, 2]
-    linear = 2.0 * now - one
-    # Halfway to a parabola: a full one has seven times the noise.
-    curved = 0.5 * (linear + 3.0 * now - 3.0 * one + two)
+    current, previous, before_previous = past[:, 0], past[:, 1], past[:, 2]
+    linear = 2.0 * current - previous
+    # Halfway to a parabola: a full parabola has seven times the noise.
+    curved = 0.5 * (linear + 3.0 * current - 3.0 * previous + before_previous)
     expected = np.where(
-        (age >= 3)[:, None], curved, np.where((age == 2)[:, None], linear, now)
+        (age >= 3)[:, None], curved, np.where((age == 2)[:, None], linear, current)
     )
-    return expected, np.where(age == 1, fresh, reach)
+    return expected, np.where(age == 1, new_reach, reach)
 
 
-# A second candidate is no rival if it is this many times farther.
-CLEAR = 2.0
+# A second candidate is no rival if it is this many times farther away.
+RIVAL_RATIO = 2.0
 # Positions nearer than this fraction of the reach are equal.
-CERTAIN = 0.05
+EQUAL_DISTANCE = 0.05
 
 
-def _mutual(near: FloatArray) -> tuple[IntArray, IntArray]:
+def _mutual(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     """Return pairs of run and point that are mutually nearest, without rivals.
 
-    near: Distances over the tolerance ``(R, P)``.
+    relative_distance: Distances over the tolerance ``(R, P)``.
     """
-    if not near.size:
+    if not relative_distance.size:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    by_run = near.argmin(axis=1)
-    by_point = near.argmin(axis=0)
-    run = np.flatnonzero(by_point[by_run] == np.arange(len(near)))
+    by_run = relative_distance.argmin(axis=1)
+    by_point = relative_distance.argmin(axis=0)
+    run = np.flatnonzero(by_point[by_run] == np.arange(len(relative_distance)))
     point = by_run[run]
-    best = near[run, point]
-    rival = np.minimum(_second(near)[run], _second(near.T)[point])
-    sure = (best <= 1.0) & (rival > CLEAR * np.maximum(best, CERTAIN))
-    return run[sure], point[sure]
+    nearest = relative_distance[run, point]
+    rival = np.minimum(
+        _second(relative_distance)[run], _second(relative_distance.T)[point]
+    )
+    is_sure = (nearest <= 1.0) & (
+        rival > RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
+    )
+    return run[is_sure], point[is_sure]
 
 
-def _second(near: FloatArray) -> FloatArray:
-    if near.shape[1] < 2:
-        return np.full(len(near), np.inf)
-    return np.partition(near, 1, axis=1)[:, 1]
+def _second(relative_distance: FloatArray) -> FloatArray:
+    if relative_distance.shape[1] < 2:
+        return np.full(len(relative_distance), np.inf)
+    return np.partition(relative_distance, 1, axis=1)[:, 1]

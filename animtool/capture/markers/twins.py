@@ -1,4 +1,4 @@
-"""Markers that distances barely distinguish: told apart by their neighbours."""
+"""Markers that distances barely distinguish, told apart by their neighbours."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Exchanges with more evidence against them are ignored [nat].
-AGAINST = 6.0
-# Neighbours, any two of which define a frame with the exchanged markers.
-AROUND = 5
-# Two pairs this near are exchanged together [m].
+MAX_OPPOSITION = 6.0
+# Number of neighbours; any two of them define a frame with the exchanged markers.
+NEIGHBOURS = 5
+# Two pairs this near each other are exchanged together [m].
 NEAR_DISTANCE = 0.26
-# Frames sampled, and the fraction nearest to the trial's pose [1].
-SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
-# Shapes are off by as much for noise alone [m]; a shape that is off e times more is
-# spoken against by so much [nat].
-NOISE, SHAPES = 0.001, 10.0
-# Least gain of an exchange, and of one in doubt [nat].
-MIN_GAIN, DOUBTED = 0.05, -0.8
-# Least gain in part of a take [nat].
-IN_PART = 2.0
+# Number of sampled frames, the fraction of them nearest to the trial's pose [1], and
+# their minimum number.
+SAMPLED_FRAMES, BEST_FRACTION, MIN_SAMPLES = 120, 0.1, 8
+# Shape error from noise alone [m], and evidence against a shape per factor e of its
+# error [nat].
+SHAPE_NOISE, SHAPE_EVIDENCE = 0.001, 10.0
+# Minimum gain of an exchange, and of an exchange in doubt [nat].
+MIN_GAIN, MIN_DOUBT_GAIN = 0.05, -0.8
+# Minimum gain in part of a take [nat].
+MIN_PART_GAIN = 2.0
 MAX_EXCHANGES = 12
 
 
@@ -34,8 +35,8 @@ class Exchange:
     """A name exchange that fits a take about as well as the chosen names.
 
     Attributes:
-        markers: Those exchanged.
-        score: Evidence for it [nat]; below 0.
+        markers: The exchanged markers.
+        score: Evidence for the exchange [nat]; negative.
     """
 
     markers: tuple[int, ...]
@@ -63,35 +64,41 @@ def distinguish_twins(
     pair_scores = pair_evidence(distances(positions), fraction, rest)
     moves = _near_only(exchanges(rest), rest)
     names = np.arange(len(shape))
-    known: dict[tuple[int, ...], float] = {}
+    shape_cache: dict[tuple[int, ...], float] = {}
     doubts: list[Exchange] = []
     pairs: list[tuple[int, int]] = []
     for _ in range(MAX_EXCHANGES):
-        alone = np.zeros(rest.shape)
-        for other, name in enumerate(names.tolist()):
-            alone += pair_scores[:, other, :, name]
-        best, most = None, MIN_GAIN
+        single_scores = np.zeros(rest.shape)
+        for marker, name in enumerate(names.tolist()):
+            single_scores += pair_scores[:, marker, :, name]
+        best_move, best_gain = None, MIN_GAIN
         doubts, pairs = [], []
         for old, new in moves:
-            gains = gain_of(pair_scores, alone, names, old, new)
-            for row in np.flatnonzero(gains > -AGAINST).tolist():
+            gains = gain_of(pair_scores, single_scores, names, old, new)
+            for row in np.flatnonzero(gains > -MAX_OPPOSITION).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
                     pairs.append((a, b))
-                changed = names.copy()
-                changed[old[row]] = names[new[row]]
+                changed_names = names.copy()
+                changed_names[old[row]] = names[new[row]]
                 score = float(gains[row])
-                score += SHAPES * _shape_says(
-                    positions, shape, rest, old[row].tolist(), names, changed, known
+                score += SHAPE_EVIDENCE * _shape_says(
+                    positions,
+                    shape,
+                    rest,
+                    old[row].tolist(),
+                    names,
+                    changed_names,
+                    shape_cache,
                 )
-                if score > most:
-                    best, most = changed, score
-                elif score > DOUBTED:
+                if score > best_gain:
+                    best_move, best_gain = changed_names, score
+                elif score > MIN_DOUBT_GAIN:
                     markers = tuple(sorted(names[old[row]].tolist()))
                     doubts.append(Exchange(markers, min(score, 0.0)))
-        if best is None:
+        if best_move is None:
             break
-        names = best
+        names = best_move
     return names, doubts, pairs
 
 
@@ -103,25 +110,27 @@ def exchanged_in(
     positions: Of these frames, by current names ``(F, M, 3)``.
     """
     names = np.arange(len(shape))
-    then = names.copy()
-    then[list(pair)] = pair[::-1]
+    exchanged_names = names.copy()
+    exchanged_names[list(pair)] = pair[::-1]
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    pair_scores = _shape_says(positions, shape, rest, list(pair), names, then, {})
-    return SHAPES * pair_scores > IN_PART
+    pair_scores = _shape_says(
+        positions, shape, rest, list(pair), names, exchanged_names, {}
+    )
+    return SHAPE_EVIDENCE * pair_scores > MIN_PART_GAIN
 
 
 def _near_only(
     moves: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges without those of two unrelated pairs."""
-    kept = []
+    nearby = []
     for old, new in moves:
-        near = np.ones(len(old), bool)
+        is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
-            between = rest[old[:, :2, None], old[:, None, 2:]]
-            near = between.min(axis=(1, 2)) < NEAR_DISTANCE
-        kept.append((old[near], new[near]))
-    return kept
+            pair_distances = rest[old[:, :2, None], old[:, None, 2:]]
+            is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
+        nearby.append((old[is_near], new[is_near]))
+    return nearby
 
 
 def _shape_says(
@@ -129,25 +138,25 @@ def _shape_says(
     shape: FloatArray,
     rest: FloatArray,
     changed: list[int],
-    now: IntArray,
-    then: IntArray,
-    known: dict[tuple[int, ...], float],
+    current_names: IntArray,
+    other_names: IntArray,
+    cache: dict[tuple[int, ...], float],
 ) -> float:
     """Return the shape evidence for other names, a mean over neighbours [nat]."""
-    distance = rest[now[changed]][:, now].min(axis=0)
+    distance = rest[current_names[changed]][:, current_names].min(axis=0)
     distance[changed] = np.inf
-    nearest = np.argsort(distance, kind="stable")[:AROUND]
+    nearest = np.argsort(distance, kind="stable")[:NEIGHBOURS]
     ratios = []
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed, *pair]
-        offs = []
-        for names in (now, then):
+        errors = []
+        for names in (current_names, other_names):
             key = (*group, *names[group].tolist())
-            if key not in known:
-                known[key] = _off(positions, group, shape[names[group]])
-            offs.append(known[key])
-        if np.isfinite(offs).all():
-            ratios.append(np.log((offs[0] + NOISE) / (offs[1] + NOISE)))
+            if key not in cache:
+                cache[key] = _off(positions, group, shape[names[group]])
+            errors.append(cache[key])
+        if np.isfinite(errors).all():
+            ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))
     return float(np.mean(ratios)) if ratios else 0.0
 
 
@@ -157,9 +166,9 @@ def _off(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
     complete = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
     if len(complete) < MIN_SAMPLES:
         return np.inf
-    points = points[complete[:: max(1, len(complete) // SAMPLES)]]
+    points = points[complete[:: max(1, len(complete) // SAMPLED_FRAMES)]]
     rotation, shift = fitted(points, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
-    count = max(1, int(BEST * len(off)))
-    return float(np.partition(off, count - 1)[:count].mean())
+    error = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
+    count = max(1, int(BEST_FRACTION * len(error)))
+    return float(np.partition(error, count - 1)[:count].mean())

@@ -24,7 +24,7 @@ from animtool.capture.solve.model import (
 )
 from animtool.capture.solve.run import check_units, in_world_of
 from animtool.capture.solve.sampling import (
-    ROBUST,
+    ROBUST_DEVIATIONS,
     misses_of,
     sampled_frames,
     sampled_poses,
@@ -45,19 +45,25 @@ from animtool.rig.skeleton import JointType, Pose, Rig
 
 # Frames sampled of the motion and of the static take.
 MOTION_FRAMES, STATIC_FRAMES = 120, 10
-# What is likely: how far bones are from the overall scale, that from 1, left bones from
-# right ones [1], markers from where the template has them, by an axis [m].
-BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
-# How near the rest pose a subject stands in a static take, and joints are elsewhere,
-# where no marker says otherwise [rad].
-STANDING, MOVING = 0.08, 1.5
-# Most steps, and the converged change of bones [1] and offsets [m].
-ROUNDS, CONVERGED = 25, 2e-4
-# Initial noise for a generic template [m].
-GENERIC = 0.03
-# A bone whose scale is less certain is reported.
-UNSURE = 0.5
-# Least number of frames.
+# Standard deviations of the priors: bone scales about the overall scale, that scale
+# about 1, left bones about right ones [1], and markers about their template offsets,
+# per axis [m].
+BONE_DEVIATION, OVERALL_DEVIATION, SIDE_DEVIATION, OFFSET_DEVIATION = (
+    0.07,
+    0.25,
+    0.004,
+    0.008,
+)
+# Standard deviations of the pose about the rest pose, in the static take and in the
+# motion, where no marker determines it [rad].
+STATIC_POSE_DEVIATION, MOTION_POSE_DEVIATION = 0.08, 1.5
+# Maximum number of steps, and the change of bones [1] and offsets [m] at convergence.
+MAX_STEPS, CONVERGED = 25, 2e-4
+# Initial noise with a generic template [m].
+GENERIC_NOISE = 0.03
+# Uncertainty of a bone's scale above which it is reported, relative to its prior.
+UNSURE_RATIO = 0.5
+# Minimum number of frames.
 MIN_FRAMES = 10
 
 
@@ -68,11 +74,12 @@ class Calibration:
     Attributes:
         rig: The rig with the subject's bones.
         template: The template with the subject's offsets.
-        scales: Of each joint's bone from its parent, over the input rig's ``(J,)``.
+        scales: Scale of the bone from its parent to each joint, relative to the input
+            rig ``(J,)``.
         shifts: Shift of each marker from its offset ``(M,)`` [m]; NaN if the
             capture lacks it.
         noise: Standard deviation of markers per axis ``(E,)`` [m].
-        rounds: Steps taken.
+        rounds: Number of steps.
         frames: Number of frames used.
         converged: Whether the steps converged.
         notices: Warnings.
@@ -112,9 +119,9 @@ def calibrate(
 
     Args:
         markers: A take in which every joint moves.
-        rig: A rig of about the subject's build.
-        template: Where markers are on it, to a few centimetres.
-        static: A take of the subject standing in about the rest pose; it tells
+        rig: A rig of roughly the subject's build.
+        template: Marker positions on the rig, to a few centimetres.
+        static: A take of the subject standing roughly in the rest pose; it separates
             marker placement from joint rotation.
         options: Noise and subject.
 
@@ -122,9 +129,9 @@ def calibrate(
         OptionError: As of `animtool.capture.solve.solve_markers`; or too few frames
             have enough markers (SOL006).
 
-    Limits of the method: how far a marker is put on about the axis of a bone whose ends
-    it cannot tell is known from the static take alone. Bones that no marker sees follow
-    the others.
+    Limits of the method: only the static take shows a marker's rotation about the axis
+    of a bone whose joints the markers do not determine. Bones without markers scale
+    with the others.
     """
     options = options or SolveOptions()
     solver = _Calibrating(markers, rig, template, static, options)
@@ -169,7 +176,7 @@ class _Calibrating:
         self.fixed = np.array([m.fixed for m in self.model.template.markers], np.bool_)
         size = np.where(self.fixed, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.offsets0
-        self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
+        self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
         self.surety = np.zeros(len(self.bones))
 
     def _in_model_order(
@@ -177,30 +184,30 @@ class _Calibrating:
     ) -> FloatArray:
         """Return another take's markers in the order of the model."""
         match = match_markers(self.model.template, names, self.options.subject)
-        out = np.full((len(positions), len(match.columns), 3), np.nan)
-        has = match.columns >= 0
-        out[:, has] = positions[:, match.columns[has]]
-        return out
+        ordered = np.full((len(positions), len(match.columns), 3), np.nan)
+        is_captured = match.columns >= 0
+        ordered[:, is_captured] = positions[:, match.columns[is_captured]]
+        return ordered
 
     def _overall(self) -> float:
         """Return the ratio of the subject's size to the rig's."""
         frames = self.positions[: max(self.static_frames, 1)]
-        rest = self.model.points(self.model.starts(frames))
+        rest_points = self.model.points(self.model.starts(frames))
         visible = visible_markers(frames)[:, :, None]
         if self.static_frames == 0:
             return 1.0
 
         def spread(points: FloatArray) -> float:
-            known = np.where(visible, points, np.nan)
-            return float(np.nanstd(known, axis=1).mean())
+            visible_points = np.where(visible, points, np.nan)
+            return float(np.nanstd(visible_points, axis=1).mean())
 
-        return min(max(spread(frames) / max(spread(rest), 1e-9), 0.2), 5.0)
+        return min(max(spread(frames) / max(spread(rest_points), 1e-9), 0.2), 5.0)
 
     def run(self) -> tuple[int, bool]:
         """Iterate to convergence; return the step count and whether it converged."""
         self._rebuild()
         poses = sampled_poses(self.model, self.positions, self.noise)
-        for round_ in range(ROUNDS):
+        for round_ in range(MAX_STEPS):
             poses = self._fitted_poses(poses)
             step = self._step(poses)
             bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
@@ -212,7 +219,7 @@ class _Calibrating:
                 < CONVERGED
             ):
                 return round_ + 1, True
-        return ROUNDS, False
+        return MAX_STEPS, False
 
     def _rebuild(self) -> None:
         self.model = self.model.changed(
@@ -221,14 +228,14 @@ class _Calibrating:
 
     def _fitted_poses(self, poses: FloatArray) -> FloatArray:
         """Return poses fitted to the current bones, and update the noise."""
-        options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
+        options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
-        fitted = fit(self.model.problem, targets, poses, options, path=poses)
-        misses = misses_of(self.model, fitted.coordinates, self.positions)
+        pose_fit = fit(self.model.problem, targets, poses, options, path=poses)
+        misses = misses_of(self.model, pose_fit.coordinates, self.positions)
         typical = typical_noise(misses, self.options.noise)
-        # Halved at most: markers far off at first must not be rejected.
+        # Halved at most: markers that are far off at first must not be rejected.
         self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
-        return fitted.coordinates
+        return pose_fit.coordinates
 
     def _step(self, poses: FloatArray) -> FloatArray:
         """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
@@ -243,42 +250,45 @@ class _Calibrating:
             steps=np.zeros((count, degrees)),
         )
         columns = self._columns(poses)
-        off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
-        weight = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
+        distances = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
+        weight = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
         residuals = residuals * weight
         slopes = slopes * weight[:, :, None]
         columns = columns * weight[:, :, None]
         normal = np.swapaxes(slopes, 1, 2) @ slopes
-        fixed = np.full((count, degrees), MOVING**-2.0)
-        fixed[: self.static_frames] = STANDING**-2.0
-        normal += np.eye(degrees) * fixed[:, :, None]
-        felt = np.swapaxes(slopes, 1, 2)
-        # The poses' part of parameters and residuals.
-        taken = np.linalg.solve(normal, felt @ columns)
-        pull = fixed * self._from_rest(poses)
+        pose_precision = np.full((count, degrees), MOTION_POSE_DEVIATION**-2.0)
+        pose_precision[: self.static_frames] = STATIC_POSE_DEVIATION**-2.0
+        normal += np.eye(degrees) * pose_precision[:, :, None]
+        transposed_slopes = np.swapaxes(slopes, 1, 2)
+        # Parameters and residuals with the poses eliminated.
+        eliminated = np.linalg.solve(normal, transposed_slopes @ columns)
+        pose_pull = pose_precision * self._from_rest(poses)
         pose_step = np.linalg.solve(
             normal,
-            (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
+            (transposed_slopes @ residuals[:, :, None])[:, :, 0][:, :, None]
+            - pose_pull[:, :, None],
         )[:, :, 0]
-        rows = columns.reshape(-1, columns.shape[2])
-        mixed = (felt @ columns).reshape(-1, columns.shape[2])
-        matrix = rows.T @ rows - mixed.T @ taken.reshape(mixed.shape)
-        right = rows.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
-        prior, drawn = self._prior()
-        self.surety = np.diag(matrix)[: len(self.bones)] / (
-            np.diag(matrix)[: len(self.bones)] + BONES**-2.0
+        mixed_slopes = columns.reshape(-1, columns.shape[2])
+        mixed = (transposed_slopes @ columns).reshape(-1, columns.shape[2])
+        matrix = mixed_slopes.T @ mixed_slopes - mixed.T @ eliminated.reshape(
+            mixed.shape
         )
-        return np.linalg.solve(matrix + prior, right + drawn)
+        right_side = mixed_slopes.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
+        prior, prior_gradient = self._prior()
+        self.surety = np.diag(matrix)[: len(self.bones)] / (
+            np.diag(matrix)[: len(self.bones)] + BONE_DEVIATION**-2.0
+        )
+        return np.linalg.solve(matrix + prior, right_side + prior_gradient)
 
     def _from_rest(self, poses: FloatArray) -> FloatArray:
         """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.starts(self.positions))
         coordinates = chain.from_rig(poses)
-        away = difference(chain, start, coordinates)
+        deviation = difference(chain, start, coordinates)
         # The root is free.
-        away[:, : min(6, away.shape[1])] = 0.0
-        return away
+        deviation[:, : min(6, deviation.shape[1])] = 0.0
+        return deviation
 
     def _columns(self, poses: FloatArray) -> FloatArray:
         """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
@@ -286,54 +296,54 @@ class _Calibrating:
         local = model.local(poses)
         world = forward(rig, local.translations, local.rotations)
         count, markers = len(poses), len(model.joints)
-        out = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
-        above = np.zeros((markers, len(rig.joints)), np.bool_)
+        derivatives = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
+        is_above = np.zeros((markers, len(rig.joints)), np.bool_)
         for e, j in enumerate(model.joints.tolist()):
-            above[e, rig.upwards(j)] = True
+            is_above[e, rig.upwards(j)] = True
         for b, group in enumerate(self.bones):
             for j in group:
                 bone = world.linear[:, rig.joints[j].parent] @ self.base[j]
-                out[:, above[:, j], :, b] += bone
+                derivatives[:, is_above[:, j], :, b] += bone
         for e, j in enumerate(model.joints.tolist()):
             first = len(self.bones) + 3 * e
             if not model.template.markers[e].fixed:
-                out[:, e, :, first : first + 3] = world.linear[:, j]
+                derivatives[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
         visible = visible_markers(self.positions)
-        out *= (visible * weights)[:, :, None, None]
-        return out.reshape(count, 3 * markers, -1)
+        derivatives *= (visible * weights)[:, :, None, None]
+        return derivatives.reshape(count, 3 * markers, -1)
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
         """Return the prior of scales and offsets: normal matrix and right side."""
         bones, size = len(self.bones), len(self.bones) + self.offsets.size
-        matrix, drawn = np.zeros((size, size)), np.zeros(size)
-        # Bones about an overall scale that is itself about 1, which is summed out.
-        precision = np.eye(bones) / BONES**2
-        total = bones / BONES**2 + OVERALL**-2.0
-        precision -= np.ones((bones, bones)) / BONES**4 / total
-        away = self.scales - 1.0
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        # Bones vary about an overall scale, which varies about 1 and is summed out.
+        precision = np.eye(bones) / BONE_DEVIATION**2
+        prior_sum = bones / BONE_DEVIATION**2 + OVERALL_DEVIATION**-2.0
+        precision -= np.ones((bones, bones)) / BONE_DEVIATION**4 / prior_sum
+        deviation = self.scales - 1.0
         matrix[:bones, :bones] = precision
-        drawn[:bones] = -precision @ away
-        for left, right in self._pairs():
-            difference = self.scales[left] - self.scales[right]
-            for a, sign in ((left, 1.0), (right, -1.0)):
-                matrix[a, a] += SIDES**-2.0
-                drawn[a] -= sign * difference / SIDES**2
-            matrix[left, right] -= SIDES**-2.0
-            matrix[right, left] -= SIDES**-2.0
-        # Markers go with the bones that they are on: what is left of each, d = A p.
-        left_over = np.zeros((self.offsets.size, size))
-        left_over[:, bones:] = np.eye(self.offsets.size)
+        gradient[:bones] = -precision @ deviation
+        for left_bone, right_bone in self._pairs():
+            difference = self.scales[left_bone] - self.scales[right_bone]
+            for a, sign in ((left_bone, 1.0), (right_bone, -1.0)):
+                matrix[a, a] += SIDE_DEVIATION**-2.0
+                gradient[a] -= sign * difference / SIDE_DEVIATION**2
+            matrix[left_bone, right_bone] -= SIDE_DEVIATION**-2.0
+            matrix[right_bone, left_bone] -= SIDE_DEVIATION**-2.0
+        # Markers scale with their bones; the prior is on the remaining offset, d = A p.
+        offset_map = np.zeros((self.offsets.size, size))
+        offset_map[:, bones:] = np.eye(self.offsets.size)
         of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
-        left_over[:, :bones] = -of_bones.reshape(-1, bones)
-        away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
+        offset_map[:, :bones] = -of_bones.reshape(-1, bones)
+        deviation = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
         # Fixed markers do not scale with bones.
-        fixed = np.repeat(self.fixed, 3)
-        left_over[fixed, :bones] = 0.0
-        away[fixed] = 0.0
-        matrix += left_over.T @ left_over / OFFSETS**2
-        drawn -= left_over.T @ away / OFFSETS**2
-        return matrix, drawn
+        is_fixed = np.repeat(self.fixed, 3)
+        offset_map[is_fixed, :bones] = 0.0
+        deviation[is_fixed] = 0.0
+        matrix += offset_map.T @ offset_map / OFFSET_DEVIATION**2
+        gradient -= offset_map.T @ deviation / OFFSET_DEVIATION**2
+        return matrix, gradient
 
     def _carriers(self) -> FloatArray:
         """Return the weight of each bone in the size of a marker's joint ``(E, B)``.
@@ -342,13 +352,13 @@ class _Calibrating:
         it, else with all bones.
         """
         rig = self.model.rig
-        into = np.array([group[0] for group in self.bones])
+        bone_joints = np.array([group[0] for group in self.bones])
         parents = np.array([rig.joints[group[0]].parent for group in self.bones])
-        out = np.zeros((len(self.model.joints), len(self.bones)))
+        weights = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
-            begins = parents == j if (parents == j).any() else into == j
-            out[e, begins if begins.any() else slice(None)] = 1.0
-        return np.asarray(out / out.sum(axis=1, keepdims=True))
+            children = parents == j if (parents == j).any() else bone_joints == j
+            weights[e, children if children.any() else slice(None)] = 1.0
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def _pairs(self) -> list[tuple[int, int]]:
         """Return the indices of left and right bones."""
@@ -383,13 +393,13 @@ class _Calibrating:
             )
         notices = []
         if not converged:
-            message = f"the calibration did not converge in {ROUNDS} steps"
+            message = f"the calibration did not converge in {MAX_STEPS} steps"
             hint = "a longer take, or a static one, gives more data"
             notices.append(Fault("SOL104", message, None, (), hint, Severity.WARNING))
         unseen = [
             rig.names[group[0]]
             for b, group in enumerate(self.bones)
-            if self.surety[b] < UNSURE
+            if self.surety[b] < UNSURE_RATIO
         ]
         if unseen:
             message = (
@@ -423,7 +433,7 @@ def _bones(rig: Rig) -> list[tuple[int, ...]]:
 def unlimited_rig(model: MarkerProblem) -> Rig:
     """Return a model's rig without limits on pins that markers determine.
 
-    A joint at its limit could not tell a displaced marker from its own angle.
+    At its limit, a joint cannot distinguish a displaced marker from its own rotation.
     """
     rig = model.rig
     moves = np.zeros(len(rig.joints), np.int64)

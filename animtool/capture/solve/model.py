@@ -22,10 +22,10 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType, Rig
 
-# Least markers that determine a rotation.
+# Minimum number of markers that determine a rotation.
 MIN_MARKERS = 3
-# Weight of a marker for the root's pose, per joint between.
-LESS_BY_JOINT = 0.3
+# Weight of a marker for the root's pose falls by this factor with each joint between.
+WEIGHT_PER_JOINT = 0.3
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class MarkerProblem:
 
     Attributes:
         problem: A position goal for each marker.
-        template: Of these markers alone, those of a joint side by side.
-        columns: Index of each in the capture ``(E,)``.
-        joints: Index of the joint of each ``(E,)``.
+        template: Template of these markers only, grouped by joint.
+        columns: Column of each marker in the capture ``(E,)``.
+        joints: Joint index of each marker ``(E,)``.
     """
 
     problem: Problem
@@ -79,22 +79,29 @@ class MarkerProblem:
         if root is None:
             return q
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
-        near = LESS_BY_JOINT ** (depths - depths.min())
+        joint_weights = WEIGHT_PER_JOINT ** (depths - depths.min())
         visible = visible_markers(positions)
-        rotation, at = rigid_motions(
+        rotation, translation = rigid_motions(
             self.points(q[:1])[0],
             np.where(visible[:, :, None], positions, 0.0),
-            visible * near * self.template.weights,
+            visible * joint_weights * self.template.weights,
         )
-        rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
-        rest_at, rest_rotation = rest.positions[0, root], rest.rotations[0, root]
+        rest_pose = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        rest_at, rest_rotation = (
+            rest_pose.positions[0, root],
+            rest_pose.rotations[0, root],
+        )
         # world = T(rest) R(rest) motion: the remaining rotation.
         world_rotation = so3.multiply(rotation, rest_rotation)
-        world_at = so3.rotate(rotation, rest_at) + at
-        back = so3.conjugate(rest_rotation)
+        world_at = so3.rotate(rotation, rest_at) + translation
+        inverse_rest = so3.conjugate(rest_rotation)
         columns = slices[root]
-        q[:, columns.start : columns.start + 3] = so3.rotate(back, world_at - rest_at)
-        q[:, columns.start + 3 : columns.stop] = so3.multiply(back, world_rotation)
+        q[:, columns.start : columns.start + 3] = so3.rotate(
+            inverse_rest, world_at - rest_at
+        )
+        q[:, columns.start + 3 : columns.stop] = so3.multiply(
+            inverse_rest, world_rotation
+        )
         return q
 
     def _root(self) -> int | None:
@@ -111,8 +118,8 @@ class MarkerProblem:
         local = self.local(coordinates)
         world = forward(self.rig, local.translations, local.rotations)
         linear = world.linear[:, self.joints]
-        turned = np.einsum("feij,ej->fei", linear, self.offsets)
-        return np.asarray(world.positions[:, self.joints] + turned)
+        rotated_offsets = np.einsum("feij,ej->fei", linear, self.offsets)
+        return np.asarray(world.positions[:, self.joints] + rotated_offsets)
 
     def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
         """Return the model with other bones and offsets ``(E, 3)``."""
@@ -142,17 +149,19 @@ def marker_model(
     """
     rig = with_types(rig)
     joints = template.joints(rig)
-    used = [
+    used_markers = [
         m for m in range(len(columns)) if columns[m] >= 0 and template.weights[m] > 0
     ]
-    if len(used) < MIN_MARKERS:
-        names = ", ".join(template.markers[m].name for m in used)
-        message = f"has {len(used)} of the template's {len(columns)} markers: {names}"
+    if len(used_markers) < MIN_MARKERS:
+        names = ", ".join(template.markers[m].name for m in used_markers)
+        message = (
+            f"has {len(used_markers)} of the template's {len(columns)} markers: {names}"
+        )
         hint = f"at least {MIN_MARKERS} are needed, with some on every limb"
         raise OptionError(Fault("SOL003", message, hint=hint))
-    used.sort(key=lambda m: int(joints[m]))
-    markers = tuple(template.markers[m] for m in used)
-    return _built(rig, replace(template, markers=markers), columns[used])
+    used_markers.sort(key=lambda m: int(joints[m]))
+    markers = tuple(template.markers[m] for m in used_markers)
+    return _built(rig, replace(template, markers=markers), columns[used_markers])
 
 
 def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProblem:
@@ -173,20 +182,20 @@ def rigid_motions(
         positions: ``(F, E, 3)``.
         weights: ``(F, E)``; if all are 0, the rotation is identity.
     """
-    total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    fractions = weights / total
+    weight_sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
+    fractions = weights / weight_sums
     middle = fractions @ points
     centre = np.einsum("fe,fei->fi", fractions, positions)
-    spread = np.einsum(
+    covariance = np.einsum(
         "fe,fei,fej->fij",
         fractions,
         points - middle[:, None],
         positions - centre[:, None],
     )
-    left, _, right = np.linalg.svd(spread)
-    mirror = np.sign(np.linalg.det(left @ right))
-    left[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
-    rotation = so3.from_matrix(np.swapaxes(left @ right, 1, 2))
+    left_vectors, _, right_vectors = np.linalg.svd(covariance)
+    mirror = np.sign(np.linalg.det(left_vectors @ right_vectors))
+    left_vectors[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
+    rotation = so3.from_matrix(np.swapaxes(left_vectors @ right_vectors, 1, 2))
     return rotation, centre - so3.rotate(rotation, middle)
 
 

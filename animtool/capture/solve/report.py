@@ -7,12 +7,12 @@ from dataclasses import field
 import numpy as np
 
 from animtool.capture.solve.model import MIN_MARKERS
-from animtool.capture.solve.sampling import ROBUST
+from animtool.capture.solve.sampling import ROBUST_DEVIATIONS
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 
-# Least fraction of fitting markers in a frame that is not poor.
+# A frame is poor if a smaller fraction of its markers fits.
 MIN_FITTED = 0.5
 
 
@@ -21,11 +21,11 @@ class MarkerScore:
     """Fit of one marker.
 
     Attributes:
-        name: In the template.
+        name: Name in the template.
         rms: Distance from its position on the bone [m], without outliers; NaN if
             it is never visible.
         seen: Fraction of frames in which it has a position.
-        outliers: Fraction of these in which the position is not the marker's.
+        outliers: Fraction of these frames in which the position is an outlier.
     """
 
     name: str
@@ -56,16 +56,17 @@ class SolveScore:
     """Fit of the markers of F frames; complete when all are solved.
 
     Attributes:
-        names: Of the E markers.
+        names: Names of the E markers.
         frames: F.
         noise: Typical deviation of each marker ``(E,)`` [m].
-        rms: Over the markers of each frame that fit ``(F,)`` [m], NaN without any.
+        rms: Root mean square residual of the fitting markers of each frame ``(F,)``
+            [m], NaN without any.
         sparse: Frames with fewer than 3 markers, by index.
         poor: Frames most of whose markers do not fit, by index.
-        searched: Frames that were searched again, by index.
+        searched: Frames with a second search, by index.
         markers: Fit by marker.
         exchanged: Exchanged labels.
-        total: Over all markers that fit [m].
+        total: Root mean square residual over all fitting markers [m].
     """
 
     names: list[str]
@@ -99,7 +100,7 @@ class SolveScore:
         searched: BoolArray,
         visible: BoolArray,
     ) -> None:
-        """Record the fit of frames ``(N, E)``, starting at one."""
+        """Record the fit of frames ``(N, E)`` from frame ``first`` on."""
         rows = slice(first, first + len(misses))
         self._misses[rows], self._taken[rows] = misses, taken
         self._begun[rows], self._visible[rows] = searched, visible
@@ -107,29 +108,29 @@ class SolveScore:
     def finish(self) -> None:
         """Compute the totals."""
         indices = np.arange(len(self.names))
-        # A marker with another label's position counts as visible.
-        has = np.where(
+        # A marker with the position of another label counts as visible.
+        is_visible = np.where(
             self._taken == indices,
             self._visible,
             (self._taken >= 0) & (self._taken != indices),
         )
-        fits = has & (self._misses <= ROBUST * self.noise)
+        fits = is_visible & (self._misses <= ROBUST_DEVIATIONS * self.noise)
         squares = np.where(fits, self._misses**2, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             self.rms = np.sqrt(squares.sum(axis=1) / fits.sum(axis=1))
             by_marker = np.sqrt(squares.sum(axis=0) / fits.sum(axis=0))
             self.total = float(np.sqrt(squares.sum() / fits.sum()))
-        counts = has.sum(axis=1)
+        counts = is_visible.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        lost = fits.sum(axis=1) < MIN_FITTED * counts
-        self.poor = np.flatnonzero((counts >= MIN_MARKERS) & lost)
+        is_poor = fits.sum(axis=1) < MIN_FITTED * counts
+        self.poor = np.flatnonzero((counts >= MIN_MARKERS) & is_poor)
         self.searched = np.flatnonzero(self._begun)
         self.markers = [
             MarkerScore(
                 name,
                 float(by_marker[e]),
                 float(self._visible[:, e].mean()),
-                1.0 - float(fits[:, e].sum()) / max(int(has[:, e].sum()), 1),
+                1.0 - float(fits[:, e].sum()) / max(int(is_visible[:, e].sum()), 1),
             )
             for e, name in enumerate(self.names)
         ]

@@ -1,4 +1,4 @@
-"""The solve of a capture, window by window."""
+"""The solve of a capture, one window of frames at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.capture.solve.model import (
 )
 from animtool.capture.solve.report import SolveScore
 from animtool.capture.solve.sampling import (
-    ROBUST,
+    ROBUST_DEVIATIONS,
     misses_of,
     sampled_frames,
     sampled_poses,
@@ -41,41 +41,42 @@ from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
 Progress = Callable[[float], None] | None
-# Frames that are solved at once, and how far the solve looks ahead of them: beyond
-# that, what a joint does next says nothing of a frame. Fixed, so that results are the
-# same however a take is read.
+# Frames that are solved at once, and lookahead frames after them; motion beyond those
+# has no influence on a frame. Fixed, so that results do not depend on how a take is
+# read.
 WINDOW, LOOKAHEAD = 600, 120
-# Frames before a window, whose poses are fixed and whose speed continues.
-BEHIND = 2
+# Frames before a window whose poses are fixed, so that motion continues smoothly.
+BEHIND_FRAMES = 2
 # Independent frames for the noise estimate.
-SAMPLES = 24
+NOISE_SAMPLES = 24
 # Ratio of marker distances to the rig's that means other units.
 OTHER_UNITS = 30.0
-# Typical deviation above which markers do not belong to this rig [m].
-STRANGE = 0.01
-# Initial noise, and its convergence ratio.
-FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
+# Typical residual above which markers do not belong to this rig [m].
+STRANGE_RESIDUAL = 0.01
+# Initial noise, maximum rounds of its estimate, and the ratio at which it has
+# converged.
+INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
 # A marker on a body moves by more than this: breathing alone moves a chest by 4 mm [m].
 STATIC_EXTENT = 0.002
-# If the others move by this much, one that does not is not on the body [m].
+# A marker that does not move while the others move by this much is not on the body [m].
 MOVING_EXTENT = 0.05
-# Fewer frames do not show that a marker never moves.
+# With fewer frames, a static marker proves nothing.
 MIN_MOVING_FRAMES = 25
 
 
 @dataclass
 class MarkerSolve:
-    """The solve of one capture.
+    """The solve of a capture.
 
     Attributes:
-        model: Rig and markers that are solved for.
+        model: Rig and markers of the solve.
         match: The template's markers in the capture.
-        positions: Of the model's markers ``(F, E, 3)`` [m], in the rig's world; NaN
-            where one is missing.
+        positions: Positions of the model's markers ``(F, E, 3)`` [m], in the rig's
+            world; NaN where one is missing.
         markers: The capture.
         noise: Standard deviation of each marker per axis ``(E,)``
             [m].
-        options: How to solve.
+        options: Solve options.
         score: The fit; complete once `blocks` are consumed.
         notices: Warnings.
     """
@@ -90,14 +91,14 @@ class MarkerSolve:
     notices: list[Fault] = field(default_factory=list)
 
     def blocks(self, progress: Progress = None) -> Iterator[Motion]:
-        """Yield the motion of one window of frames after another."""
-        last: FloatArray | None = None
+        """Yield the motion, one window of frames at a time."""
+        previous: FloatArray | None = None
         rotations: FloatArray | None = None
         count = len(self.positions)
         for first in range(0, count, WINDOW):
             end = min(first + WINDOW, count)
-            coordinates = self._window(first, end, last)
-            last = coordinates[-BEHIND:]
+            coordinates = self._window(first, end, previous)
+            previous = coordinates[-BEHIND_FRAMES:]
             motion = self._motion(coordinates, rotations)
             rotations = motion.rotations.values[-1]
             yield motion
@@ -113,65 +114,67 @@ class MarkerSolve:
         rig, clock = self.model.rig, self.markers.clock
         return driven_take(Take(rig, clock, motion, tuple(self.notices)))
 
-    def _window(self, first: int, end: int, last: FloatArray | None) -> FloatArray:
+    def _window(self, first: int, end: int, previous: FloatArray | None) -> FloatArray:
         """Return the poses of frames that continue those before them."""
-        behind = 0 if last is None else len(last)
+        behind = 0 if previous is None else len(previous)
         lookahead = min(end + LOOKAHEAD, len(self.positions))
         positions = self.positions[first - behind : lookahead]
         starts = self.model.starts(positions)
-        if last is not None:
-            starts[:behind] = last
-        fitted = fit(
+        if previous is not None:
+            starts[:behind] = previous
+        result = fit(
             self.model.problem,
             self.model.targets(positions, self.noise),
             starts,
             FitOptions(
                 float(self.markers.clock.rate),
                 self.options.acceleration,
-                robust=ROBUST,
+                robust=ROBUST_DEVIATIONS,
             ),
-            path=None if last is None else starts,
+            path=None if previous is None else starts,
             first=behind,
         )
-        kept = slice(behind, behind + end - first)
+        window_rows = slice(behind, behind + end - first)
         self.score.add(
             first,
-            fitted.misses[kept],
-            fitted.taken[kept],
-            fitted.searched[kept],
-            visible_markers(positions[kept]),
+            result.misses[window_rows],
+            result.taken[window_rows],
+            result.searched[window_rows],
+            visible_markers(positions[window_rows]),
         )
-        return fitted.coordinates[kept]
+        return result.coordinates[window_rows]
 
     def _motion(
         self, coordinates: FloatArray, quaternions: FloatArray | None
     ) -> Motion:
         rig = self.model.rig
         local = self.model.local(coordinates)
-        driven = sorted({rig.index(name) for name in self.model.problem.joints})
-        slides = [j for j in driven if rig.joints[j].type in {"free", "prismatic"}]
-        rotations = so3.align_signs(local.rotations[:, driven], quaternions)
+        goal_joints = sorted({rig.index(name) for name in self.model.problem.joints})
+        slides = [j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}]
+        rotations = so3.align_signs(local.rotations[:, goal_joints], quaternions)
         return Motion(
             Channel(
                 rig.rest_translations,
                 np.array(slides, np.int64),
                 local.translations[:, slides],
             ),
-            Channel(rig.rest_rotations, np.array(driven, np.int64), rotations),
+            Channel(rig.rest_rotations, np.array(goal_joints, np.int64), rotations),
         )
 
     def _name_frames(self) -> None:
         """Warn about frames with too few markers, or none that fit."""
         clock = self.markers.clock
-        for code, frames, what in (
+        for code, frames, problem in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
             ("SOL102", self.score.poor, "markers do not match"),
         ):
             if not len(frames):
                 continue
             start, step = clock.start, clock.step
-            named = frame_spans([math.floor(start + step * f) for f in frames.tolist()])
-            message = f"{what} in {counted(len(frames), 'frame')}: {named}"
+            frames_text = frame_spans(
+                [math.floor(start + step * f) for f in frames.tolist()]
+            )
+            message = f"{problem} in {counted(len(frames), 'frame')}: {frames_text}"
             hint = "their poses are taken from nearby frames"
             if code == "SOL102":
                 hint = "labels may be wrong there, or the rig may not match the subject"
@@ -191,8 +194,8 @@ def solve_markers(
     Args:
         markers: F frames of labelled markers.
         rig: The subject's rig: see `animtool.capture.solve.calibrate`.
-        template: Its markers.
-        options: How to solve.
+        template: The rig's markers.
+        options: Solve options.
 
     Raises:
         OptionError: No marker has a name of the template (SOL001), or those of several
@@ -200,15 +203,14 @@ def solve_markers(
             with as many (SOL004), or they are in other units than the rig (SOL005); the
             rig lacks a joint of the template (MKT001).
 
-    Limits of the method: poses are the nearest to those of the frames before them; what
-    was captured of a limb that comes back from a long gap is found if its markers say
-    so together.
+    Limits of the method: each pose is the solution nearest to the previous frames. A
+    limb that reappears after a long gap is found if enough of its markers agree.
     """
     options = options or SolveOptions()
     match = match_markers(template, markers.names, options.subject)
     model = marker_model(rig, template, match.columns)
     positions = in_world_of(model.rig, markers)[:, model.columns]
-    sample = positions[sampled_frames(positions, SAMPLES)]
+    sample = positions[sampled_frames(positions, NOISE_SAMPLES)]
     if not len(sample):
         message = f"no frame has {MIN_MARKERS} markers of the template"
         raise OptionError(Fault("SOL004", message, hint="see animtool info"))
@@ -221,7 +223,7 @@ def solve_markers(
     notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
     median = float(np.median(noise))
-    if median > STRANGE:
+    if median > STRANGE_RESIDUAL:
         message = f"markers are {length_text(median)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
@@ -233,46 +235,51 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
     """Return a warning about markers ``(F, E, 3)`` that never move (SOL108)."""
     if len(positions) < MIN_MOVING_FRAMES:
         return []
-    known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
-    low, high = (
-        np.where(known[..., None], positions, fill) for fill in (np.inf, -np.inf)
+    is_known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
+    lowest, highest = (
+        np.where(is_known[..., None], positions, fill) for fill in (np.inf, -np.inf)
     )
-    extents = np.linalg.norm(high.max(axis=0) - low.min(axis=0), axis=1)
-    enough = known.sum(axis=0) >= MIN_MOVING_FRAMES
-    static = enough & (extents < STATIC_EXTENT)
-    if not static.any():
+    extents = np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0), axis=1)
+    is_judged = is_known.sum(axis=0) >= MIN_MOVING_FRAMES
+    is_static = is_judged & (extents < STATIC_EXTENT)
+    if not is_static.any():
         return []
     hint = "delete them or label them again: they may be on a fixed object"
-    if static.sum() == enough.sum():
+    if is_static.sum() == is_judged.sum():
         message = (
             f"no marker moves by more than {length_text(STATIC_EXTENT)} in "
             f"{counted(len(positions), 'frame')}"
         )
         hint = "is this the static trial? solve the take in which the subject moves"
-    elif np.median(extents[enough]) < MOVING_EXTENT:
+    elif np.median(extents[is_judged]) < MOVING_EXTENT:
         return []
     else:
-        named = [name for name, fixed in zip(names, static, strict=True) if fixed]
+        static_names = [
+            name for name, is_fixed in zip(names, is_static, strict=True) if is_fixed
+        ]
         message = (
             f"these markers never move, while others move by "
-            f"{length_text(float(np.median(extents[enough])))}: {listed(named, 8)}"
+            f"{length_text(float(np.median(extents[is_judged])))}: "
+            f"{listed(static_names, 8)}"
         )
     return [Fault("SOL108", message, hint=hint, severity=Severity.WARNING)]
 
 
-def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:
+def sampled_noise(
+    model: MarkerProblem, sample: FloatArray, min_noise: float
+) -> FloatArray:
     """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
 
-    It starts from a large value, so that a rig of another subject is told from wrong
-    labels.
+    It starts from a large value, so that another subject's rig and wrong labels can be
+    distinguished.
     """
-    noise = np.full(len(model.joints), FAR)
-    for _ in range(ROUNDS):
+    noise = np.full(len(model.joints), INITIAL_NOISE)
+    for _ in range(NOISE_ROUNDS):
         misses = misses_of(model, sampled_poses(model, sample, noise), sample)
-        estimate = typical_noise(misses, least)
-        settled = bool((estimate > SETTLED * noise).all())
+        estimate = typical_noise(misses, min_noise)
+        has_converged = bool((estimate > CONVERGED_RATIO * noise).all())
         noise = estimate
-        if settled:
+        if has_converged:
             break
     return noise
 
@@ -287,19 +294,25 @@ def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
 
 def check_units(model: MarkerProblem, sample: FloatArray) -> None:
     """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005)."""
-    rest = model.points(model.starts(sample[:1]))[0]
+    rest_points_all = model.points(model.starts(sample[:1]))[0]
     ratios = []
     for frame in sample:
         visible = np.isfinite(frame).all(axis=1)
-        rest_points, frame_points = rest[visible], frame[visible]
-        spread = np.linalg.norm(rest_points - rest_points.mean(axis=0), axis=1).mean()
-        other = np.linalg.norm(frame_points - frame_points.mean(axis=0), axis=1).mean()
-        ratios.append(other / max(float(spread), 1e-9))
+        rest_points, frame_points = rest_points_all[visible], frame[visible]
+        rest_size = np.linalg.norm(
+            rest_points - rest_points.mean(axis=0), axis=1
+        ).mean()
+        frame_size = np.linalg.norm(
+            frame_points - frame_points.mean(axis=0), axis=1
+        ).mean()
+        ratios.append(frame_size / max(float(rest_size), 1e-9))
     ratio = float(np.median(ratios))
     if 1 / OTHER_UNITS < ratio < OTHER_UNITS:
         return
-    times, what = (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
-    message = f"the markers are {times:.3g} times {what} than those on the rig"
+    times, comparison = (
+        (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
+    )
+    message = f"the markers are {times:.3g} times {comparison} than those on the rig"
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
     )

@@ -10,20 +10,22 @@ from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, visible_mar
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.ik.fit import FitOptions, fit
 
-# Median length of three numbers of standard deviation 1.
+# Median length of a 3D vector whose components have standard deviation 1.
 MEDIAN_LENGTH = 1.538
 # Residuals beyond this many deviations are downweighted.
-ROBUST = 8.0
-# A marker visible in fewer frames takes the others' noise.
-FEW = 5
+ROBUST_DEVIATIONS = 8.0
+# A marker visible in fewer frames gets the noise of the others.
+MIN_VISIBLE_FRAMES = 5
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
     """Return evenly spaced frames of ``(F, E, 3)`` with the most markers."""
     counts = visible_markers(positions).sum(axis=1)
-    parts = np.array_split(np.arange(len(positions)), min(count, len(positions)))
-    best = [part[int(np.argmax(counts[part]))] for part in parts if len(part)]
-    return np.array([f for f in best if counts[f] >= MIN_MARKERS], np.int64)
+    chunks = np.array_split(np.arange(len(positions)), min(count, len(positions)))
+    best_frames = [
+        chunk[int(np.argmax(counts[chunk]))] for chunk in chunks if len(chunk)
+    ]
+    return np.array([f for f in best_frames if counts[f] >= MIN_MARKERS], np.int64)
 
 
 def sampled_poses(
@@ -33,16 +35,16 @@ def sampled_poses(
     starts = model.starts(positions)
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
-    options = FitOptions(1.0, math.inf, robust=ROBUST)
+    options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS)
     poses = np.zeros_like(starts)
     for f in range(len(positions)):
-        one = slice(f, f + 1)
-        target = type(targets)(points[one], weights=weights[one])
-        poses[f] = fit(model.problem, target, starts[one], options).coordinates[0]
+        frame = slice(f, f + 1)
+        target = type(targets)(points[frame], weights=weights[frame])
+        poses[f] = fit(model.problem, target, starts[frame], options).coordinates[0]
     return poses
 
 
-def typical_noise(misses: FloatArray, least: float) -> FloatArray:
+def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
     """Return the standard deviation per axis of each marker ``(E,)`` [m].
 
     A marker with tiny residuals, as the only one on its joints, is assumed to be half
@@ -50,14 +52,18 @@ def typical_noise(misses: FloatArray, least: float) -> FloatArray:
 
     Args:
         misses: ``(F, E)`` [m], NaN where a marker is missing.
-        least: Lower bound [m].
+        min_noise: Lower bound [m].
     """
-    known = np.isfinite(misses)
-    median = float(np.median(misses[known])) / MEDIAN_LENGTH if known.any() else least
+    is_known = np.isfinite(misses)
+    median = (
+        float(np.median(misses[is_known])) / MEDIAN_LENGTH
+        if is_known.any()
+        else min_noise
+    )
     noise = np.full(misses.shape[1], median)
-    has = known.sum(axis=0) >= FEW
-    noise[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
-    return np.asarray(np.maximum(noise, max(least, median / 2)))
+    has_enough = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
+    noise[has_enough] = np.nanmedian(misses[:, has_enough], axis=0) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
 
 
 def misses_of(

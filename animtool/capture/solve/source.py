@@ -14,7 +14,7 @@ from animtool.capture.solve.run import MarkerSolve, solve_markers
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
+from animtool.core.errors import Fault, OptionError, Severity, counted, faults_in
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.marker_files import open_markers
 from animtool.motion.driving import driven_stream
@@ -43,13 +43,13 @@ def open_markers_source(
     """Open a file of markers as the motion of a rig.
 
     Args:
-        path: Markers; with ``cameras`` their observations, an npz of pixels.
-        rig: The rig to animate; None is the rig that the template names.
+        path: Markers; with ``cameras``, pixel observations in an npz.
+        rig: The rig to animate; None uses the rig named by the template.
         template: The markers' joints and offsets.
-        cameras: Camera calibrations, for triangulation.
-        unit: Of the markers, or of the calibrations.
-        up: The up axis of these.
-        fps: The frame rate, if the file has a wrong one or none.
+        cameras: Camera calibrations for triangulation.
+        unit: Unit of the markers, or of the calibrations.
+        up: The up axis of the same file.
+        fps: The frame rate, if the file lacks one or its rate is wrong.
         progress: Called with the fraction done.
 
     Raises:
@@ -68,13 +68,14 @@ def open_markers_source(
             "source in a scene"
         )
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
-    read = load_template(template)
-    named = named_rig(read, rig, template)
-    loaded = at_origin(Rig.load(named))
-    solve = at_file(path, lambda: solve_markers(markers, loaded, read, SolveOptions()))
+    marker_template = load_template(template)
+    rig_path = named_rig(marker_template, rig, template)
+    loaded_rig = at_origin(Rig.load(rig_path))
+    with faults_in(path):
+        solve = solve_markers(markers, loaded_rig, marker_template, SolveOptions())
     stream = solve_stream(solve, path, progress)
-    stream.notices = [*loaded.notices, *stream.notices]
-    stream.details |= {"rig": str(named), "template": str(template)}
+    stream.notices = [*loaded_rig.notices, *stream.notices]
+    stream.details |= {"rig": str(rig_path), "template": str(template)}
     return stream
 
 
@@ -99,7 +100,7 @@ def triangulated(
     up: UpAxis | None = None,
     fps: Any = None,
 ) -> Markers:
-    """Return triangulated markers, with the notices about cameras.
+    """Return triangulated markers, with the notices about the cameras.
 
     Raises:
         FormatError: A file cannot be read.
@@ -119,19 +120,10 @@ def triangulated(
     return replace(result.markers, notices=(*result.notices, note))
 
 
-def at_file(path: Path, read: Callable[[], Any]) -> Any:
-    """Return a function's result; faults without a file get the markers' path."""
-    try:
-        return read()
-    except (FormatError, OptionError) as error:
-        faults = [f if f.path else replace(f, path=str(path)) for f in error.faults]
-        raise type(error)(faults) from error
-
-
 def solve_stream(
     solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
 ) -> TakeStream:
-    """Return a solve's motion as a stream; notices complete once it is read."""
+    """Return a solve's motion as a stream; its notices are complete after reading."""
     markers, rig = solve.markers, solve.model.rig
     clock = markers.clock
     stream = TakeStream(
@@ -140,13 +132,13 @@ def solve_stream(
         clock.start,
         clock.step,
         iter(()),
-        [_at(path, fault) for fault in (*markers.notices, *solve.notices)],
+        [fault.in_file(path) for fault in (*markers.notices, *solve.notices)],
     )
 
     def blocks() -> Iterator[Motion]:
-        known = len(solve.notices)
+        known_count = len(solve.notices)
         yield from solve.blocks(progress)
-        stream.notices += [_at(path, fault) for fault in solve.notices[known:]]
+        stream.notices += [fault.in_file(path) for fault in solve.notices[known_count:]]
         stream.scores.append(solve_scores(solve))
 
     stream.blocks = blocks()
@@ -162,13 +154,9 @@ def solve_stream(
 def solve_scores(solve: MarkerSolve) -> PassScores:
     """Return the scores of a solve, as reports and batches list them."""
     score = solve.score
-    outliers = float(np.mean([each.outliers for each in score.markers]))
+    outliers = float(np.mean([marker_score.outliers for marker_score in score.markers]))
     scores = (
         Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_MISS),
         Score("outliers", outliers, ScoreUnit.FRACTION, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
-
-
-def _at(path: Path, fault: Fault) -> Fault:
-    return fault if fault.path else replace(fault, path=str(path))

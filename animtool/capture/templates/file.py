@@ -18,7 +18,7 @@ from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
 from animtool.documents.references import missing_hint, referred
 
-# Largest distance of a marker from its joint; larger numbers are in another unit [m].
+# Largest distance of a marker from its joint [m]; larger numbers mean another unit.
 MAX_OFFSET = 10.0
 
 
@@ -86,18 +86,20 @@ def template_of_document(document: Document) -> MarkerTemplate:
     check_version(document, "markers")
     model = validated(document, MarkersModel)
     unit = LengthUnit(model.units.length).meters
-    taken: dict[str, int] = {}
+    entry_of_name: dict[str, int] = {}
     markers = []
     for i, entry in enumerate(model.marker_set):
         names = [("name", entry.name)]
         names += [(f"aliases[{k}]", alias) for k, alias in enumerate(entry.aliases)]
-        for where, name in names:
-            if name in taken:
+        for location, name in names:
+            if name in entry_of_name:
                 message = f"two markers are called {name!r}"
-                hint = f"rename it here, or in marker_set[{taken[name]}]"
-                key_path = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
+                hint = f"rename it here, or in marker_set[{entry_of_name[name]}]"
+                key_path = (
+                    ("aliases", int(location[8:-1])) if "[" in location else ("name",)
+                )
                 document.add("MKT002", ("marker_set", i, *key_path), message, hint)
-            taken.setdefault(name, i)
+            entry_of_name.setdefault(name, i)
         x, y, z = (value * unit for value in entry.offset)
         if max(abs(x), abs(y), abs(z)) > MAX_OFFSET:
             message = f"{entry.name!r} is more than {MAX_OFFSET:g} m off its joint"
@@ -127,6 +129,6 @@ def _rig(document: Document, name: str | None) -> Path | None:
         return None
     path = referred(document, ("rig",), name, project_roots(document.path))
     if path is not None and not exists(path):
-        near = missing_hint(document, name)
-        document.add("DOC015", ("rig",), f"{name!r} does not exist", near)
+        hint = missing_hint(document, name)
+        document.add("DOC015", ("rig",), f"{name!r} does not exist", hint)
     return path

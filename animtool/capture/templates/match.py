@@ -13,8 +13,8 @@ from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.names import nearest, similar
 from animtool.core.record import dataclass
 
-# Names in a message.
-SHOWN = 6
+# Largest number of names in a message.
+MAX_LISTED_NAMES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,9 @@ def match_markers(
 
     Args:
         template: The markers.
-        names: Of the capture's markers.
-        subject: Prefix of the names that count; None takes the only one, or the names
-            without prefix.
+        names: Names of the capture's markers.
+        subject: Prefix of the names to match; None takes the only one, or the names
+            without a prefix.
 
     Raises:
         OptionError: No name matches (SOL001), or names of several subjects do (SOL002).
@@ -58,28 +58,28 @@ def match_markers(
     [1]
     """
     labelled = [name for name in names if not name.startswith("*")]
-    matches = {each: _columns(template, names, each) for each in _subjects(labelled)}
-    fitting = {each: c for each, c in matches.items() if (c >= 0).any()}
+    matches = {match: _columns(template, names, match) for match in _subjects(labelled)}
+    matching = {match: c for match, c in matches.items() if (c >= 0).any()}
     if subject is not None:
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
-        fitting = {subject: matches[subject]}
+        matching = {subject: matches[subject]}
         labelled = [name for name in labelled if _split(name)[0] == subject]
-    if len(fitting) > 1:
-        count = counted(len(fitting), "subject")
-        message = f"holds markers of {count}: {listed(sorted(fitting))}"
+    if len(matching) > 1:
+        count = counted(len(matching), "subject")
+        message = f"holds markers of {count}: {listed(sorted(matching))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
-    if not fitting or not (next(iter(fitting.values())) >= 0).any():
+    if not matching or not (next(iter(matching.values())) >= 0).any():
         raise OptionError(_unmatched(template, labelled, names))
-    ((subject, columns),) = fitting.items()
-    used = set(columns[columns >= 0].tolist())
+    ((subject, columns),) = matching.items()
+    used_columns = set(columns[columns >= 0].tolist())
     missing = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
     unused = [
         name
         for i, name in enumerate(names)
-        if i not in used and not name.startswith("*")
+        if i not in used_columns and not name.startswith("*")
     ]
     return MarkerMatch(columns, tuple(missing), tuple(unused), subject)
 
@@ -96,24 +96,24 @@ def _split(name: str) -> tuple[str, str]:
 
 def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
     """Return the index of each marker among the names of a subject; -1 without one."""
-    exact = {
+    bare_names = {
         i: bare
         for i, (prefix, bare) in enumerate(map(_split, names))
         if prefix == subject and not names[i].startswith("*")
     }
     columns = np.full(len(template.markers), -1, np.int64)
-    taken: set[int] = set()
+    used_columns: set[int] = set()
     # Exact spelling first, then ignoring case.
-    for spelled in (str, str.casefold):
+    for normalise in (str, str.casefold):
         index: dict[str, int] = {}
-        for i, bare in exact.items():
-            index.setdefault(spelled(bare), i)
+        for i, bare in bare_names.items():
+            index.setdefault(normalise(bare), i)
         for m, marker in enumerate(template.markers):
             for name in (marker.name, *marker.aliases):
-                i = index.get(spelled(name), -1)
-                if columns[m] < 0 <= i and i not in taken:
+                i = index.get(normalise(name), -1)
+                if columns[m] < 0 <= i and i not in used_columns:
                     columns[m] = i
-                    taken.add(i)
+                    used_columns.add(i)
     return columns
 
 
@@ -126,13 +126,13 @@ def _unmatched(
         message = f"none of its {counted(len(names), 'point')} has a label"
         hint = "animtool mocap label gives points their names"
         return Fault("SOL001", message, hint=hint)
-    bare = [_split(name)[1] for name in labelled]
-    near = [
+    bare_names = [_split(name)[1] for name in labelled]
+    suggestions = [
         f"{name!r} is near {guess!r}"
         for name in template.names
-        if (guess := similar(name, bare))
+        if (guess := similar(name, bare_names))
     ]
-    hint = "; ".join(near[:SHOWN])
-    if not near:
-        hint = f"it has {listed(labelled, SHOWN)}; add them to aliases"
+    hint = "; ".join(suggestions[:MAX_LISTED_NAMES])
+    if not suggestions:
+        hint = f"it has {listed(labelled, MAX_LISTED_NAMES)}; add them to aliases"
     return Fault("SOL001", message, hint=hint)

@@ -16,8 +16,7 @@ from animtool.documents.document import Document, spelled
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
-# Decimals of an offset in a file that is written [m]: a hundredth of a millimetre is
-# below what cameras resolve.
+# Decimals of a written offset [m]: finer than a camera can resolve.
 OFFSET_DECIMALS = 6
 
 
@@ -26,7 +25,7 @@ class TemplateMarker:
     """One marker.
 
     Attributes:
-        name: Its name in captures, without the subject prefix.
+        name: Name in captures, without the subject prefix.
         joint: Name of the joint that carries it.
         offset: Position in the joint's frame [m].
         weight: Weight in a solve; 0 ignores it.
@@ -47,9 +46,9 @@ class MarkerTemplate:
     """Markers on the joints of a rig.
 
     Attributes:
-        markers: M of them, unique by name and alias.
-        rig: The rig file it names, resolved; None for none.
-        document: The file it was read from; None for none.
+        markers: The M markers, unique by name and alias.
+        rig: Path of the rig file it names; None if it names none.
+        document: The file it was read from; None if it is not from a file.
     """
 
     markers: tuple[TemplateMarker, ...]
@@ -108,8 +107,8 @@ def template_text(template: MarkerTemplate, title: str, rig: str | None = None) 
 
     Args:
         template: The markers.
-        title: Of the comment on the first line.
-        rig: Path of the rig file to write; None writes none.
+        title: Comment on the first line.
+        rig: Path of the rig file to write; None omits it.
     """
     return "\n".join(_lines(template, title, rig)) + "\n"
 

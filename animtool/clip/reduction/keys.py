@@ -37,14 +37,16 @@ class ReducedChannel:
 
     target: str  # ``joint.kind``, ``weight[i]`` or ``control/name``
     kind: ChannelKind  # kind of its target
-    index: int  # of the joint in its rig, of the weight, or of the control
+    index: int  # index of the joint in its rig, of the weight, or of the control
     joint: str | None  # name of the joint; None for a weight or a control
-    order: str | None  # of the Euler angles, left to right; None for all but rotations
+    order: (
+        str | None
+    )  # order of the Euler angles, left to right; None for other channels
     # Frames from 0, not time codes. Translations are in [m], rotations in [deg],
-    # continuous over turns; the rest in [1]. Handles lie at thirds of the segments
-    # beside a key.
+    # continuous over revolutions, and others in [1]. Handles lie at thirds of the
+    # segments next to a key.
     keys: FittedKeys
-    # The joint's part as a clip names it; empty for a weight or a control.
+    # The joint's part in the clip; empty for a weight or a control.
     part: str = ""
 
 
@@ -52,15 +54,15 @@ class ReducedChannel:
 class Reduction:
     """Sparse keys of a take and their error."""
 
-    clock: Clock  # of the take, F frames
-    rest: Motion  # one frame of the values without channels
-    # In the order translation, rotation, scale of each joint, then the weights. What
-    # stays at rest has none, what only stays has one key.
+    clock: Clock  # clock of the take, F frames
+    rest: Motion  # one frame with the values of parts without channels
+    # Ordered by translation, rotation, scale of each joint, then the weights. Parts at
+    # rest have no channel; constant parts have one key.
     channels: tuple[ReducedChannel, ...]
-    samples: int  # F times the channels that move
-    error: float  # largest distance of a point from where it was [m]
+    samples: int  # F times the number of moving channels
+    error: float  # largest distance of a point from its original position [m]
     joint: str  # name of the joint that the point belongs to
-    frame: int  # where that is [frame]
+    frame: int  # frame of the largest distance
     held: bool  # whether every joint is within its tolerance
     weight_error: float  # largest error of a weight [1]
     rounds: int  # number of world-error measurements
@@ -78,19 +80,27 @@ class Reduction:
 
 def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) -> Motion:
     """Evaluate the keys at ``frames`` ``(N,)`` [frame]."""
-    at = np.asarray(
+    frame_indices = np.asarray(
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
 
-    def optional_channel(kind: ChannelKind, rest: Channel | None) -> Channel | None:
-        return None if rest is None else _channel(reduction, kind, rest, at)
+    def optional_channel(
+        kind: ChannelKind, rest_motion: Channel | None
+    ) -> Channel | None:
+        return (
+            None
+            if rest_motion is None
+            else _channel(reduction, kind, rest_motion, frame_indices)
+        )
 
-    rest = reduction.rest
+    rest_motion = reduction.rest
     return Motion(
-        _channel(reduction, ChannelKind.TRANSLATION, rest.translations, at),
-        _channel(reduction, ChannelKind.ROTATION, rest.rotations, at),
-        optional_channel(ChannelKind.SCALE, rest.scales),
-        optional_channel(ChannelKind.WEIGHT, rest.weights),
+        _channel(
+            reduction, ChannelKind.TRANSLATION, rest_motion.translations, frame_indices
+        ),
+        _channel(reduction, ChannelKind.ROTATION, rest_motion.rotations, frame_indices),
+        optional_channel(ChannelKind.SCALE, rest_motion.scales),
+        optional_channel(ChannelKind.WEIGHT, rest_motion.weights),
     )
 
 
@@ -106,27 +116,31 @@ def _channel(
     reduction: Reduction, kind: ChannelKind, rest: Channel, at: FloatArray
 ) -> Channel:
     channels = [channel for channel in reduction.channels if channel.kind is kind]
-    constant, moves = rest.rest.copy(), []
+    constant_values, moves = rest.rest.copy(), []
     for channel in channels:
         if len(channel.keys.frames) > 1:
             moves.append(channel)
         else:
-            constant[channel.index] = channel_values(channel, at[:1])[0]
+            constant_values[channel.index] = channel_values(channel, at[:1])[0]
     values = np.zeros((len(at), len(moves), rest.rest.shape[1]))
     for i, channel in enumerate(moves):
         values[:, i] = channel_values(channel, at)
-    return Channel(constant, np.array([c.index for c in moves], np.int64), values)
+    return Channel(
+        constant_values,
+        np.array([reduced_channel.index for reduced_channel in moves], np.int64),
+        values,
+    )
 
 
-# Significant digits: rounding is far below any tolerance.
-DIGITS = 10
+# Significant digits; rounding is far below any tolerance.
+SIGNIFICANT_DIGITS = 10
 
 
 def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
     """Return a reduction as a clip, its numbers rounded in the units of the rig.
 
-    Keys are Hermite with slopes per frame: each segment is the fitted
-    cubic. Rotations are Euler angles; a pin has one angle.
+    Keys are Hermite with slopes per frame, so that each segment is the fitted cubic.
+    Rotations are Euler angles; a pin has one angle.
     """
     clock = reduction.clock
     last = clock.start + (clock.count - 1) * clock.step
@@ -151,31 +165,31 @@ def fitted_channel(
     """Return fitted keys as a channel of Hermite keys.
 
     Args:
-        target: Of the channel.
-        keys: In metres, degrees or [1]; frames from 0.
+        target: Target of the channel.
+        keys: Keys in metres, degrees or [1]; frames from 0.
         clock: Clock of the frames.
         unit: Unit of written values [m], [rad] or [1].
         euler: Euler order; empty for other values.
     """
-    # Unit of the fitted keys in the unit of the file.
-    rotates = bool(euler) or target.endswith(".angle")
-    factor = (math.radians(1.0) if rotates else 1.0) / unit
+    # Unit of the fitted keys relative to the unit of the file.
+    is_rotation = bool(euler) or target.endswith(".angle")
+    factor = (math.radians(1.0) if is_rotation else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
-    spans = np.diff(times)[:, None]
-    count, width = keys.values.shape
-    ins, outs = np.zeros((2, count, 1 + width))
+    intervals = np.diff(times)[:, None]
+    count, components = keys.values.shape
+    ins, outs = np.zeros((2, count, 1 + components))
     ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
-    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / spans * factor, unit)
-    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / spans * factor, unit)
-    ends = (Tangent.AUTO_CLAMPED, Tangent.FREE)
-    befores = (ends[0], *(Tangent.FREE,) * (count - 1))
-    behinds = (*(Tangent.FREE,) * (count - 1), ends[0])
+    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / intervals * factor, unit)
+    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / intervals * factor, unit)
+    outer_tangents = (Tangent.AUTO_CLAMPED, Tangent.FREE)
+    tangents_before = (outer_tangents[0], *(Tangent.FREE,) * (count - 1))
+    tangents_after = (*(Tangent.FREE,) * (count - 1), outer_tangents[0])
     return ClipChannel(
         target,
         times,
         _rounded(keys.values * factor, unit),
         (Interp.HERMITE,) * count,
-        tuple(zip(befores, behinds, strict=True)),
+        tuple(zip(tangents_before, tangents_after, strict=True)),
         ins,
         outs,
         np.zeros((count, 3)),
@@ -193,6 +207,8 @@ def _target(channel: ReducedChannel, rig: Rig) -> str:
 
 def _rounded(values: ArrayLike, unit: float) -> FloatArray:
     """Round values in a unit; return them in metres and radians."""
-    flat = np.ravel(values).tolist()
-    short = [float(f"{value + 0.0:.{DIGITS}g}") * unit for value in flat]
-    return np.reshape(short, np.shape(values))
+    flattened = np.ravel(values).tolist()
+    rounded_values = [
+        float(f"{value + 0.0:.{SIGNIFICANT_DIGITS}g}") * unit for value in flattened
+    ]
+    return np.reshape(rounded_values, np.shape(values))

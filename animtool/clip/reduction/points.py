@@ -21,7 +21,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 # Distance of skin and props from their joint, as ACL assumes [m].
-SHELL = 0.03
+SHELL_DISTANCE = 0.03
 
 
 def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArray:
@@ -29,9 +29,9 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
 
     Args:
         rig: J joints.
-        tolerance: Of most joints [m].
-        others: By joint name or pattern such as ``hand_*``; the last
-            match counts [m].
+        tolerance: Tolerance of all other joints [m].
+        others: Tolerances by joint name or pattern such as ``hand_*``; the last match
+            counts [m].
 
     Raises:
         OptionError: A name matches no joint, or a tolerance is not above 0 (CLIP020).
@@ -51,8 +51,8 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         matching = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
         bounds[matching] = value
         if not matching:
-            near = similar(pattern, rig.names)
-            hint = f"did you mean {near!r}?" if near else None
+            suggestions = similar(pattern, rig.names)
+            hint = f"did you mean {suggestions!r}?" if suggestions else None
             message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"
             faults.append(Fault("CLIP020", message, hint=hint))
     if faults:
@@ -63,8 +63,8 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
 def attached_points(rig: Rig, shell: float) -> FloatArray:
     """Return points attached to every joint, in its frame ``(J, P, 3)`` [m].
 
-    Its origin, one point along each axis, and the tips of its bone. Joints
-    with fewer tips repeat their origin.
+    These are the joint's origin, one point along each axis, and the tips of its bone.
+    Joints with fewer tips repeat their origin.
 
     Args:
         rig: J joints.
@@ -110,11 +110,11 @@ class Budget:
     track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
     fraction: FloatArray  # fraction of the tolerance at each frame ``(F,)`` [1]
-    keys: FittedKeys  # fitted to the samples
-    # Of these keys at every frame ``(F,)``, in the unit of the samples.
+    keys: FittedKeys  # keys fitted to the samples
+    # Error of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
-    values: FloatArray  # of these keys at every frame ``(F, D)``
-    # Frames that start a straight segment.
+    values: FloatArray  # values of these keys at every frame ``(F, D)``
+    # Frames at which a straight segment starts.
     straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
@@ -122,8 +122,10 @@ class Budget:
         """Return a track with its initial keys."""
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance, within=track.within)
-        blank = np.zeros(frames)
-        budget = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
+        no_fraction = np.zeros(frames)
+        budget = Budget(
+            track, tolerance, np.ones(frames), keys, no_fraction, track.samples
+        )
         budget.settle()
         return budget
 
@@ -138,23 +140,32 @@ class Budget:
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
-        at, limits = np.asarray(frames), np.asarray(factor) / self.tolerance
+        frames_and_limits, limits = (
+            np.asarray(frames),
+            np.asarray(factor) / self.tolerance,
+        )
         starts = self.keys.frames
-        segment = np.searchsorted(starts, at, side="right") - 1
+        segment = np.searchsorted(starts, frames_and_limits, side="right") - 1
         segment = segment.clip(0, max(0, len(starts) - 2))
         lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.fraction)])
-        around = np.maximum(1, lengths[segment] // 4)
-        for frame, limit, width in zip(at, limits, around, strict=True):
-            near = slice(max(0, int(frame - width)), int(frame + width + 1))
-            self.fraction[near] = np.minimum(self.fraction[near], limit)
-        kept = np.ones(len(starts), np.bool_)
-        marked = np.unique(segment)
+        half_widths = np.maximum(1, lengths[segment] // 4)
+        for frame, limit, half_width in zip(
+            frames_and_limits, limits, half_widths, strict=True
+        ):
+            affected = slice(
+                max(0, int(frame - half_width)), int(frame + half_width + 1)
+            )
+            self.fraction[affected] = np.minimum(self.fraction[affected], limit)
+        is_kept = np.ones(len(starts), np.bool_)
+        changed_segments = np.unique(segment)
         if spread:
-            kept[(marked + 1).clip(max=len(starts) - 1)] = False
+            is_kept[(changed_segments + 1).clip(max=len(starts) - 1)] = False
         else:
-            both = marked[np.isin(marked + 1, marked)]
-            kept[(both + 1).clip(max=len(starts) - 1)] = False
-        self.fit(starts[1:-1][kept[1:-1]])
+            merged_segments = changed_segments[
+                np.isin(changed_segments + 1, changed_segments)
+            ]
+            is_kept[(merged_segments + 1).clip(max=len(starts) - 1)] = False
+        self.fit(starts[1:-1][is_kept[1:-1]])
 
     def straighten(self, frames: IntArray) -> None:
         """Refit with straight segments at additional frames."""
@@ -188,10 +199,10 @@ class Budget:
 
 
 def subtree_largest(parents: IntArray, values: FloatArray) -> FloatArray:
-    """Return the largest of each joint's values ``(F, J)`` and its descendants'."""
+    """Return the largest of each joint's and its descendants' values ``(F, J)``."""
     largest = np.ascontiguousarray(values.T)
     for joint in range(len(largest) - 1, -1, -1):
         if parents[joint] >= 0:
-            above = largest[parents[joint]]
-            np.maximum(above, largest[joint], out=above)
+            parent_values = largest[parents[joint]]
+            np.maximum(parent_values, largest[joint], out=parent_values)
     return largest.T

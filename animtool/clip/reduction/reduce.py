@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
-    SHELL,
+    SHELL_DISTANCE,
     Budget,
     attached_points,
     joint_bounds,
@@ -28,24 +28,25 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Rig
 
-# Levers are only a first guess: the first rounds scale each channel's tolerance by
-# what came of it in the world, the others tighten where that was too much.
-CALIBRATING = 3
-ROUNDS = 40
-# From this round on no key moves, so that each adds keys and the errors go down.
-SPLITTING = 8
-# Keys of balls keep their limits to within this between samples [rad], measured so many
-# times a frame.
-LIMIT_SLACK, BETWEEN = 1e-4, 4
-# Fraction of frames beyond the tolerance after calibration [1].
-QUANTILE = 0.95
+# Lever arms are only a first guess: the first rounds scale each channel's tolerance by
+# the resulting world error; the others tighten where that was too large.
+CALIBRATION_ROUNDS = 3
+MAX_ROUNDS = 40
+# From this round on, keys no longer move; each round only adds keys, so that errors
+# decrease.
+FIRST_SPLITTING_ROUND = 8
+# Keys of balls stay within their limits up to this between samples [rad], checked at
+# this many points per frame.
+LIMIT_SLACK, LIMIT_CHECKS_PER_FRAME = 1e-4, 4
+# Quantile of the frames used for calibration [1].
+CALIBRATION_QUANTILE = 0.95
 
 
 def reduce_motion(
     take: Take,
     tolerance: float,
     *,
-    shell: float = SHELL,
+    shell: float = SHELL_DISTANCE,
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = WEIGHT_TOLERANCE,
     base: Take | None = None,
@@ -54,41 +55,43 @@ def reduce_motion(
 ) -> Reduction:
     """Return sparse keys of a take whose world error is within a tolerance.
 
-    The error of a joint is the largest distance, at any frame of the take, of its
-    origin, of points off it along its three axes and of its bone's tips from where
-    they were. So it sees a twist that leaves all origins in place, as the measure
-    of ACL does. Inherited scale grows the shell too.
+    The error of a joint is the largest distance, over all frames of the take, of its
+    origin, of points on its three axes and of its bone's tips from their original
+    positions. It therefore includes twist that leaves all origins in place, like the
+    measure of ACL. Inherited scale enlarges the shell too.
 
-    Each channel is fitted by `animtool.maths.fit.fit_keys` with a tolerance of its
-    own. These start from levers, are scaled by what comes of them in the world, and
-    where a joint is then off by too much, the channels of its chain that have the
-    largest part in it are tightened around that frame. Same take, same bytes.
+    Each channel is fitted by `animtool.maths.fit.fit_keys` with its own tolerance.
+    Tolerances start from lever arms and are scaled by the resulting world error. Where
+    a joint's error is still too large, the channels of its chain that contribute most
+    are tightened around that frame. The result is deterministic.
 
-    Pins and slides keep their limits between frames too, and balls theirs to within
-    some hundredths of a degree, or tenths where they turn by over 10 degrees a frame,
-    as the shortest arc from frame to frame does; where all that they do is keyed.
+    Pins and slides stay within their limits between frames, too. Balls stay within
+    theirs up to some hundredths of a degree, or tenths if they rotate by more than 10
+    degrees per frame, along the shortest arc between frames. This requires that all
+    their motion is keyed.
 
-    Limits: between frames no error is measured. A tolerance near rounding
-    (1e-12 of the rig's size) may not be reached; ``held`` says so. Controls are left
-    out, as joints and weights hold what they drive.
+    Limits: errors between frames are not measured. A tolerance near rounding (1e-12 of
+    the rig's size) may not be reached; ``held`` is False then. Controls are omitted,
+    since joints and weights contain their effect.
 
     Args:
-        take: At least one frame.
+        take: A take of at least one frame.
         tolerance: Largest error of any joint > 0 [m].
-        shell: How far off the joint's origin to measure as well, > 0 [m].
-        joint_tolerances: Other tolerances, by the names of joints or patterns of
-            them such as ``hand_*`` > 0 [m].
+        shell: Distance of the measured points from the joint's origin > 0 [m].
+        joint_tolerances: Other tolerances by joint name or pattern such as ``hand_*`` >
+            0 [m].
         weight_tolerance: Largest error of a shape's weight > 0 [1].
-        base: For a take of additive deltas what they are added to, frame by frame:
-            translations are summed, rotations stand behind the base's, scales are
-            multiplied. Rest is then no delta. None is a take that stands alone.
-        tracks: The channels to key; None is all that is not at rest, each joint as a
-            whole.
-        start: What joints without a track do in the end; None is what the take does.
+        base: For a take of additive deltas, the motion they are added to, frame by
+            frame: translations are summed, rotations are applied after the base's,
+            scales are multiplied. The rest pose then has no deltas. None for a complete
+            take.
+        tracks: Channels to key; None keys every joint that is not at rest, with its
+            full transform.
+        start: Result for joints without a track; None uses the take's motion.
 
     Returns:
-        Keys and what they reached; `animtool.clip.reduction.keys.evaluate_reduction`
-        gives the motion back where ``tracks`` is None.
+        Keys and their errors; `animtool.clip.reduction.keys.evaluate_reduction` returns
+        the motion if ``tracks`` is None.
 
     Raises:
         OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
@@ -102,19 +105,19 @@ def reduce_motion(
     _check(take, base, shell)
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
-    rest = _rest(rig, motion, additive=base is not None)
+    rest_motion = _rest(rig, motion, additive=base is not None)
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    tracks = tracks_of(rig, motion, rest) if tracks is None else tracks
+    tracks = tracks_of(rig, motion, rest_motion) if tracks is None else tracks
     weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
     local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
-    below = None if base is None else base.motion
+    base_motion = None if base is None else base.motion
     budgets: list[Budget] = []
     reached = _Reached([], np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
-        world = _World(rig, motion, below, shell, bounds)
+        world = _World(rig, motion, base_motion, shell, bounds)
         if start is not None:
-            world.pose = pose_of(rig, start, below)
+            world.pose = pose_of(rig, start, base_motion)
         budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
         reached = _search(world, budgets)
     shapes = [Budget.of(track, weight_tolerance) for track in weights if track.moves]
@@ -122,7 +125,7 @@ def reduce_motion(
     frame, joint = divmod(int(np.argmax(reached.errors)), reached.errors.shape[1])
     return Reduction(
         clock=take.clock,
-        rest=rest,
+        rest=rest_motion,
         channels=_channels(rig, local + weights, [*budgets, *shapes]),
         samples=motion.frames * sum(track.moves for track in tracks),
         error=float(reached.errors[frame, joint]),
@@ -164,16 +167,16 @@ class _World:
 
     def first_tolerance(self, track: KeyTrack) -> float:
         """Return a channel's initial tolerance by the lever arms of its descendants."""
-        below = np.flatnonzero(self.below[track.index])
+        descendants = np.flatnonzero(self.below[track.index])
         frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
         positions = self.truth.positions[frames]
         arms = np.linalg.norm(
-            positions[:, below] - positions[:, track.index, None], axis=-1
+            positions[:, descendants] - positions[:, track.index, None], axis=-1
         )
-        lever = arms.max(axis=0) + self.reach[below]
+        lever = arms.max(axis=0) + self.reach[descendants]
         if track.kind is ChannelKind.TRANSLATION:
-            return float(self.bounds[below].min() / 2)
-        tolerance = float((self.bounds[below] / (2 * lever.clip(min=1e-9))).min())
+            return float(self.bounds[descendants].min() / 2)
+        tolerance = float((self.bounds[descendants] / (2 * lever.clip(min=1e-9))).min())
         rotates = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if rotates else tolerance
 
@@ -195,26 +198,30 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
     """Calibrate and tighten channel tolerances; return the keys."""
     errors = world.measure(budgets)
     rounds = 1
-    for _ in range(CALIBRATING if budgets else 0):
-        used = subtree_largest(world.rig.parents, errors / world.bounds)
+    for _ in range(CALIBRATION_ROUNDS if budgets else 0):
+        error_ratios = subtree_largest(world.rig.parents, errors / world.bounds)
         for budget in budgets:
-            typical = float(np.quantile(used[:, budget.track.index], QUANTILE))
+            typical = float(
+                np.quantile(error_ratios[:, budget.track.index], CALIBRATION_QUANTILE)
+            )
             budget.scale(float(np.clip(0.9 / max(typical, 1e-9), 0.25, 4.0)))
         errors = world.measure(budgets)
         rounds += 1
     ratio = float((errors / world.bounds).max())
-    while rounds < ROUNDS:
-        changed = []
+    while rounds < MAX_ROUNDS:
+        changed_budgets = []
         if ratio > 1:
-            changed = _tighten(world, budgets, errors, spread=rounds < SPLITTING)
+            changed_budgets = _tighten(
+                world, budgets, errors, spread=rounds < FIRST_SPLITTING_ROUND
+            )
         for budget in budgets:
             frames = _beyond_limits(budget)
             if len(frames):
                 budget.straighten(frames)
-                changed.append(budget)
-        if not changed:
+                changed_budgets.append(budget)
+        if not changed_budgets:
             break
-        errors = world.measure(changed)
+        errors = world.measure(changed_budgets)
         ratio = float((errors / world.bounds).max())
         rounds += 1
     return _Reached([b.keys for b in budgets], errors, ratio, rounds)
@@ -229,47 +236,59 @@ def _beyond_limits(budget: Budget) -> IntArray:
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
     at_samples = track.excess(track.samples)
-    most = (
-        np.repeat(np.maximum(at_samples[:-1], at_samples[1:]), BETWEEN - 1)
+    allowed = (
+        np.repeat(
+            np.maximum(at_samples[:-1], at_samples[1:]), LIMIT_CHECKS_PER_FRAME - 1
+        )
         + LIMIT_SLACK
     )
-    at = np.arange(1, BETWEEN * (len(at_samples) - 1))
-    between = at[at % BETWEEN != 0] / BETWEEN
-    beyond = track.excess(evaluate_keys(budget.keys, between)) > most
-    first = np.unique(np.floor(between[beyond]).astype(np.int64))
-    return np.setdiff1d(first, budget.straight)
+    substeps = np.arange(1, LIMIT_CHECKS_PER_FRAME * (len(at_samples) - 1))
+    times_between = (
+        substeps[substeps % LIMIT_CHECKS_PER_FRAME != 0] / LIMIT_CHECKS_PER_FRAME
+    )
+    is_beyond = track.excess(evaluate_keys(budget.keys, times_between)) > allowed
+    first_frames = np.unique(np.floor(times_between[is_beyond]).astype(np.int64))
+    return np.setdiff1d(first_frames, budget.straight)
 
 
 def _tighten(
     world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
 ) -> list[Budget]:
     """Tighten the channels that contribute most to each excessive error."""
-    frames, ends = np.argwhere(errors > world.bounds).T.astype(np.int64)
-    excess = errors[frames, ends] / world.bounds[ends]
-    parts = np.zeros((len(budgets), len(frames)))
+    frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
+    excess = errors[frames, joints_beyond] / world.bounds[joints_beyond]
+    contributions = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
         joint = budget.track.index
-        hit = np.flatnonzero(world.below[joint, ends])
-        arms = world.arms(joint, frames[hit], ends[hit])
-        parts[i, hit] = budget.unit_motion(arms) * budget.errors[frames[hit]]
-    located = (parts >= 0.5 * parts.max(axis=0, initial=0.0)) & (parts > 0)
-    changed = []
+        affected = np.flatnonzero(world.below[joint, joints_beyond])
+        arms = world.arms(joint, frames[affected], joints_beyond[affected])
+        contributions[i, affected] = (
+            budget.unit_motion(arms) * budget.errors[frames[affected]]
+        )
+    is_main_cause = (contributions >= 0.5 * contributions.max(axis=0, initial=0.0)) & (
+        contributions > 0
+    )
+    changed_budgets = []
     for i, budget in enumerate(budgets):
-        hit = np.flatnonzero(located[i])
-        if len(hit):
-            at, inverse = np.unique(frames[hit], return_inverse=True)
-            worst = np.zeros(len(at))
-            np.maximum.at(worst, inverse, excess[hit])
-            budget.tighten(at, budget.errors[at] * 0.9 / worst, spread=spread)
-            changed.append(budget)
-    return changed
+        affected = np.flatnonzero(is_main_cause[i])
+        if len(affected):
+            frame_positions, inverse = np.unique(frames[affected], return_inverse=True)
+            largest_excess = np.zeros(len(frame_positions))
+            np.maximum.at(largest_excess, inverse, excess[affected])
+            budget.tighten(
+                frame_positions,
+                budget.errors[frame_positions] * 0.9 / largest_excess,
+                spread=spread,
+            )
+            changed_budgets.append(budget)
+    return changed_budgets
 
 
 def _channels(
     rig: Rig, tracks: list[KeyTrack], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
     """Return one channel per track, with one key if static."""
-    keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
+    keys = {(budget.track.kind, budget.track.index): budget.keys for budget in budgets}
     return tuple(
         _channel(
             rig,
@@ -294,25 +313,23 @@ def _channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
 
 
 def _descendants(rig: Rig) -> BoolArray:
-    """Return whether joint k is joint j or its descendant ``(J, J)``, at [j, k]."""
-    below = np.eye(len(rig.joints), dtype=np.bool_)
+    """Return whether joint k is joint j or a descendant of it ``(J, J)``, at [j, k]."""
+    is_descendant = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
-            below[:, joint] |= below[:, parent]
-    return below
+            is_descendant[:, joint] |= is_descendant[:, parent]
+    return is_descendant
 
 
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of the values without keys."""
     joints = len(rig.joints)
-    constant = Channel.static
+    static = Channel.static
     return Motion(
-        constant(np.zeros((joints, 3)) if additive else rig.rest_translations),
-        constant(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
-        None if motion.scales is None else constant(np.ones((joints, 3))),
-        None
-        if motion.weights is None
-        else constant(np.zeros_like(motion.weights.rest)),
+        static(np.zeros((joints, 3)) if additive else rig.rest_translations),
+        static(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
+        None if motion.scales is None else static(np.ones((joints, 3))),
+        None if motion.weights is None else static(np.zeros_like(motion.weights.rest)),
     )
 
 

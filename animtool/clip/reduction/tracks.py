@@ -17,14 +17,14 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig
 
 # Parts that replace a joint's full local transform.
-PARTS = {
+LOCAL_PARTS = {
     ChannelKind.TRANSLATION: "local_translation",
     ChannelKind.ROTATION: "local_rotation",
     ChannelKind.SCALE: "scale",
 }
 
-# Least cosine of the middle angle: some 80 degrees.
-NEAR_LOCK = 0.17
+# Minimum cosine of the middle angle, equal to some 80 degrees.
+MIN_LOCK_COSINE = 0.17
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,20 +32,19 @@ class KeyTrack:
     """Samples of one channel."""
 
     kind: ChannelKind  # kind of its target
-    index: int  # of the joint in its rig, or of the weight
-    order: str | None  # of the Euler angles; None for all but rotations
-    # ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles [deg], lengths
-    # [m], or [1].
+    index: int  # index of the joint in its rig, or of the weight
+    order: str | None  # order of the Euler angles; None for other channels
+    # ``(F, D)``, or ``(1, D)`` for a static channel: angles [deg], lengths [m], or [1].
     samples: FloatArray
-    part: str = ""  # the joint's part as a clip names it; empty for a weight
-    # What the samples are relative to: rotations ``(F or 1, 4)``, or translations ``(F
-    # or 1, 3)`` [m]; None is the parent's space.
+    part: str = ""  # the joint's part in a clip; empty for a weight
+    # Reference of the samples: rotations ``(F or 1, 4)``, or translations ``(F or 1,
+    # 3)`` [m]; None for the parent's space.
     before: FloatArray | None = None
     # Rotation of the frame that relative translations are in.
     rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
-    # Of a pin's angle or a slide, in the joint's rest frame.
+    # Axis of a pin's angle or a slide, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    # Of the joint, where the samples are all that it does; None is none.
+    # Limits of the joint, if the samples are its complete motion; None for no limits.
     limits: RangeLimit | BallLimit | None = None
 
     def local(self, values: FloatArray) -> FloatArray:
@@ -61,18 +60,18 @@ class KeyTrack:
             )
         if self.before is None:
             return values
-        moved = values * np.array(self.axis) if values.shape[1] == 1 else values
-        return np.asarray(self.before + so3.rotate(self.rest, moved))
+        vectors = values * np.array(self.axis) if values.shape[1] == 1 else values
+        return np.asarray(self.before + so3.rotate(self.rest, vectors))
 
     @property
     def within(self) -> tuple[float, float] | None:
         """Minimum and maximum of a scalar track."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
-        low, high = self.limits.low, self.limits.high
+        lower, upper = self.limits.low, self.limits.high
         if self.kind is ChannelKind.ROTATION:
-            return float(np.degrees(low)), float(np.degrees(high))
-        return low, high
+            return float(np.degrees(lower)), float(np.degrees(upper))
+        return lower, upper
 
     def excess(self, values: FloatArray) -> FloatArray:
         """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
@@ -90,8 +89,8 @@ class KeyTrack:
 def euler_order(joint: Joint, rotations: FloatArray) -> str:
     """Return the Euler order farthest from gimbal lock for rotations ``(F, 4)``.
 
-    The joint's BVH channel order if its middle angle stays 10° from
-    gimbal lock, else the order whose middle angle stays farthest from it.
+    This is the joint's BVH channel order if its middle angle stays 10° from gimbal
+    lock, else the order whose middle angle stays farthest from it.
 
     >>> euler_order(Joint("a", -1), np.array([[0, 0.5**0.5, 0, 0.5**0.5]]))
     'XZY'
@@ -101,11 +100,14 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
         for channel in joint.channels or ()
         if channel.lower().endswith("rotation")
     )
-    if bvh_order in euler.ORDERS and _off_lock(rotations, bvh_order) >= NEAR_LOCK:
+    if (
+        bvh_order in euler.ORDERS
+        and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE
+    ):
         return bvh_order
-    off = {order: _off_lock(rotations, order) for order in euler.ORDERS}
+    lock_cosines = {order: _lock_cosine(rotations, order) for order in euler.ORDERS}
     # Rounded, so that ties do not depend on the last digit.
-    return max(euler.ORDERS, key=lambda order: round(off[order], 6))
+    return max(euler.ORDERS, key=lambda order: round(lock_cosines[order], 6))
 
 
 def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
@@ -139,9 +141,9 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
                 samples = euler.from_quaternion(values, order)
-                yield KeyTrack(kind, index, order, samples, PARTS[kind])
+                yield KeyTrack(kind, index, order, samples, LOCAL_PARTS[kind])
             else:
-                samples, part = np.ascontiguousarray(values), PARTS.get(kind, "")
+                samples, part = np.ascontiguousarray(values), LOCAL_PARTS.get(kind, "")
                 yield KeyTrack(kind, index, None, samples, part)
 
 
@@ -158,12 +160,12 @@ def _moving_or_placed(
             yield index, value[None]
 
 
-def _off_lock(rotations: FloatArray, order: str) -> float:
-    """Return the least cosine of the middle Euler angle."""
-    first, middle, last = euler.axes_of(order)
-    product = rotations[:, first] * rotations[:, last]
-    twist = rotations[:, middle] * rotations[:, 3]
-    sign = 1.0 if (middle - first) % 3 == 1 else -1.0
+def _lock_cosine(rotations: FloatArray, order: str) -> float:
+    """Return the minimum cosine of the middle Euler angle."""
+    first_axis, middle_axis, last_axis = euler.axes_of(order)
+    product = rotations[:, first_axis] * rotations[:, last_axis]
+    twist = rotations[:, middle_axis] * rotations[:, 3]
+    sign = 1.0 if (middle_axis - first_axis) % 3 == 1 else -1.0
     sine = np.abs(2.0 * (product + sign * twist)).max().clip(max=1.0)
     return float(np.sqrt(1.0 - sine * sine))
 
@@ -175,9 +177,9 @@ class ReducedPose:
     rig: Rig  # J joints
     translations: FloatArray  # ``(F, J, 3)`` [m]
     rotations: FloatArray  # ``(F, J, 4)``
-    scales: FloatArray | None  # ``(F, J, 3)`` [1]; None where nothing is scaled
+    scales: FloatArray | None  # ``(F, J, 3)`` [1]; None if nothing is scaled
     base: ReducedPose | None = (
-        None  # what the channels add to; None where they stand alone
+        None  # the base pose that the channels are added to; None for a complete pose
     )
 
     def set(self, track: KeyTrack, values: FloatArray) -> None:
@@ -192,9 +194,11 @@ class ReducedPose:
                 local if base is None else add_offset(base.translations[:, j], local)
             )
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
-            below = None if base is None else base.scales
+            base_scales = None if base is None else base.scales
             self.scales[:, j] = (
-                local if below is None else multiply_scale(below[:, j], local)
+                local
+                if base_scales is None
+                else multiply_scale(base_scales[:, j], local)
             )
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
@@ -218,16 +222,18 @@ def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
     """Return the pose of a motion, added to its base if additive."""
     if base is None:
         return ReducedPose(rig, *motion.dense())
-    below = pose_of(rig, base, None)
+    base_pose = pose_of(rig, base, None)
     translations, rotations, scales = motion.dense()
-    if below.scales is not None:
+    if base_pose.scales is not None:
         scales = (
-            below.scales if scales is None else multiply_scale(below.scales, scales)
+            base_pose.scales
+            if scales is None
+            else multiply_scale(base_pose.scales, scales)
         )
     return ReducedPose(
         rig,
-        add_offset(below.translations, translations),
-        add_rotation(below.rotations, rotations),
+        add_offset(base_pose.translations, translations),
+        add_rotation(base_pose.rotations, rotations),
         None if scales is None else np.ascontiguousarray(scales),
-        below,
+        base_pose,
     )

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # Of a name in a folder, on nearly every disk [byte].
 LONGEST_NAME = 255
+# The output that is no file, as commands name it.
+STDOUT = Path("-")
 # Windows gives these to devices, whatever the suffix.
 _DEVICES = frozenset(
     {"con", "prn", "aux", "nul", "conin$", "conout$"}

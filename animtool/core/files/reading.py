@@ -341,6 +341,11 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 
+def is_pattern(text: str) -> bool:
+    """Return whether a path has the wildcards of a glob."""
+    return not _WILD.isdisjoint(text)
+
+
 def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """Yield the files that a name, folder or glob matches, in order.
 
@@ -355,7 +360,7 @@ def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
         for file in sorted(path.rglob("*")):
             if file.name.lower().endswith(known) and _is_shown(file, path):
                 yield MatchedFile(file, path)
-    elif _WILD & set(text) and not path.exists():
+    elif is_pattern(text) and not path.exists():
         # Folders without a wildcard stay as the user spells them.
         parts = path.parts
         first = next(i for i, part in enumerate(parts) if _WILD & set(part))

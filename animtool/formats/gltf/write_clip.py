@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.clip.keyed_curve import clip_of, is_of_curve
-from animtool.clip.reduction.points import SHELL, joint_bounds
+from animtool.clip.reduction.points import SHELL_DISTANCE, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
@@ -237,7 +237,7 @@ def _tolerance(path: str, joint: int, reaches: FloatArray, take: Take) -> float:
     reach_ = float(reaches[joint])
     if path == "translation":
         return reach_
-    return reach_ / max(SHELL, float(_reaches(take)[joint]))
+    return reach_ / max(SHELL_DISTANCE, float(_reaches(take)[joint]))
 
 
 def _reaches(take: Take) -> FloatArray:

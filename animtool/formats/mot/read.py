@@ -36,7 +36,7 @@ from animtool.formats.row_times import (
     rate_of_step,
     rounding_of,
 )
-from animtool.ik.sub_rig import following
+from animtool.ik.sub_rig import with_mimics
 from animtool.maths.filters import fill_gaps
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -238,8 +238,10 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = rows_to_coordinates(rig, columns, values)
-    animated_joints = {rig.joints[coordinate.joint].name for coordinate in columns}
-    local = local_from_coordinates(rig, following(rig, coordinates, animated_joints))
+    animated_joints = {
+        rig.joints[coordinate.joint_index].name for coordinate in columns
+    }
+    local = local_from_coordinates(rig, with_mimics(rig, coordinates, animated_joints))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )

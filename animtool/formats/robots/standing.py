@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.ik.sub_rig import following
+from animtool.ik.sub_rig import with_mimics
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
@@ -30,7 +30,7 @@ def zero_coordinates(rig: Rig) -> FloatArray:
             q[0, slice_.stop - 1] = 1.0
         elif isinstance(joint.limits, RangeLimit):
             q[0, slice_] = joint.limits.clamped(q[0, slice_])
-    return following(rig, q, rig.names)
+    return with_mimics(rig, q, rig.names)
 
 
 def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:

@@ -157,8 +157,7 @@ class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
           const MovingColliders& colliders, const FrameColliders& frame,
-          const ParticleColliders& particle_colliders, const double* targets, const double* state,
-          double* out)
+          const CarrierColliders& own, const double* targets, const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
@@ -177,8 +176,7 @@ class Bundles {
     for (const SpringElements& one : strands.segments()) {
       FaceContacts& segments = segments_.emplace_back(one, colliders.radius());
       for (std::size_t c = 0; c < colliders.size(); ++c)
-        if (c >= particle_colliders.first &&
-            c < particle_colliders.first + particle_colliders.second)
+        if (c >= own.first && c < own.first + own.second)
           segments.skip();
         else
           segments.add(colliders[c]);
@@ -407,7 +405,7 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads, const ParticleColliders& particle_colliders) {
+                               std::size_t threads, const CarrierColliders& own) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -431,8 +429,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::vector<Bundles> workers;
   workers.reserve(std::min(threads, most));
   while (workers.size() < std::min(threads, most))
-    workers.emplace_back(strands, plan, moving, frame, particle_colliders, targets.data(),
-                         state.data(), out.get());
+    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(), out.get());
   cross_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t together = 0;

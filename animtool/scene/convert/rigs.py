@@ -155,7 +155,7 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     moved = source.resolve().parent != output.resolve().parent
-    rig, arrays = with_file(rig, arrays_path, moved=moved)
+    rig, arrays = with_file(rig, arrays_path, copy_all=moved)
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 

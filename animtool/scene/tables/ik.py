@@ -147,7 +147,7 @@ def _outcome(solved: TakeIk) -> TrialOutcome:
     world = take.world()
     turned = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
     shots = [Snapshot(points) for points in world.positions[:, joints] + turned]
-    misses = np.where(solved.asked, solved.misses, 0.0)
+    misses = np.where(solved.active, solved.misses, 0.0)
     reached = [status is IkStatus.CONVERGED for status in solved.statuses]
     figures = {
         Figure.MISS: float(misses[..., 0].max(initial=0.0)),

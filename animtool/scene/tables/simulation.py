@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
-from animtool.ik.take_pass import IkPassOptions, asked_of, settings_of
+from animtool.core.files.output import STDOUT
+from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind
@@ -134,7 +135,7 @@ def _times(
     # Nothing is written: chunks would need a file.
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(replace(scene, outputs=(plain,)), None, options)
+    plan = plan_stage(replace(scene, outputs=(plain,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(character.times, plan), character
@@ -168,7 +169,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
             with entry.location.located():
-                asked = asked_of(take, entry.options, scene.path.resolve().parent)
+                asked = rig_and_tracks(take, entry.options, scene.path.resolve().parent)
                 trials.append(
                     (entry.location, pass_trial(*asked, settings_of(entry.options)))
                 )
@@ -267,7 +268,7 @@ def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
     world = motion.world(rig)
-    shell = attached_points(rig, SHELL)[body.joints, :, None]
+    shell = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
     all_points: FloatArray = points.reshape(motion.frames, -1, 3)

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clip.reduction.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import STDOUT
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -71,7 +72,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         OptionError: It is simulated or written as points (SCN062, CLI002).
     """
     options = options or BakeOptions()
-    plan = plan_stage(source, None, options)
+    plan = plan_stage(source, STDOUT, options)
     if plan.options.deform:
         message = (
             f"{argument('table')} measures joints, but the scene writes deformed points"
@@ -91,7 +92,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
     beyond = tuple(
-        replace(notice, path=notice.path or str(path))
+        notice.in_file(path)
         for notice in take.notices
         if notice not in full_take.notices
     )
@@ -145,7 +146,7 @@ class _Known:
         fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
         per_frame = fine if curve is not None else 1
         count = (clock.count - 1) * per_frame + 1
-        points = attached_points(take.rig, SHELL)[..., 0].size
+        points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
         most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
         picked = np.unique(np.linspace(0, count - 1, most).astype(np.int64))
         frames = picked / per_frame
@@ -165,7 +166,7 @@ class _Known:
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, at each time."""
-    attached = attached_points(rig, SHELL)
+    attached = attached_points(rig, SHELL_DISTANCE)
     return [
         Snapshot(
             (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(

@@ -220,7 +220,8 @@ def pierced_pairs(
 
     Pairs within solids are not counted.
     """
-    count = _pierced_count(points, triangles)
+    own = np.ascontiguousarray(triangles, np.int64)
+    count = _kernels.pierced_edges(np.ascontiguousarray(points), own)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
@@ -228,18 +229,7 @@ def pierced_pairs(
         faces = solid.triangles[nearby.all(axis=1)]
         if not len(faces):
             continue
-        used, faces = np.unique(faces, return_inverse=True)
-        faces = faces.reshape(-1, 3)
-        all_points = np.concatenate([points, solid.points[used]])
-        all_triangles = np.concatenate([triangles, faces + len(points)])
-        count += _pierced_count(all_points, all_triangles) - _pierced_count(
-            solid.points[used], faces
-        )
-        count -= _pierced_count(points, triangles)
+        all_points = np.concatenate([points, solid.points])
+        others = np.asarray(faces + len(points), np.int64)
+        count += _kernels.pierced_edges(all_points, own, others)
     return count
-
-
-def _pierced_count(points: FloatArray, triangles: IntArray) -> int:
-    return _kernels.pierced_edges(
-        np.ascontiguousarray(points), np.ascontiguousarray(triangles, np.int64)
-    )

@@ -43,12 +43,12 @@ class Locked:
     """A joint that cannot move.
 
     Attributes:
-        joint: Index of the joint.
+        joint_index: Index of the joint.
         by: Joints any of whose removal would unlock it; empty if several lock it.
         left: Remaining fraction of its motion.
     """
 
-    joint: int
+    joint_index: int
     by: tuple[int, ...]
     left: float
 
@@ -114,7 +114,7 @@ def locked_notices(
     ).reshape(-1, 7)
     notices = []
     for locked in locked_joints(rows, frames, start[:, :3]):
-        name = excerpt(names[locked.joint])
+        name = excerpt(names[locked.joint_index])
         message = (
             f"joint {name} cannot move: {locked.left:.1g} of its motion is left by "
         )

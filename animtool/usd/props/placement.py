@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.transforms import Track, Transforms, below_matrices, placed
-from animtool.rig.placement import SAME, Placement
+from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 
 if TYPE_CHECKING:
@@ -134,9 +134,9 @@ def space_above(
     if inside:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
-    if np.abs(matrices - matrices[:1]).max() <= SAME:
+    if np.abs(matrices - matrices[:1]).max() <= IDENTITY_TOLERANCE:
         matrices = matrices[:1]
-    if np.abs(matrices - np.eye(4)).max() <= SAME:
+    if np.abs(matrices - np.eye(4)).max() <= IDENTITY_TOLERANCE:
         return None
     return np.ascontiguousarray(matrices.swapaxes(1, 2))
 
@@ -173,7 +173,7 @@ def _below(known: Transforms, matrices: FloatArray) -> Transforms:
     even = np.tile(np.eye(4), (len(matrices), 1, 1))
     even[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
     even[:, :3, 3] = translations
-    if np.abs(even - matrices).max() <= SAME * np.abs(matrices).max():
+    if np.abs(even - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
         return placed(known, Placement(translations, rotations, sizes))
     return below_matrices(known, matrices)
 

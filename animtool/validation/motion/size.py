@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -37,6 +38,8 @@ MAX_BONES = 0.8
 CHARACTER = (0.1, 25.0)
 # People and most animals [m]; a corrected unit must give this size.
 LIKELY = (0.3, 5.0)
+# A rig of which more joints than this are fingers is a hand, not a body [1].
+DIGITS, HAND = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE), 0.8
 # Extent of any skeleton, with feet or without [m]: from an insect to a ship.
 ANYTHING = (0.004, 400.0)
 # Fewer joints are a prop, of any size.
@@ -244,6 +247,8 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     low, high = ANYTHING
     if not subject.has_units:
         return
+    # A watch in millimetres is meant.
+    low = min(low, subject.take.rig.meters_per_unit)
     if len(subject.take.rig.joints) < 2 or low <= subject.size <= high:
         return
     if _is_character(subject) and next(other_units(subject), None) is not None:
@@ -261,6 +266,8 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     """Return the stance of a body if it does not stand along the up axis."""
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
+        return None
+    if sum(map(bool, map(DIGITS.search, rig.names))) > HAND * len(rig.joints):
         return None
     rest = rest_world(rig).positions[0] if subject.has_rest else None
     stance_axis = stance(anatomy(rig).roles, subject.positions, rig.up, rest)

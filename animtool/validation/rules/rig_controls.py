@@ -85,7 +85,7 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        reached = sweep.driven.reached[control.name]
+        reached = sweep.driven.unclamped[control.name]
         width = max(control.high - control.low, SLACK)
         excess = (reached - np.clip(reached, control.low, control.high)) / width
         for by, frame in sweep.worst(excess):

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.quantities import length_text
-from animtool.core.units import LengthUnit, unit_name
+from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.sides import pair_sides
@@ -139,10 +139,6 @@ def _rounded(axis: FloatArray) -> str:
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
 SLIP_ANGLE = math.radians(0.5)
-# Plausible size of a character [m]; a wrong unit is off by a factor of 39 or more.
-LIKELY_METERS = (0.05, 30.0)
-# Fewer joints are a prop, of any size.
-MIN_JOINTS = 8
 
 
 def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
@@ -177,24 +173,6 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
             message = f"{name!r} has a bind pose but no rest pose: it rests {location}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
-
-
-def implausible_size(rig: RigSubject) -> Iterator[Fault]:
-    """Yield a size that fits another unit better (RIG217)."""
-    low, high = LIKELY_METERS
-    if len(rig.rig.joints) < MIN_JOINTS or low <= rig.size <= high or not rig.size:
-        return
-    unit_m = rig.rig.meters_per_unit
-    fitting = [
-        str(unit)
-        for unit in LengthUnit
-        if low <= rig.size / unit_m * unit.meters <= high and unit.meters != unit_m
-    ]
-    at = ("units", "length") if "units" in rig.document.value else ("joints",)
-    unit = unit_name(unit_m)
-    message = f"the rig measures {length_text(rig.size)}, with lengths in {unit}"
-    hint = f"try length: {' or '.join(fitting)}" if fitting else None
-    yield rig.fault("RIG217", at, message, hint)
 
 
 # Bones that differ by less of the rig's size are alike [1].

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.documents.variables import SceneValues
-from animtool.ik.take_pass import IkPassOptions, asked_of
+from animtool.ik.take_pass import IkPassOptions, rig_and_tracks
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -51,7 +51,7 @@ class SceneSubject(DocumentSubject):
         folder = self.scene.path.resolve().parent
         takes = []
         for i, solved in self.solved.items():
-            take, tracks = asked_of(solved, self.scene.passes[i].options, folder)
+            take, tracks = rig_and_tracks(solved, self.scene.passes[i].options, folder)
             takes.append((take, tracks.placed(take.clock)))
         return takes
 
@@ -99,7 +99,7 @@ def open_scene(
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
         faults += _refused(scene, checked.subject.take)
-    faults = [f if f.path else replace(f, path=path) for f in faults]
+    faults = [fault.in_file(path) for fault in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
 

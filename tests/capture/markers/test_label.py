@@ -15,7 +15,7 @@ from support.suite import is_full
 
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
-    COMPANY,
+    PARTNERS,
     RIGID,
     _agreeing,
     _base,
@@ -136,7 +136,7 @@ def test_exchanged_twins_are_put_right() -> None:
 
 def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     """In a row each goes with the seven nearest, of equals the first."""
-    count = COMPANY + 2
+    count = PARTNERS + 2
     spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
     spread[3, 5] = spread[5, 3] = RIGID
     spread[6, 7] = spread[7, 6] = np.nan
@@ -144,8 +144,8 @@ def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
     assert worst == sorted(worst)
     assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later
-    assert (0, 1, 2, COMPANY) in found
-    assert (0, 1, 2, COMPANY + 1) not in found
+    assert (0, 1, 2, PARTNERS) in found
+    assert (0, 1, 2, PARTNERS + 1) not in found
     assert not any({3, 5} <= set(group) or {6, 7} <= set(group) for group in found)
 
 

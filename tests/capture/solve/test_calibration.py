@@ -14,10 +14,10 @@ from support.mocap_skeleton import rig_of, template_of
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve import calibrate, solve_markers
 from animtool.capture.solve.calibration import (
-    BONES,
-    OFFSETS,
-    OVERALL,
-    SIDES,
+    BONE_DEVIATION,
+    OFFSET_DEVIATION,
+    OVERALL_DEVIATION,
+    SIDE_DEVIATION,
     _Calibrating,
     unlimited_rig,
     with_bones,
@@ -127,23 +127,23 @@ def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
     work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
     work.offsets = 1.05 * work.offsets0
     matrix, drawn = work._prior()
-    own = np.linalg.inv(BONES**2 * np.eye(bones) + OVERALL**2)
+    own = np.linalg.inv(BONE_DEVIATION**2 * np.eye(bones) + OVERALL_DEVIATION**2)
     sides = np.zeros((bones, bones))
     for a, b in ((1, 3), (2, 4)):
         row = np.eye(bones)[a] - np.eye(bones)[b]
-        sides += np.outer(row, row) / SIDES**2
+        sides += np.outer(row, row) / SIDE_DEVIATION**2
     # Each marker but the held one about its place, as large as the bones it is on.
     of_bones = work._carriers()[:, None, :] * work.offsets0[:, :, None]
     names = [m.name for m in work.model.template.markers]
     of_bones[names.index("LWRA")] = 0.0
     of_bones = of_bones.reshape(-1, bones)
     left = np.concatenate([-of_bones, np.eye(work.offsets.size)], axis=1)
-    wanted = left.T @ left / OFFSETS**2
+    wanted = left.T @ left / OFFSET_DEVIATION**2
     wanted[:bones, :bones] += own + sides
     np.testing.assert_allclose(matrix, wanted, rtol=1e-9, atol=1e-6)
     off = work.offsets.ravel() - of_bones @ work.scales
     off.reshape(-1, 3)[names.index("LWRA")] = 0.0
-    pull = -left.T @ off / OFFSETS**2
+    pull = -left.T @ off / OFFSET_DEVIATION**2
     pull[:bones] -= own @ (work.scales - 1) + sides @ work.scales
     np.testing.assert_allclose(drawn, pull, rtol=1e-9, atol=1e-6)
     assert size == len(drawn)

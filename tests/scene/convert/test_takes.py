@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points, point_errors
 from animtool.core.errors import OptionError
 from animtool.rig.file import load_rig
 from animtool.scene.bake.bake import bake
@@ -57,7 +57,7 @@ def test_additive_keys_give_the_sum_within_the_tolerance(
     )
     summed = load_scene(scene).open().collect()
     wanted = open_source(walk).collect()
-    points = attached_points(wanted.rig, SHELL)
+    points = attached_points(wanted.rig, SHELL_DISTANCE)
     errors = point_errors(points, wanted.world(), summed.world())
     # Samples of USD are float32.
     assert errors.max() <= TOLERANCE + 1e-5
