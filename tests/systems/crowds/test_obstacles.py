@@ -18,7 +18,7 @@ RADII = np.array([0.1, 0.2, 0.3, 0.4])
 
 def shut(*opens: list[float]) -> Obstacles:
     """Return a door from (0, 0) to (3, 4) among four agents."""
-    agents = SimpleNamespace(radii=RADII, most=np.full(4, 2.0))
+    agents = SimpleNamespace(radii=RADII, max_speeds=np.full(4, 2.0))
     ends = {"begin": [0, 0, 0], "end": [3, 0, 4]}
     door = DoorModel.model_validate({**ends, "opens": list(opens)})
     return Obstacles(

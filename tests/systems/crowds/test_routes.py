@@ -27,7 +27,9 @@ def test_nodes_are_numbered_along_z_and_then_x() -> None:
         [[10, -4], [10, -2.5], [10.5, -4], [11, -2.5]],
     )
     assert_allclose(own.high, [11, -2.5])
-    near = own.at(np.array([[10.26, -3.76], [10.24, -3.74], [-9, 9], [99, -99]]))
+    near = own.nearest_nodes(
+        np.array([[10.26, -3.76], [10.24, -3.74], [-9, 9], [99, -99]])
+    )
     assert near.tolist() == [[1, 0], [0, 1], [0, 3], [2, 0]]
     border_distance = own.border_distance(
         np.array([[10.2, -3], [10.9, -3.2], [9.5, -3], [10.5, -2.4]])

@@ -24,14 +24,14 @@ def steering(count: int, then: str = "stay", **keys: Any) -> Steering:
         "ends": [count],
         "starts": np.zeros((count, 2)),
         "speeds": np.full(count, 1.2),
-        "most": np.full(count, 2.0),
-        "gives": np.ones(count),
+        "max_speeds": np.full(count, 2.0),
+        "yielding": np.ones(count),
         "delays": np.zeros(count),
         "groups": np.full(count, -1, np.int32),
-        "sides": np.zeros(count),
-        "offsets": np.zeros((count, 2)),
+        "lateral_offsets": np.zeros(count),
+        "goal_offsets": np.zeros((count, 2)),
         "sizes": np.ones(count),
-        "chances": np.zeros(count),
+        "clip_phases": np.zeros(count),
         **keys,
     }
     goals = [
@@ -65,7 +65,9 @@ def test_they_set_out_so_long_after_the_beginning_whenever_that_is() -> None:
 
 def test_who_is_of_a_group_walks_on_its_own_side() -> None:
     """Along z left is along x; they come back at half the speed that they like."""
-    own = steering(3, groups=np.zeros(3, np.int32), sides=np.array([0.1, 0.0, -2.0]))
+    own = steering(
+        3, groups=np.zeros(3, np.int32), lateral_offsets=np.array([0.1, 0.0, -2.0])
+    )
     x = np.zeros((3, 2))
     found = own._in_groups(np.tile([0.0, 1.2], (3, 1)), np.zeros(3, np.bool_), x)
     assert_allclose(found, [[0.2, 1.2], [0.0, 1.2], [-0.6, 1.2]], atol=1e-12)

@@ -172,19 +172,17 @@ def test_what_members_are_moved_by_is_told_from_a_share_of_their_radius_on(
 
 
 def test_those_of_a_place_go_their_way_by_their_cruise() -> None:
-    model = species(
-        count=3, seed=5, speed={"cruise": 4}, direction=[3, 0, 4], separation_notices=0
-    )
+    model = species(count=3, seed=5, speed={"cruise": 4}, direction=[3, 0, 4], spread=0)
     parts = {"place": BoxShape((2, 2, 2)), "poses": Poses.fixed((7, 8, 9))}
     x, v = _start_motion(model, parts, 1.5)
     assert_allclose(x, [7, 8, 9] + 2 * uniforms(5, 2**40 + np.arange(3), 8)[:, :3] - 1)
     assert_allclose(v, [[2.4, 0, 3.2]] * 3)
-    ahead = _start_motion(
-        species(count=1, speed={"cruise": 4}, separation_notices=0), parts, 0.0
-    )[1]
+    ahead = _start_motion(species(count=1, speed={"cruise": 4}, spread=0), parts, 0.0)[
+        1
+    ]
     assert_allclose(ahead, [[0, 0, 4]], atol=1e-12)
     cone = _start_motion(
-        species(count=400, speed={"cruise": 1}, separation_notices=30), parts, 0.0
+        species(count=400, speed={"cruise": 1}, spread=30), parts, 0.0
     )[1]
     assert np.degrees(np.arccos(cone[:, 2])).max() == pytest.approx(30, abs=0.5)
     rows = np.arange(6.0).reshape(2, 3)
