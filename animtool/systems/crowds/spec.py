@@ -146,7 +146,7 @@ class PopulationModel(PlacedModel):
 
 
 class AgentAvoidanceModel(FileModel):
-    """How agents avoid each other."""
+    """Rules by which agents avoid each other."""
 
     sight: Positive = key("Range of sight [m].", 5, default=3.0)
     nearest: Annotated[Integer, Ge(1), Le(100)] = key(
