@@ -75,7 +75,7 @@ class StepForces:
 
 
 def substeps_for_inertias(parts: int, inertias: FloatArray) -> int:
-    """Return the number of substeps for inertia factors of some parts."""
+    """Return the number of substeps for inertia factors, at least ``parts``."""
     max_factor = float(inertias.max(initial=1.0))
     if not max_factor > MAX_INERTIA_RATIO:
         return parts
