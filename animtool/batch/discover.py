@@ -283,7 +283,7 @@ def _check_variables(
         # Each holds its faults until the items are built.
         used |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used - taken)
+    check_unused(variables, used - taken, spec.path)
 
 
 @dataclass(slots=True)

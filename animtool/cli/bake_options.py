@@ -53,7 +53,8 @@ def opened_sources(
         used |= scene.variables
         opened.append(scene)
     if variables:
-        check_unused(variables, used)
+        only = sources[0] if len(sources) == 1 else None
+        check_unused(variables, used, only)
     return opened
 
 
