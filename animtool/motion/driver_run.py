@@ -228,18 +228,24 @@ class DriverRun:
             else:
                 rotation = so3.from_axis_angle(joint.axis, value)
                 rotations[j] = so3.multiply(rest, rotation)
-        for j, new in [*rotations.items(), *translations.items()]:
+        for j, driven_values in [*rotations.items(), *translations.items()]:
             rotates = j in rotations
             channel = motion.rotations if rotates else motion.translations
-            old = _rows(channel, j)
+            current_values = _rows(channel, j)
             rest_values = (
                 self.rig.rest_rotations if rotates else self.rig.rest_translations
             )
             distance = so3.angle_between if rotates else _distance
-            moved = distance(old, rest_values[j][None]).max(initial=0.0) > ROUNDING
+            moved = (
+                distance(current_values, rest_values[j][None]).max(initial=0.0)
+                > ROUNDING
+            )
             if moved and self.rig.joints[j].driven is not None:
                 self._replace(
-                    f"joint/{self.rig.names[j]}", distance(old, new), times, ROUNDING
+                    f"joint/{self.rig.names[j]}",
+                    distance(current_values, driven_values),
+                    times,
+                    ROUNDING,
                 )
         return replace(
             motion,

@@ -51,7 +51,7 @@ class Out {
       : shape_{static_cast<std::size_t>(lengths)...},
         data_(block<T>((static_cast<std::size_t>(lengths) * ...))) {}
 
-  // Leaves the first numbers of it, in rows of its own.
+  // Keeps only the first numbers, with a new shape.
   template <typename... Lengths>
   void cut(Lengths... lengths) {
     shape_ = {static_cast<std::size_t>(lengths)...};

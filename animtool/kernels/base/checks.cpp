@@ -9,8 +9,8 @@ namespace animtool::check {
 
 namespace {
 
-// How many of an array are not as they should be: counted without branches, in numbers of the
-// same width, so that the processor looks at several at once.
+// Whether all elements pass a test. Works without branches, with integers of the same width as the
+// elements, so that the loop vectorises.
 template <class T, class Good>
 bool all(const T* values, std::size_t begin, std::size_t end, Good good) {
   using Count = std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>;

@@ -1,8 +1,8 @@
-// Checks of arguments, once at the boundary of each exported function. What fails one is a
-// ValueError in Python that begins with the argument's name: "columns: 34 is not between 0
-// and 2". Indices, offsets, counts and settings are always checked. Large arrays of float64
-// are checked for NaN and infinity only where these would hang or index out of range; else
-// they go through to the result.
+// Checks of arguments, done once in each exported function. A failed check raises a ValueError
+// in Python that begins with the argument's name: "columns: 34 is not between 0 and 2".
+// Indices, offsets, counts and settings are always checked. Large arrays of float64 are checked
+// for NaN and infinity only if these would cause an endless loop or an index out of range;
+// otherwise they propagate to the result.
 #pragma once
 
 #include <cstddef>
@@ -16,12 +16,12 @@ namespace animtool::check {
 
 // A dimension of any size.
 constexpr std::size_t ANY = std::numeric_limits<std::size_t>::max();
-// Rows of arrays that loops go through with int32, a row being at most 12 numbers.
+// Largest number of rows of arrays that are indexed with int32; a row has at most 12 numbers.
 constexpr std::size_t MOST_ROWS = std::numeric_limits<std::int32_t>::max() / 12;
 
 [[noreturn]] void refuse(const char* name, const std::string& what);
 
-// Each type of number is one of three as text.
+// All types of numbers are formatted as one of these three.
 template <class T>
 using Shown = std::conditional_t<
     std::is_floating_point_v<T>, double,
@@ -36,7 +36,7 @@ std::string text(T value) {
   return shown(static_cast<Shown<T>>(value));
 }
 
-// The shape, ANY for sizes that are free, and that numbers are where their type may be.
+// Checks the shape (ANY matches every size), and the alignment of the data.
 void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes);
 
@@ -49,7 +49,7 @@ void shape(const char* name, const Array& array, std::initializer_list<std::size
 template <class T>
 [[noreturn]] void refuse_range(const char* name, T value, T low, T high);
 
-// A number or a count in a closed range; NaN is in none.
+// Checks that a number or a count is in a closed range; NaN is in none.
 template <class T>
 void between(const char* name, T value, std::type_identity_t<T> low,
              std::type_identity_t<T> high) {
@@ -59,7 +59,7 @@ void between(const char* name, T value, std::type_identity_t<T> low,
 
 void at_most(const char* name, std::size_t rows, std::size_t most);
 
-// Points (N, 3) that loops go through; returns how many.
+// Checks points (N, 3), and returns N.
 template <class Array>
 std::size_t points(const char* name, const Array& array) {
   shape(name, array, {ANY, 3});
@@ -71,7 +71,7 @@ void finite(const char* name, double value);
 void positive(const char* name, double value);
 void not_negative(const char* name, double value);
 
-// Of float and double.
+// Checks that all are finite, for float and double.
 template <class T>
 void finite(const char* name, const T* values, std::size_t count);
 
@@ -80,14 +80,14 @@ void finite(const char* name, const Array& array) {
   finite(name, array.data(), array.size());
 }
 
-// A shape, and no number that is not finite.
+// Checks a shape, and that all numbers are finite.
 template <class Array>
 void numbers(const char* name, const Array& array, std::initializer_list<std::size_t> sizes) {
   shape(name, array, sizes);
   finite(name, array);
 }
 
-// Indices from `low` to before `end`, of int32, int64 and uint8.
+// Checks that indices are in [low, end), for int32, int64 and uint8.
 template <class T>
 void indices(const char* name, const T* values, std::size_t count, std::int64_t low,
              std::int64_t end);
@@ -97,11 +97,11 @@ void indices(const char* name, const Array& array, std::int64_t low, std::int64_
   indices(name, array.data(), array.size(), low, end);
 }
 
-// Each number at least as large as the one before it; NaN is not.
+// Checks that numbers never decrease; NaN fails.
 template <class T>
 void ascending(const char* name, const T* values, std::size_t count);
 
-// Where the rows of a ragged array begin: from 0 to its length. Rows may be empty.
+// Checks the row starts of a ragged array: ascending from 0 to its length. Rows may be empty.
 template <class T>
 void starts(const char* name, const T* first, std::size_t rows, std::size_t length);
 

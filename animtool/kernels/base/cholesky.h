@@ -1,9 +1,9 @@
 // Cholesky factor of a symmetric matrix, and solves with it.
 //
-// All subtract products in the same order: results depend on nothing but what is kept of the
-// pivots. Factors of bands take no root of a pivot, which is another rounding, and so are not
-// made of this: springs/chain.h, and ik/path_cost.h, which divides by pivots where the former
-// multiplies by one over them.
+// All factors subtract products in the same order, so that results differ only by how pivots are
+// stored. Factors of band matrices take no square root of a pivot, which rounds differently, and
+// so do not use this header: springs/chain.h multiplies by reciprocal pivots, and ik/path_cost.h
+// divides by pivots.
 #pragma once
 
 #include <cmath>
@@ -11,8 +11,8 @@
 
 namespace animtool::cholesky {
 
-// What stands on the diagonal of a factor: the root of a pivot, or one over it, which is faster
-// to go on with; and what stands there for a pivot that counts for nothing.
+// What is stored on the diagonal of a factor: the square root of a pivot, or its reciprocal, which
+// makes solves faster; and the value stored for a pivot that is ignored.
 struct Roots {
   static constexpr double NOTHING = HUGE_VAL;
   static double of(double pivot) { return std::sqrt(pivot); }
@@ -26,9 +26,9 @@ struct Inverses {
 
 enum class Small { FAILS, COUNTS_FOR_NOTHING };
 
-// Factors a matrix (n, n) in place, of which the lower triangle is read and overwritten; returns
-// false where a pivot fails, one that is not above `least(its number)`. By columns, so that
-// every inner loop adds to what lies side by side; `column` holds n.
+// Factors a matrix (n, n) in place, reading and overwriting the lower triangle. Returns false if
+// pivot k is not above `least(k)`. Works by columns, so that the inner loops run over contiguous
+// memory; `column` is a buffer for n numbers.
 template <class Kept, Small SMALL, class Least>
 bool factor(double* a, std::size_t n, std::size_t stride, double* column, Least least) {
   for (std::size_t j = 0; j < n; ++j) {
@@ -56,7 +56,7 @@ struct Rows {
   const double* operator()(std::size_t i) const { return a + i * stride; }
 };
 
-// x becomes L^-1 x from `first` on, before which it is 0.
+// Replaces x, which is 0 before `first`, by L^-1 x.
 template <class Kept, class RowOf>
 void solve_forward(RowOf row_of, std::size_t n, double* x, std::size_t first = 0) {
   for (std::size_t i = first; i < n; ++i) {
@@ -67,7 +67,7 @@ void solve_forward(RowOf row_of, std::size_t n, double* x, std::size_t first = 0
   }
 }
 
-// x becomes L^-T x.
+// Replaces x by L^-T x.
 template <class Kept, class RowOf>
 void solve_backward(RowOf row_of, std::size_t n, double* x) {
   for (std::size_t i = n; i-- > 0;) {

@@ -1,4 +1,4 @@
-// Union-find: elements merged to groups, which are named by their first element.
+// Union-find: elements merged into groups. The smallest element represents a group.
 #pragma once
 
 #include <algorithm>

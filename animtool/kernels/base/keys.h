@@ -17,8 +17,8 @@ struct SortedKeys {
   std::size_t count = 0;
 };
 
-// By counting, from the lowest bits on: equal keys stay in their order. Static, as sources that
-// are built for other processors must not share it.
+// A stable radix sort, lowest bits first. Static, because sources that are built for different
+// processors must not share it.
 [[maybe_unused]] static void sort_keys(SortedKeys& sorted, std::size_t count) {
   constexpr unsigned BITS = 11;
   std::uint64_t most = 0;

@@ -20,8 +20,8 @@ struct Freed {
 template <typename T>
 using Block = std::unique_ptr<T[], Freed>;
 
-// Of large blocks pages are large too, where the system has such: touching a small page for
-// the first time takes as long as working on what is in it.
+// Large blocks use huge pages if the system has them: the first access to a small page takes as
+// long as the work on its contents.
 template <typename T>
 Block<T> block(std::size_t count) {
   static_assert(std::is_trivially_copyable_v<T>);

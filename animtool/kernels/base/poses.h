@@ -49,7 +49,7 @@ class Motion {
  public:
   Motion() = default;
 
-  // Poses are an origin and a quaternion x y z w, of any length above 0.
+  // A pose is an origin and a quaternion x y z w, of any length above 0.
   Motion(const double* start, const double* end) {
     double first[4], last[4], inverse[4], between[4], rotation[3];
     for (int i = 0; i < 4; ++i) first[i] = start[3 + i], last[i] = end[3 + i];
@@ -73,7 +73,7 @@ class Motion {
   Vec rotation() const { return rotation_; }
   double angle() const { return length(rotation_); }
 
-  // The pose at a fraction of the step from 0 to 1.
+  // The pose at a fraction of the step, from 0 to 1.
   Pose at(double fraction) const {
     if (!moves_) return unrotated_;
     Pose pose = unrotated_;
@@ -89,12 +89,12 @@ class Motion {
     return pose;
   }
 
-  // How a world point that it carries moves in the step at a share of it.
+  // Velocity, per step, of a world point that moves along, in a pose during the step.
   Vec displacement(Vec point, const Pose& pose) const {
     return travel_ + cross(rotation_, point - pose.origin);
   }
 
-  // The same motion over a part of its step.
+  // The same motion over a part of the step.
   Motion part(double from, double to) const {
     Motion result = *this;
     const Pose pose = at(from);

@@ -1,6 +1,5 @@
-// Registers of four doubles, for sources that the build lets the compiler use them in, and that
-// ask the processor before they run. In a build that does not let it, Quads is nothing else
-// than Plain.
+// SIMD registers of four doubles, for sources that are compiled for them and test the processor
+// before they run. In other builds, Quads is the same as Plain.
 #pragma once
 
 #include <cstdlib>
@@ -14,9 +13,9 @@
 
 namespace animtool {
 
-// Whether registers of four doubles may be used. ANIMTOOL_PORTABLE, set to anything, goes
-// without, as on processors that have none. Static: a source built for newer processors
-// must not give its copy to the others.
+// Whether registers of four doubles may be used: the processor has them, and the environment
+// variable ANIMTOOL_PORTABLE is not set. Static: a copy that is compiled for newer processors
+// must not be linked into other sources.
 [[maybe_unused]] static bool has_quads() {
 #ifdef ANIMTOOL_QUADS
   return __builtin_cpu_supports("avx2") && !std::getenv("ANIMTOOL_PORTABLE");

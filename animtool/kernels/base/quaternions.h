@@ -63,8 +63,8 @@ inline void normalize(double* q) {
   for (int i = 0; i < 4; ++i) q[i] /= n;
 }
 
-// Scaled first, so that neither tiny nor huge numbers leave the range; one without length, or
-// of no numbers, is none.
+// Scales first, so that neither tiny nor huge components under- or overflow. Returns the identity
+// for zero length or NaN.
 inline void make_unit(double* q) {
   double most = 0;
   for (int i = 0; i < 4; ++i)

@@ -9,7 +9,7 @@ template <class N>
 struct Vector3 {
   N x{}, y{}, z{};
 
-  // Of several side by side: those of each component together in memory, or all alike.
+  // Several vectors at once: each component contiguous in memory, or all equal.
   static Vector3 of(const double* p) { return {N::of(p), N::of(p + 4), N::of(p + 8)}; }
   static Vector3 spread(const double* p) { return {p[0], p[1], p[2]}; }
   void store(double* to) const { x.store(to), y.store(to + 4), z.store(to + 8); }

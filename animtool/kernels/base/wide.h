@@ -1,9 +1,8 @@
 // SIMD numbers for any processor, and vectors of them.
 //
-// What works on them is a template over `On`: Plain is any processor, and base/quads.h has
-// Quads. Nothing of it is shared between source files that are built for other processors:
-// Quads is another type in each, and those that use it make nothing for Plain, nor with plain
-// vectors.
+// Functions on them are templates over `On`: Plain for any processor, or Quads of base/quads.h.
+// Source files that are built for different processors share no instances: Quads is a different
+// type in each, and files that use it instantiate nothing for Plain or plain vectors.
 #pragma once
 
 #include <cmath>
@@ -18,13 +17,14 @@ namespace animtool {
 
 // Numbers per SIMD vector.
 constexpr std::size_t WIDE = 4;
-// Up to this square of their distance two ends are at one place; one over more is finite.
+// Two points with at most this squared distance count as coincident; the reciprocal of larger ones
+// is finite.
 constexpr double COINCIDENT = std::numeric_limits<double>::min();
 
 struct Plain {};
 
-// Rows of N numbers and their operations. Mask rows are nonzero where a condition holds; they
-// are for `chosen`, `kept`, `either` and `bits`.
+// Rows of N numbers and their operations. A mask row is nonzero where a condition holds; masks
+// are arguments of `chosen`, `kept`, `either` and `bits`.
 template <class T, std::size_t N, class On>
 struct Registers {
   struct Row {
@@ -89,7 +89,7 @@ struct Registers {
     for (std::size_t l = 0; l < N; ++l) set_bits |= (where.at[l] != 0 ? 1u : 0u) << l;
     return set_bits;
   }
-  // By halves, as registers do it.
+  // Adds by halves, in the order of the registers.
   static T largest(Row a) {
     for (std::size_t half = N / 2; half; half /= 2)
       for (std::size_t l = 0; l < half; ++l)
@@ -110,7 +110,7 @@ struct Registers {
 };
 
 #if defined(__GNUC__)
-// Two doubles, for which every processor has registers.
+// Two doubles: every processor has registers for them.
 template <>
 struct Registers<double, 2, Plain> {
   using Row = double __attribute__((vector_size(16)));
@@ -143,12 +143,12 @@ struct Wide {
   Wide() = default;
   Wide(const typename Of::Row& from) : row(from) {}
   Wide(T value) : row(Of::spread(value)) {}
-  // Of the other kind of number.
+  // Converts from the other number type.
   template <class U>
   explicit Wide(const Wide<U, N, On>& other) : row(Of::converted(other.row)) {}
 
   static Wide of(const T* from) { return Of::load(from); }
-  // function(lane) of each.
+  // Calls function(lane) for each lane.
   template <class Function>
   static Wide each(Function function) {
     return Of::each(function);
@@ -168,26 +168,26 @@ struct Wide {
   friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
     return Of::chosen(where.row, a.row, b.row);
   }
-  // A value where it is so, else 0.
+  // The value where the mask is set, else 0.
   friend Wide kept(const Wide& where, const Wide& a) { return Of::kept(where.row, a.row); }
   friend Wide either(const Wide& a, const Wide& b) { return Of::either(a.row, b.row); }
   friend unsigned bits(const Wide& where) { return Of::bits(where.row); }
   friend T largest(const Wide& a) { return Of::largest(a.row); }
   friend T smallest(const Wide& a) { return Of::smallest(a.row); }
 
-  // A value of two ends by the square of their distance: 0 where they are at one place.
+  // The value, or 0 where the squared distance says that both ends coincide.
   friend Wide if_distinct(const Wide& square, const Wide& value) {
     return kept(below(T(COINCIDENT), square), value);
   }
-  // One over the square of a distance, 0 of ends at one place.
+  // Reciprocal of a squared distance, 0 for coincident ends.
   friend Wide inverse(const Wide& square) { return if_distinct(square, T(1) / square); }
 
-  // The total of each of four.
+  // The sums of four rows.
   friend Wide totals(const Wide* rows) {
     const typename Of::Row of[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
     return Of::totals(of);
   }
-  // Four rows to their columns.
+  // Transposes four rows.
   friend void transpose(const Wide* rows, Wide* columns) {
     typename Of::Row of[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
     Of::transpose(of);
@@ -204,24 +204,24 @@ template <class On>
 using Four = Wide<double, WIDE, On>;
 template <class On>
 using FourVec = Vector3<Four<On>>;
-// Numbers from one vector of four to the next in memory.
+// Stride from one vector of four to the next.
 constexpr std::size_t WIDE_VECTOR = 12;
 
-// The products of four pairs of rows.
+// The dot products of four pairs of rows.
 template <class On>
 Four<On> dots(const Four<On>* a, const Four<On>* b) {
   const Four<On> products[WIDE] = {a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]};
   return totals(products);
 }
 
-// Rows in memory as columns.
+// Loads rows from memory and transposes them.
 template <class On>
 inline void gather(const double* from, const std::int32_t* rows, Four<On>* columns) {
   for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Four<On>::of(from + 4 * rows[k]);
   transpose(columns, columns);
 }
 
-// Takes columns away from rows in memory, one after the other.
+// Subtracts columns from rows in memory, one row at a time.
 template <class On>
 inline void scatter(const Four<On>* columns, const std::int32_t* rows, double* to) {
   Four<On> parts[WIDE];

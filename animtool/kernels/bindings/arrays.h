@@ -15,7 +15,7 @@ namespace animtool {
 namespace nb = nanobind;
 using namespace nanobind::literals;
 
-// Kernels run without the lock of the interpreter.
+// Kernels run with the interpreter lock released.
 using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 
 // A keyword argument stored in a member of a kernel's argument struct.
@@ -52,7 +52,7 @@ void define_class(nb::class_<Class>& bound, Field<Struct, Members>... fields) {
 
 namespace nanobind::detail {
 
-// What is converted for it lives as long as the call, as do the arguments.
+// Converted arrays live until the call returns, like the arguments.
 template <typename T, std::size_t N>
 struct type_caster<animtool::View<T, N>> {
   using Array = ndarray<T, ndim<N>, c_contig, device::cpu>;

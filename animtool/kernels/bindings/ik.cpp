@@ -10,8 +10,8 @@ void bind_ik(nb::module_& m) {
   using P = IkProblems;
   using S = IkSmoothing;
   using F = IkFitting;
-  // Of Python's table a test compares: name, residuals, width of a target, whether what it
-  // misses is a length, and whether cyclic coordinate descent heeds it.
+  // Goal kinds, which a test compares with Python's table: name, number of residuals, size of a
+  // target, whether the error is a length, and whether cyclic coordinate descent supports it.
   m.attr("IK_GOAL_KINDS") = nb::tuple(nb::cast(ik_goal_kinds()));
 
   m.def("to_chain_targets", &to_chain_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,

@@ -4,7 +4,7 @@
 using namespace animtool;
 
 NB_MODULE(_kernels, m) {
-  // A command ends without collecting what is left, which is no leak.
+  // Objects that are still alive when a command exits are not leaks.
   nanobind::set_leak_warnings(false);
   m.doc() = R"(Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
 

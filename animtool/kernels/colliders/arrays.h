@@ -1,4 +1,4 @@
-// Colliders from their arrays, and particles against them.
+// Builds colliders from arrays, and collides particles with them.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@ using MeshTree = std::tuple<Out<std::int32_t, 2>, Out<double, 2>, Out<double, 3>
                             Out<double, 2>, Out<std::int32_t, 2>>;
 MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles);
 
-// kinds, sizes, materials, poses, and of meshes: points, triangles, corner normals, edge
+// kinds, sizes, materials, poses; and for meshes: points, triangles, corner normals, edge
 // normals, bounds, nodes
 using ColliderArrays =
     std::tuple<In<std::int64_t, 2>, In<double, 2>, In<double, 2>, In<double, 3>, In<double, 2>,

@@ -17,11 +17,11 @@ using collide::load;
 using collide::store;
 
 constexpr std::size_t SIZES = 7, MATERIALS = 4, POSE = 7;
-// From where a collider is met; only meshes are from both sides.
+// From which sides a collider is hit; only meshes can be hit from both.
 constexpr std::int64_t OUTSIDE = 0, INSIDE_ALONE = 1, BOTH_SIDES = 2;
 
-// Trees whose nodes name others behind them, each once, so that every way down ends, and
-// within the depth that a visit has room for.
+// Checks trees: each node is the child of one earlier node, so that every descent ends, and the
+// depth fits the stack of a visit.
 void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
   const std::int32_t* row = nodes.data();
   const auto count = static_cast<std::int64_t>(nodes.shape(0));
@@ -79,7 +79,7 @@ void check_arrays(const ColliderArrays& in) {
 
 }  // namespace
 
-// Colliders as the core has them, of arrays with one row each.
+// Builds the colliders from arrays with one row each.
 std::vector<Collider> read_colliders(const ColliderArrays& in) {
   const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
                edge_normals, bounds, nodes] = in;

@@ -1,5 +1,5 @@
-// Particles against fixed and moving shapes: where they touch within a step, and what that
-// does to them. Plain numbers only, so that any loop over particles can call it.
+// Collisions of particles with fixed and moving shapes: when they touch within a step, and how
+// they respond. Works on plain numbers, so that any loop over particles can call it.
 #pragma once
 
 #include <cstddef>
@@ -13,25 +13,25 @@ namespace animtool::collide {
 
 enum class Shape : std::int64_t { PLANE, SPHERE, CAPSULE, BOX, MESH };
 
-// What a particle can run into.
+// Kinds of colliders.
 struct Collider {
   Shape shape = Shape::PLANE;
-  // Plane: normal, offset. Sphere: centre, radius. Capsule: both ends, radius. Box: half its
-  // sides. In its own frame [m].
+  // Plane: normal, offset. Sphere: centre, radius. Capsule: both ends, radius. Box: half
+  // extents. In the frame of the collider [m].
   double size[7] = {0, 1, 0, 0, 0, 0, 0};
   Mesh mesh = {};
   std::int32_t root = 0;
   Motion motion;
-  // Particles are to stay inside, not outside.
+  // Keeps particles inside, not outside.
   bool container = false;
-  // A mesh that is met from both sides.
+  // A mesh that can be hit from both sides.
   bool two_sided = false;
-  // Share of the speed into the surface that comes back, Coulomb's coefficient [1]; distance
-  // kept [m]; how fast a particle that starts inside is moved out [m/s].
+  // Coefficients of restitution and of Coulomb friction [1]; margin [m]; speed at which a particle
+  // that starts inside is moved out [m/s].
   double restitution = 0, friction = 0, margin = 0, depenetration = 1;
 };
 
-// What happened to a particle in a step, the last of it.
+// The last contact event of a particle in a step.
 enum class Touch : std::int64_t { NONE, BOUNCED, RESTS, UNRESOLVED };
 
 struct Contact {
@@ -46,25 +46,25 @@ struct Particle {
 
 // Contacts of one particle in one step.
 constexpr int MOST_CONTACTS = 8;
-// Looks along a path before steps of a share of it are taken.
+// Advancements along a path before it is stepped through in fixed fractions.
 constexpr int LOOKS = 64;
-// Halvings of a share of it in which a surface is passed.
+// Bisections of the fraction in which a surface is crossed.
 constexpr int HALVINGS = 24;
-// Colliders that are looked at once where they are far off.
+// Number of colliders that can be marked as out of reach of a path.
 constexpr std::size_t DISTINGUISHABLE = 64;
-// Rounds of moving out of all colliders.
+// Iterations of moving out of all colliders.
 constexpr int ROUNDS = 4;
 
 constexpr double FAR = std::numeric_limits<double>::infinity();
 
-// How far a particle stays from the surface of a collider [m].
+// Distance that a particle keeps from the surface of a collider [m].
 inline double kept(const Collider& c, double radius) {
   const double off = c.margin + radius;
   return c.two_sided ? std::max(off, SHELL) : off;
 }
 
-// Distance from a collider, less its margin and the particle's radius, and the way out; up
-// to a reach.
+// Distance from a collider, minus its margin and the particle's radius, and the direction out of
+// it. Looks no farther than a reach.
 inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radius,
                      double reach) {
   const Vec p = pose.to_local(point);
@@ -78,7 +78,7 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
       break;
     case Shape::BOX: nearest_hit = sample_box(load(size), p); break;
     case Shape::MESH:
-      // Of what is out of reach it is not known whether it is inside.
+      // Beyond the reach it is unknown whether the particle is inside.
       nearest_hit = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + kept(c, radius));
       if (c.two_sided) nearest_hit = unsided(nearest_hit);
       break;
@@ -89,8 +89,8 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
   return {side * nearest_hit.distance - c.margin - radius, out * side};
 }
 
-// Likewise of what was at a place of the frame of a collider before: what came through a mesh
-// with two sides since is inside of it.
+// The same for a particle whose earlier position in the collider's frame is given: if it has
+// crossed a two-sided mesh since, it is inside.
 inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec point,
                            double radius, double reach) {
   if (!c.two_sided || !crosses_mesh(c.mesh, c.root, from, pose.to_local(point)))
@@ -100,27 +100,27 @@ inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec po
   return {-(nearest_hit.distance + off) - off, -nearest_hit.normal};
 }
 
-// Where a particle goes in what is left of a step. Positions may be those of another method
-// than velocities say, so the two are kept apart.
+// The path of a particle in the rest of a step. Positions may come from an integrator whose
+// displacements differ from the velocities, so both are stored.
 struct Path {
   Vec position, heading, velocity, acceleration;
-  // Time of the step that is over, and what is left of it [s].
+  // Elapsed and remaining time of the step [s].
   double clock, left;
 
   Vec at(double s) const { return position + heading * s + acceleration * (s * s / 2); }
   Vec velocity_at(double s) const { return velocity + acceleration * s; }
 };
 
-// One particle in one step against all colliders.
+// One particle in one step, and all colliders.
 class Settling {
  public:
-  // The particle is there from a time of the step on, 0 where it was before.
+  // The particle exists from a time within the step; 0 if it existed before.
   Settling(const Collider* colliders, std::size_t count, double step, double radius,
            double begin = 0)
       : colliders_(colliders), count_(count), step_(step), begin_(begin), radius_(radius) {}
 
-  // Brings the end of a step to where contacts let it be. It stays, bit for bit, where there
-  // are none.
+  // Moves the end of the path to where contacts allow. Without contacts it stays the same to the
+  // last bit.
   Contact settle(const Particle& before, Particle& after) {
     contact_ = {};
     if (!(step_ > begin_)) return contact_;
@@ -144,7 +144,7 @@ class Settling {
  private:
   bool is_far(std::size_t i) const { return i < DISTINGUISHABLE && (far_ >> i & 1); }
 
-  // Whether the path as it is cannot meet a collider.
+  // Whether the current path cannot hit a collider.
   bool out_of_reach(const Collider& c) const {
     const Pose pose = pose_at(c, 0);
     const double reach = closing_speed(c, pose) * path_.left + 2 * TOUCH;
@@ -183,7 +183,7 @@ class Settling {
     return hit;
   }
 
-  // Most speed of the particle as the collider sees it [m/s].
+  // Upper bound of the particle's speed relative to the collider [m/s].
   double closing_speed(const Collider& c, const Pose& pose) const {
     const Vec surface_shift = c.motion.travel() * (1 / step_);
     const Vec first = path_.heading - surface_shift;
@@ -194,8 +194,8 @@ class Settling {
     return straight + c.motion.angle() / step_ * arm;
   }
 
-  // When the particle first touches a collider on its way in, up to a time; -1 if never.
-  // Steps are as long as no surface can be met in them.
+  // Time at which the particle first touches a collider while approaching it, up to a limit; -1 if
+  // never. Uses conservative advancement.
   double hit_time(const Collider& c, double until) const {
     Pose pose = pose_at(c, 0);
     const double speed = closing_speed(c, pose), reach = speed * until + 2 * TOUCH;
@@ -207,8 +207,8 @@ class Settling {
       const double out = dot(relative, nearest_hit.normal);
       const double bend = dot(path_.acceleration, nearest_hit.normal);
       if (out < 0 || (out == 0 && bend < 0)) return 0;
-      // On its way out: it comes back after the top of its path, if at all; but what has two
-      // sides may be met elsewhere.
+      // Receding: it can come back only after the apex of its path; but it may hit a two-sided
+      // collider elsewhere.
       if (!c.two_sided) s = bend < 0 ? -out / bend : until;
     }
     for (int look = 0; s < until; ++look) {
@@ -233,7 +233,7 @@ class Settling {
     return crosses_mesh(c.mesh, c.root, local_at(c, from), local_at(c, to));
   }
 
-  // The last time before a path goes through a mesh, of a span in which it does.
+  // The last time before the path crosses a mesh, for a span in which it does.
   double last_before(const Collider& c, double from, double to) const {
     for (int k = 0; k < HALVINGS; ++k) {
       const double middle = (from + to) / 2;
@@ -254,7 +254,7 @@ class Settling {
     return nearest_hit.distance < 0 && approaches(c, point, pose, nearest_hit.normal, s);
   }
 
-  // Goes on from a contact: bounces, or stays on the surface where it would be back on it
+  // Continues after a contact: bounces, or stays on the surface if it would fall back onto it
   // within the step.
   void respond(std::int64_t index, double s, bool last) {
     const Collider& c = colliders_[index];
@@ -285,7 +285,7 @@ class Settling {
     return speed > by ? velocity * (1 - by / speed) : Vec{};
   }
 
-  // Stays on a surface to the end of the step, and slides on it against friction.
+  // Stays on a surface until the end of the step, sliding with friction.
   void rest(std::int64_t index, const Pose& pose, Vec point, Vec along, Vec normal, double s) {
     const Collider& c = colliders_[index];
     const double left = path_.left - s, bend = dot(path_.acceleration, normal);
@@ -305,9 +305,9 @@ class Settling {
     resting_on_ = index;
   }
 
-  // Moves a particle out of what it is in at the end of a step: at once where it began
-  // outside, and otherwise no faster than the collider's depenetration, without adding to
-  // its velocity.
+  // Moves a particle out of the colliders that it is inside at the end of a step: at once if it
+  // started outside, otherwise no faster than the collider's depenetration speed, which is not
+  // added to its velocity.
   void move_out(const Particle& before, Particle& after) {
     for (int round = 0; round < ROUNDS; ++round) {
       bool moved = false;
@@ -340,18 +340,19 @@ class Settling {
     return out;
   }
 
-  // Where in the frame of a collider the particle was last, as far as its path was looked at.
+  // Last position of the particle in the frame of a collider, on the part of the path that has
+  // been tested.
   Vec view(std::size_t i) const {
     const bool slid = static_cast<std::int64_t>(i) == resting_on_;
     return local_at(colliders_[i], slid ? 0 : path_.left);
   }
 
-  // Only meshes heed the reach, and inside one any depth counts.
+  // Only meshes use the reach; inside a mesh every depth counts.
   static double reach_inside(const Collider& c) {
     return c.shape == Shape::MESH ? FAR : 2 * TOUCH;
   }
 
-  // A particle that colliders hold from several sides goes with them.
+  // A particle held by colliders from several sides moves with them.
   void give_up(Particle& after) {
     Vec sum;
     int pinned = 0;
@@ -372,7 +373,7 @@ class Settling {
   std::size_t count_;
   double step_, begin_, radius_;
   Path path_{};
-  // A bit for each of the first colliders, of those that the path cannot meet.
+  // A bit for each of the first colliders: set if the path cannot hit it.
   std::uint64_t far_ = 0;
   std::int64_t resting_on_ = -1;
   Contact contact_;

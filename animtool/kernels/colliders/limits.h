@@ -1,14 +1,14 @@
-// What counts as touching.
+// Tolerances of contacts.
 #pragma once
 
 namespace animtool::collide {
 
-// Nearer than this is touching [m].
+// Distance below which a particle touches a surface [m].
 constexpr double TOUCH = 1e-9;
-// A particle that is deeper than this [m] at the start of a step is inside.
+// Depth above which a particle starts a step inside [m].
 constexpr double INSIDE = 1e-6;
-// What has no size keeps at least this from a surface with two sides [m]: by the side that it
-// is on then it is told where it came from.
+// Smallest distance that a particle without a radius keeps from a two-sided surface [m], so
+// that its position tells from which side it came.
 constexpr double SHELL = 1e-7;
 
 }  // namespace animtool::collide

@@ -61,7 +61,8 @@ class Tree {
     return box;
   }
 
-  // Halves the triangles along the longest side, so that the depth is bounded.
+  // Splits the triangles in halves along the longest side of their bounds, so that the depth is
+  // bounded.
   std::int32_t split(std::int32_t begin, std::int32_t end) {
     const std::int32_t node = static_cast<std::int32_t>(nodes.size() / 2);
     const Box box = around(begin, end);
@@ -108,7 +109,7 @@ std::vector<Edge> edges_of(const std::int32_t* corners, std::int32_t count) {
   return edges;
 }
 
-// Notes edges, and corners that are on the rim.
+// Numbers the edges, and marks corners on the boundary.
 void note_edges(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
   const std::vector<Edge> edges = edges_of(corners, count);
   sides.edges.resize(edges.size());
@@ -151,7 +152,7 @@ void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& tri
   check::at_most("points", points.shape(0), check::MOST_ROWS);
   check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
   check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
-  // What is not a number has no place in an order of boxes.
+  // NaN cannot be sorted.
   check::finite("points", points);
 }
 
@@ -179,7 +180,7 @@ collide::Mesh MeshSurface::mesh(const double* points, const double* shifts,
 void MeshSurface::fit(const double* begin, const double* end,
                       std::vector<double>& bounds) const {
   bounds.resize(3 * nodes_.size());
-  // Children come behind their parents.
+  // Children follow their parents.
   for (std::size_t node = nodes_.size() / 2; node-- > 0;) {
     double* box = bounds.data() + 6 * node;
     const std::int32_t left = nodes_[2 * node], right = nodes_[2 * node + 1];

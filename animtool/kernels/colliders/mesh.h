@@ -1,6 +1,6 @@
-// Signed distance to a triangle mesh by a tree of boxes. Inside and outside are told by the
-// normals of faces, edges and corners: Baerentzen and Aanaes (2005), "Signed distance
-// computation using the angle weighted pseudonormal".
+// Signed distance to a triangle mesh by a bounding volume tree. The sign comes from the normals
+// of faces, edges and corners: Baerentzen and Aanaes (2005), "Signed distance computation using
+// the angle weighted pseudonormal".
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 
 namespace animtool::collide {
 
-// Which triangles meet at the edges and the corners of a mesh.
+// The triangles at each edge and corner of a mesh.
 struct MeshSides {
   std::vector<std::int32_t> edges;           // of each triangle (T, 3), numbered
   std::vector<std::int32_t> edge_starts;     // where the triangles of each edge begin (E + 1,)
@@ -22,9 +22,9 @@ struct MeshSides {
   std::vector<bool> rim;                     // whether a corner is on the rim (P,)
 };
 
-// Arrays that `build_mesh_tree` makes. A node is an inner one with two children, or a leaf
-// as -1 - first and a count of triangles. Edges and corners of no definite side, as on the
-// rim of an open mesh, have normals of zero.
+// Arrays that `build_mesh_tree` returns. A node is an inner node with two children, or a leaf: -1
+// minus its first triangle, and the number of triangles. Edges and corners that have no definite
+// side, as on the boundary of an open mesh, have zero normals.
 struct Mesh {
   const double* points;
   const std::int32_t* triangles;
@@ -32,8 +32,8 @@ struct Mesh {
   const double* edge_normals;
   const double* bounds;
   const std::int32_t* nodes;
-  // Of one that changes shape: how far its points go, the share of that which they have
-  // gone, and what tells its normals as it is then.
+  // For a mesh that deforms: displacements of its points, the fraction of these that is
+  // applied, and the topology from which normals are computed.
   const double* shifts = nullptr;
   double fraction = 0;
   const MeshSides* sides = nullptr;
@@ -54,11 +54,11 @@ struct Nearest {
   int feature = 6;
 };
 
-// The shares that the second and third corner have of the point of a triangle nearest to
-// another: Ericson (2005), Real-Time Collision Detection, 5.1.5.
+// Barycentric coordinates, of the second and third corner, of the point of a triangle that is
+// nearest to another point: Ericson (2005), Real-Time Collision Detection, 5.1.5.
 struct Shares {
   double b, c;
-  int feature;  // as of `Nearest`
+  int feature;  // see `Nearest`
 };
 
 inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
@@ -69,7 +69,7 @@ inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
   const double d3 = dot(ab, bp), d4 = dot(ac, bp);
   if (d3 >= 0 && d4 <= d3) return {1, 0, 1};
   const double vc = d1 * d4 - d3 * d2;
-  // A side without length is passed over: the others lead to the same points.
+  // Skips sides of zero length: the others contain the same points.
   if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return {d1 / (d1 - d3), 0, 3};
   const Vec cp = p - c;
   const double d5 = dot(ab, cp), d6 = dot(ac, cp);
@@ -113,15 +113,15 @@ inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec 
   return hit;
 }
 
-// Of two as near the first triangle, so that the order of looking makes no difference.
+// Of two equally near triangles the first, so that the order of traversal does not matter.
 inline bool nearer(const Nearest& one, const Nearest& best) {
   if (one.squared != best.squared) return one.squared < best.squared;
   return best.triangle < 0 || one.triangle < best.triangle;
 }
 
-// Calls with the triangles under a node whose boxes are within a squared distance, nearer
-// boxes first. A call returns how far to look from then on; the distance of a node's box is
-// asked for by number.
+// Calls a function for each triangle below a node whose box is within a squared distance, nearer
+// boxes first. The function returns the new squared distance; another one gives the distance of
+// a node's box.
 template <class Squared, class Call>
 void visit_boxes(const Mesh& mesh, std::int32_t root, double limit, Squared squared, Call call) {
   struct Waiting {
@@ -152,7 +152,7 @@ void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, C
       [&](std::int32_t node) { return squared_to_box(p, mesh.bounds + 6 * node); }, call);
 }
 
-// The nearest point of the triangles under a node; none beyond the squared limit.
+// The nearest point on the triangles below a node, if within a squared limit.
 inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, double limit) {
   Nearest best;
   best.squared = limit;
@@ -170,7 +170,7 @@ inline Vec face_normal(const Mesh& mesh, std::int32_t triangle, Vec fallback) {
   return direction(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), fallback);
 }
 
-// The normal of the edge of a side; zero on the rim.
+// The normal of an edge; zero on the boundary.
 inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t triangle,
                        int side) {
   const std::int32_t edge = sides.edges[3 * triangle + side];
@@ -182,7 +182,7 @@ inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t tr
   return sum;
 }
 
-// The normal of a corner, by the angles of its faces; zero on the rim.
+// The normal of a corner, weighted by the angles of its faces; zero on the boundary.
 inline Vec corner_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t point) {
   Vec sum;
   if (sides.rim[point]) return sum;
@@ -198,7 +198,7 @@ inline Vec corner_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t 
   return sum;
 }
 
-// What tells the side at the nearest point.
+// The normal that gives the sign at the nearest point.
 inline Vec side_normal(const Mesh& mesh, const Nearest& near) {
   const std::int32_t t = near.triangle;
   if (near.feature < 3) {
@@ -210,7 +210,7 @@ inline Vec side_normal(const Mesh& mesh, const Nearest& near) {
                     : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
 }
 
-// Distance and normal at a point, of the nearest one.
+// Distance and normal at a point, from its nearest point.
 inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
   const Vec face = face_normal(mesh, near.triangle, {0, 1, 0});
   const Vec side = near.feature < 6 ? side_normal(mesh, near) : face;
@@ -221,21 +221,21 @@ inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
   return {sign * distance, distance > TOUCH ? off * (sign / distance) : flat};
 }
 
-// Distance and normal at a point; the reach and no normal where it is farther than that.
+// Distance and normal at a point; the reach and a zero normal if it is farther away.
 inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double reach) {
-  // Points behind a face are as far off as points before it.
+  // Points behind a face are at the same distance as points in front of it.
   const Nearest near = nearest_on_mesh(mesh, root, p, reach * reach);
   if (near.triangle < 0) return {reach, {0, 1, 0}};
   return sample_nearest(mesh, near, p);
 }
 
-// Distance and way out of whichever side a point is on.
+// Unsigned distance, and the direction away from the surface.
 inline Sample unsided(const Sample& hit) {
   return hit.distance < 0 ? Sample{-hit.distance, -hit.normal} : hit;
 }
 
-// Which side of an edge of a triangle a way is on; of a way through an edge of two triangles
-// one of them has it, whatever rounding does.
+// On which side of an edge of a triangle a segment passes. If it passes through an edge of two
+// triangles, exactly one of them counts it, in spite of rounding.
 inline bool passes_left(Vec a, Vec b, Vec shift, bool ascends) {
   const double side = dot(cross(a, b), shift);
   return side > 0 || (side == 0 && ascends);
@@ -256,7 +256,7 @@ inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, 
   return left[0] == left[1] && left[1] == left[2];
 }
 
-// Calls with the triangles under a node whose boxes overlap another, in order.
+// Calls a function for each triangle below a node whose box overlaps another box, in order.
 template <class Call>
 void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, Call call) {
   std::int32_t stack[DEEPEST];
@@ -276,7 +276,7 @@ void visit_overlapping(const Mesh& mesh, std::int32_t root, Vec low, Vec high, C
   }
 }
 
-// Whether a straight way ends on the other side of the triangles under a node.
+// Whether a segment crosses the triangles below a node an odd number of times.
 inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
   const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
   const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};

@@ -9,7 +9,7 @@
 
 namespace animtool::collide {
 
-// How far a point is outside, negative inside, and the way out.
+// Signed distance of a point, negative inside, and the direction out.
 struct Sample {
   double distance;
   Vec normal;
@@ -24,7 +24,7 @@ inline Sample sample_sphere(Vec centre, double radius, Vec p) {
   return {length(off) - radius, direction(off, {0, 1, 0})};
 }
 
-// What is within a radius of the segment from a to b.
+// The points within a radius of the segment from a to b.
 inline Sample sample_capsule(Vec a, Vec b, double radius, Vec p) {
   const Vec axis = b - a, off = p - a;
   const double squared = dot(axis, axis);
@@ -36,7 +36,7 @@ inline Sample sample_capsule(Vec a, Vec b, double radius, Vec p) {
   return {-radius, out};
 }
 
-// A box about the origin, by half its sides.
+// A box about the origin, by its half extents.
 inline Sample sample_box(Vec half, Vec p) {
   const double sides[3] = {half.x, half.y, half.z}, at[3] = {p.x, p.y, p.z};
   double beyond[3], out[3] = {0, 0, 0}, squared = 0;

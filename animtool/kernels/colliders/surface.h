@@ -1,5 +1,5 @@
-// Meshes whose points move while their triangles stay: the tree is built once, and its boxes
-// are fitted to where the points are.
+// Meshes whose points move but whose triangles stay the same: the tree is built once, and its
+// boxes are refitted to the points.
 #pragma once
 
 #include <cstddef>
@@ -16,9 +16,9 @@ class MeshSurface {
   MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles);
 
   std::size_t points() const { return points_; }
-  // As its points go by these ways, with boxes that `fit` made.
+  // The mesh with its points moving by these displacements, with boxes from `fit`.
   collide::Mesh mesh(const double* points, const double* shifts, const double* bounds) const;
-  // Boxes that hold it on the whole way from one place to another.
+  // Boxes that contain it along the whole way from one set of positions to another.
   void fit(const double* begin, const double* end, std::vector<double>& bounds) const;
 
  private:

@@ -1,5 +1,5 @@
-// Contacts of four particles at once, in a step: how far they are from a capsule, and where
-// one lets them end.
+// Contacts of four particles at once in a step: distances from a capsule, and positions after
+// contact.
 #pragma once
 
 #include "base/wide.h"
@@ -11,19 +11,19 @@ namespace animtool::collide {
 struct Rod {
   struct Axis {
     double from[3], along[3];
-    double inverse;     // one over the square of its length, 0 of a ball
-    double outward[3];  // the way out from the axis itself
+    double inverse;     // 1 over its squared length, 0 for a sphere
+    double outward[3];  // the direction out for points on the axis
   };
   Axis begin, end;
-  double radius;  // with the distances that are kept
-  // How it moves over the step: points p of it by travel + turn × (p - origin).
+  double radius;  // including margins
+  // Displacement in the step: its points p move by travel + rotation × (p - origin).
   double travel[3], rotation[3], origin[3];
   double friction;
-  // How far what begins too deep comes out.
+  // How far a particle that starts too deep is moved out.
   double rise;
 };
 
-// One particle by itself is numbers that are not side by side.
+// For one particle, components are single numbers.
 [[maybe_unused]] static double root(double a) { return std::sqrt(a); }
 [[maybe_unused]] static double inverse(double a) { return a > 0 ? 1 / a : 0; }
 [[maybe_unused]] static double least(double a, double b) { return a < b ? a : b; }
@@ -54,10 +54,9 @@ WideSample<N> sample_rod(const Rod::Axis& axis, double radius, const Vector3<N>&
   return {length - radius, chosen(below(N(0.0), length), normal, V::spread(axis.outward))};
 }
 
-// Where particles are that are too deep at the end of a step: on the surface, but for those
-// that began too deep, and friction takes from their way along it. Being moved out slowly is
-// no speed: of those that began too deep, where they stood still goes along. Returns which are
-// moved.
+// Moves particles that are too deep at the end of a step: to the surface, or slowly outwards if
+// they started too deep, with friction along the surface. Slow motion outwards adds no speed: the
+// position that counts as at rest moves too. Returns which particles were moved.
 template <class N>
 unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, const N& depth,
                   const Vector3<N>& from, Vector3<N>& to, Vector3<N>& unmoved) {
@@ -72,7 +71,7 @@ unsigned push_out(const Rod& rod, const WideSample<N>& hit, const N& begun, cons
   const V location = to + hit.normal * out, shift = location - from - transported;
   const V slip = shift - hit.normal * dot(shift, hit.normal);
   const N most = root(dot(slip, slip)), pinned = out * rod.friction;
-  // What friction holds does not slip at all.
+  // A particle that friction holds does not slip at all.
   const N fraction = chosen(below(pinned, most), pinned * inverse(most), N(1.0));
   to = chosen(pushed, location - slip * fraction, to);
   const N gained = dot(to - unmoved - transported, hit.normal);

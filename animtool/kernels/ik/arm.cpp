@@ -1,15 +1,15 @@
 // Closed form of six-pin arms with a spherical wrist or three parallel axes.
 //
-// Angles come one after the other, of geometric subproblems: two vectors that a turn brings
-// together (1), two turns (2), and a turn whose image has a given part along another vector
-// (4), which a given distance (3) is too (B. Paden, Kinematics and control of robot
-// manipulators, 1986; A. Elias, J. Wen, IK-Geo, 2022). All of it is in the frame of the pose
-// whose angles are zero, where axis i is the line through `at` along `axes`. What is left of
-// rounding, and of axes in files that meet only nearly, Newton's method takes away.
+// Angles are found one after the other by geometric subproblems: the rotation that takes one
+// vector to another (1), two such rotations (2), and a rotation after which a vector has a given
+// component along another (4) or a given distance from it (3) (B. Paden, Kinematics and control
+// of robot manipulators, 1986; A. Elias, J. Wen, IK-Geo, 2022). Everything is in the frame of
+// the pose with zero angles, where axis i is the line through `at` along `axes`. Newton's method
+// removes errors of rounding, and of axes in files that intersect only approximately.
 //
-// Limits of the method: of arms whose axes meet or are parallel only nearly, a branch beside a
-// singular pose may be missed. Where axes are in line, or a wrist lies on the first axis, poses
-// are endless: the angle that is open is the start's.
+// Limits of the method: if axes intersect or are parallel only approximately, a branch next to a
+// singular pose may be missed. If axes are collinear, or the wrist lies on the first axis, there
+// are infinitely many solutions: the free angle is that of the start.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,14 +23,14 @@ namespace animtool::ik {
 
 namespace {
 
-// How far axes may be from crossing or being parallel [rad], shares of the length.
+// How far axes may be from intersecting, as a fraction of the length, or from parallel [rad].
 constexpr double ARM_NEARLY = 1e-3;
 // Vectors shorter than this have no direction.
 constexpr double ARM_OPEN = 1e-10;
-// What Newton's method is to bring the misses to, and in how many steps at most.
+// Tolerance of Newton's method, and its largest number of steps.
 constexpr double ARM_EXACT = 1e-15;
 constexpr int ARM_STEPS = 8;
-// Pivots below this share of the first are none.
+// Pivots below this fraction of the first count as zero.
 constexpr double ARM_PIVOT = 1e-11;
 
 using Triple = std::array<double, 3>;
@@ -77,8 +77,8 @@ double angle_between(const Triple& axis, const Triple& p, const Triple& q, doubl
   return std::atan2(inner(axis, crossed(side, other)), inner(side, other));
 }
 
-// Subproblem 4: the turns of p about an axis whose part along h is d; `slack` beyond what there
-// is counts as the most.
+// Subproblem 4: rotations of p about an axis after which its component along h is d. A d that is
+// out of range by up to `slack` is clamped.
 Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double d, double slack,
                    double open) {
   const double along = inner(h, axis) * inner(axis, p);
@@ -92,14 +92,14 @@ Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double
   return {2, {middle + away, middle - away}};
 }
 
-// Subproblem 3: the turns of p about an axis that are so far from q.
+// Subproblem 3: rotations of p about an axis after which it has a given distance from q.
 Angles angles_at_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
                 double slack, double open) {
   return angles_along(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2, slack,
                      open);
 }
 
-// Subproblem 2: rotations of p and of q about two axes to a common vector.
+// Subproblem 2: rotations of p and q about two axes that take them to the same vector.
 template <class Use>
 void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
                     double slack, double open_first, double open_second, Use&& use) {
@@ -140,7 +140,7 @@ bool on_line(const Triple& point, const Line& line) {
   return size(minus(away, times(inner(away, line.axis), line.axis))) < ARM_NEARLY;
 }
 
-// Methods to place the wrist with the first three axes.
+// Methods that place the wrist with the first three axes.
 enum class Approach { NONE, LATER_PARALLEL, LATER_MEET, EARLIER_MEET, EARLIER_PARALLEL };
 
 // Geometry of an arm at zero angles.
@@ -148,8 +148,8 @@ struct Anatomy {
   ArmKind kind = ArmKind::NONE;
   Approach reach = Approach::NONE;
   Line lines[ARM_PINS];
-  Triple wrist;  // where the last axes meet: all three, or the last two
-  Triple joint;  // where two of the first three meet
+  Triple wrist;  // intersection of the last three axes, or of the last two
+  Triple joint;  // intersection of two of the first three axes
   Triple tip;
   double unrotated[9];  // the rotation of the last node
 };
@@ -244,7 +244,7 @@ class SixPins : public Arm {
     double angles[ARM_PINS], distance;
   };
 
-  // Whether a pose is one of those before it: branches that meet in a singular pose.
+  // Whether a pose equals an earlier one: branches merge at a singular pose.
   static bool known(const double* poses, std::size_t count, const double* pose) {
     for (std::size_t i = 0; i < count; ++i) {
       double largest = 0;
@@ -255,7 +255,7 @@ class SixPins : public Arm {
     return false;
   }
 
-  // Poses by the equations, within the limits; the nearest to the start is the first in order.
+  // Solutions of the equations within the limits, sorted by their distance from the start.
   std::size_t find(const double* start, const double* target) {
     count_ = 0;
     constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
@@ -284,7 +284,7 @@ class SixPins : public Arm {
   const Triple& axis(int n) const { return arm_.lines[n].axis; }
   const Triple& at(int n) const { return arm_.lines[n].at; }
 
-  // A point moved by a turn about an axis.
+  // A point after a rotation about an axis.
   Triple moved(int n, double angle, const Triple& point) const {
     return plus(at(n), turned(axis(n), angle, minus(point, at(n))));
   }
@@ -301,7 +301,7 @@ class SixPins : public Arm {
     return out;
   }
 
-  // How far the wrist is from where the first angle, undone, puts it.
+  // Distance of the wrist from its target, with the first rotation undone.
   Triple before_first(double angle) const { return moved(0, -angle, wrist_); }
 
   void reach() {
@@ -319,7 +319,7 @@ class SixPins : public Arm {
     }
   }
 
-  // The part along the second and third axes tells of the first turn.
+  // The component along the second and third axes determines the first angle.
   void later_parallel() {
     const double along = inner(axis(1), minus(arm_.wrist, at(0)));
     const Triple back = times(-1, axis(0));
@@ -327,7 +327,7 @@ class SixPins : public Arm {
          [&](double first) { in_plane(first, before_first(first), arm_.wrist); });
   }
 
-  // Second and third angle by the sides of a triangle.
+  // Second and third angle, from the sides of a triangle.
   void in_plane(double first, const Triple& goal, const Triple& point) {
     const double far = size(minus(goal, at(1)));
     each(angles_at_distance(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
@@ -380,7 +380,7 @@ class SixPins : public Arm {
          });
   }
 
-  // The last three angles, of the rotation that is left.
+  // The last three angles, from the remaining rotation.
   void wrist(double first, double second, double third) {
     const auto left = [&](const Triple& v) {
       return turned(axis(2), -third, turned(axis(1), -second, turned(axis(0), -first, v)));
@@ -390,7 +390,7 @@ class SixPins : public Arm {
          [&](double fifth) {
            const Triple bent = turned(axis(4), fifth, axis(5));
            const double fourth = angle_between(axis(3), bent, end, start_[3]);
-           // Of the vector farthest from the last axis, so that the fourth's error is undone.
+           // The vector farthest from the last axis compensates the error of the fourth angle.
            const Triple side = across(axis(5));
            const Triple goal = left(goal_turned(side));
            const Triple open = turned(axis(4), -fifth, turned(axis(3), -fourth, goal));
@@ -407,7 +407,8 @@ class SixPins : public Arm {
     return crossed(v, unit);
   }
 
-  // The first turn by the part along the parallel axes, the fifth by that of the last axis.
+  // The first angle from the component along the parallel axes, the fifth from that of the last
+  // axis.
   void parallel() {
     const Triple& normal = axis(1);
     const Triple back = times(-1, axis(0));
@@ -427,7 +428,7 @@ class SixPins : public Arm {
     const Triple undone = goal_undone(turned(axis(0), first, normal));
     const double sixth =
         angle_between(axis(5), undone, turned(axis(4), -fifth, normal), start_[5]);
-    // All three parallel turns together.
+    // The sum of the three parallel rotations.
     const Triple side = across(normal);
     const Triple last = turned(axis(5), -sixth, turned(axis(4), -fifth, side));
     const Triple shown = turned(axis(0), -first, goal_turned(last));
@@ -448,7 +449,7 @@ class SixPins : public Arm {
     for (int i = 0; i < angles.count; ++i) use(angles.values[i]);
   }
 
-  // Takes a pose, each angle the nearest to the start within its limits.
+  // Stores a pose, each angle shifted by full turns to the one nearest to the start within limits.
   void add(const std::array<double, ARM_PINS>& angles) {
     if (count_ == branches_.size()) return;
     Branch& pose = branches_[count_];
@@ -476,7 +477,8 @@ class SixPins : public Arm {
     measure(task_, target, state_);
   }
 
-  // Puts state_ on the pose that Newton's method ends at; whether that reaches, in limits.
+  // Sets state_ to the pose that Newton's method ends at; returns whether it reaches the target
+  // within the limits.
   bool finish(const double* angles, const double* target) {
     double best[ARM_PINS], next[ARM_PINS], step[ARM_PINS];
     std::copy(angles, angles + ARM_PINS, best);
@@ -503,7 +505,7 @@ class SixPins : public Arm {
     return true;
   }
 
-  // Solves J d = r, rows and columns by the largest pivot; what has none does not move.
+  // Solves J d = r with full pivoting; unknowns without a pivot stay 0.
   void newton(const double* target, double* step) {
     differentiate(task_, target, state_, linear_.columns);
     double rows[ARM_PINS][ARM_PINS + 1];
@@ -541,7 +543,8 @@ class SixPins : public Arm {
     }
   }
 
-  // What rounding and nearly parallel axes may put beyond reach, shares of the length.
+  // By how much rounding and nearly parallel axes may put a target out of reach, as a fraction of
+  // the length.
   static constexpr double SLACK = 1e-9;
 
   const Task& task_;
@@ -549,8 +552,8 @@ class SixPins : public Arm {
   const double tolerances_[2];
   State state_;
   Linearized linear_;
-  double goal_[9];  // what turns the last node from its pose without angles
-  Triple wrist_;    // where the wrist has to be
+  double goal_[9];  // rotation of the last node from its pose at zero angles
+  Triple wrist_;    // target of the wrist
   const double* start_ = nullptr;
   std::array<Branch, MOST_BRANCHES> branches_;
   std::array<std::size_t, MOST_BRANCHES> order_;

@@ -1,4 +1,4 @@
-// One problem on its way.
+// The state of one problem while it is being solved.
 #include "ik/attempt.h"
 
 namespace animtool::ik {

@@ -1,4 +1,4 @@
-// Random poses inside the limits, the same ones everywhere.
+// Random poses inside the limits, the same on all platforms.
 #pragma once
 
 #include <chrono>
@@ -10,7 +10,7 @@
 
 namespace animtool::ik {
 
-// splitmix64 (S. Vigna): small, and the same numbers everywhere.
+// splitmix64 (S. Vigna): small, and gives the same numbers on all platforms.
 class Random {
  public:
   explicit Random(std::uint64_t seed) : state_(seed) {}
@@ -28,7 +28,7 @@ class Random {
   std::uint64_t state_;
 };
 
-// A random pose; where a joint has no limits near by, about `home`.
+// A random pose; joints without narrow limits are varied around `home`.
 inline void sample(const Chain& chain, const double* home, Random& random, double* q) {
   for (const Node& node : chain.nodes) {
     if (node.follows) continue;
@@ -56,14 +56,14 @@ inline void sample(const Chain& chain, const double* home, Random& random, doubl
 // The state of one solve: poses, costs and stopping tests.
 
 struct Settings {
-  double length_tolerance;  // of the chain's length
+  double length_tolerance;  // as a fraction of the chain's length
   double angle_tolerance;   // [rad]
-  double damping;           // of the first step
-  int iterations;           // of all descents of one problem
+  double damping;           // in the first step
+  int iterations;           // largest number in all descents of one problem
   int restarts;
   std::uint64_t seed;
-  double seconds;   // 0 is no bound
-  bool separate_starts;  // frames of a clip begin at poses of their own
+  double seconds;   // time limit; 0 is none
+  bool separate_starts;  // frames of a clip each have their own start
 
   double tolerance(int part) const { return METRIC[part] ? length_tolerance : angle_tolerance; }
 };
@@ -92,7 +92,7 @@ class Solver {
   // Finds the best pose; `next` is the frame after the last run.
   virtual Outcome run(const double* start, const double* targets, const double* rest,
                       bool next) = 0;
-  // Measures it by other targets.
+  // Evaluates it with other targets.
   virtual void review(const double* targets) = 0;
   virtual const State& best() const = 0;
 };
@@ -103,7 +103,7 @@ class Attempt {
   const State& best() const { return best_; }
   const Outcome& outcome() const { return outcome_; }
 
-  // The share of the budget that may be spent from here on.
+  // The fraction of the budget that may be spent from now on.
   void allow(double fraction) { allowance_ = fraction; }
 
   bool spent() const {
@@ -113,7 +113,7 @@ class Attempt {
     return taken.count() > allowance_ * settings_.seconds;
   }
 
-  // Whether a goal's misses are within a share of the tolerances.
+  // Whether the errors of a goal are within a fraction of the tolerances.
   bool within(const double* misses, double fraction = 1) const {
     for (int part = 0; part < PARTS; ++part)
       if (misses[part] > fraction * settings_.tolerance(part)) return false;
@@ -131,7 +131,7 @@ class Attempt {
       : task_(task), settings_(settings), linear_(task), stepper_(task), now_(task), next_(task),
         best_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
 
-  // Brings the start inside the limits; false where its cost is beyond numbers.
+  // Clamps the start to the limits; returns false if its cost is not finite.
   bool open(const double* start, const double* targets, const double* rest);
 
   void evaluate(State& state) {
@@ -146,7 +146,7 @@ class Attempt {
     evaluate(now_);
   }
 
-  // Moves now_ a little: where the slope is zero, it may not be at its least.
+  // Perturbs now_: a pose with zero gradient need not be a minimum.
   void shake() {
     for (double& d : delta_) d = random_.between(-SHAKE, SHAKE);
     stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
@@ -154,7 +154,7 @@ class Attempt {
     evaluate(now_);
   }
 
-  // Keeps the better of the two; whether it reaches the goals.
+  // Keeps the better pose; returns whether it reaches the goals.
   bool keep() {
     if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) std::swap(now_, best_);
     return reached(best_);
@@ -187,25 +187,25 @@ class Descent : public Attempt {
 
   // Bounds of the damping of all descents.
   static constexpr double LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
-  // Over so many steps a descent has to bring the cost down to this share.
+  // In this many steps a descent has to reduce the cost to this fraction.
   static constexpr int MAX_STALLED = 6;
   static constexpr double PROGRESS = 0.3;
-  // Above this cost the whole Hessian is worth its price: goals are a length away.
+  // Above this cost the full Hessian pays off: goals are about one chain length away.
   static constexpr double FAR = 0.5;
-  // A step is taken that brings this share of what it promised, and none is left that
-  // turns by less [rad].
+  // A step is accepted if it gains this fraction of the predicted decrease; a descent ends when
+  // steps rotate joints by less than this [rad].
   static constexpr double LEAST_RATIO = 1e-4, MIN_ROTATION = 1e-10;
-  // Nor one that promises this share of the cost: what rounding leaves, unless less will
-  // do.
+  // It also ends when the predicted gain is below this fraction of the cost: rounding error,
+  // unless the caller asks for less precision.
   static constexpr double ROUNDED = 1e-15;
   double least_gain_ = ROUNDED;
 
-  // Moves now_ downhill: Levenberg-Marquardt, and with the whole Hessian in a region of
-  // trust where the goals are far or progress is slow. Not `thorough`, it gives up
-  // there, for another start is then the better use of time.
+  // Moves now_ downhill by Levenberg-Marquardt; where goals are far or progress is slow, by a
+  // trust-region method with the full Hessian. If not `thorough`, it gives up there, because
+  // another start is a better use of the time.
   End descend(double damping, bool thorough);
 
-  // What the model promises of the step to next_; less than 0 where there is none.
+  // Decrease of the cost that the model predicts for the step to next_; negative without a step.
   double try_step(double damping, bool curved, double trusted);
 };
 

@@ -17,17 +17,17 @@ class BlockBand {
       : width_(width), square_(static_cast<std::size_t>(width) * width), factor_(square_),
         cross_(square_), lower_(square_), column_(width), part_(width) {}
 
-  // Room for the blocks of so many frames; of each, the lower triangle is read by `factor`.
+  // Allocates the blocks of a number of frames; `factor` reads the lower triangle of each.
   void resize(int count) {
     count_ = count;
     diagonal_.resize(count * square_), inverse_.resize(count * square_), near_.resize(count * square_);
     off_.assign(2 * static_cast<std::size_t>(count), 0.0);
   }
   double* block(int t) { return diagonal_.data() + t * square_; }
-  // What couples a frame to the one before it, and to the one before that.
+  // Couplings of a frame with the previous frame, and with the one before that.
   void couple(int t, double one, double two) { off_[2 * t] = one, off_[2 * t + 1] = two; }
 
-  // False where the matrix is not positive definite.
+  // Returns false if the matrix is not positive definite.
   bool factor() {
     for (int t = 0; t < count_; ++t) {
       std::copy(block(t), block(t) + square_, factor_.begin());
@@ -42,7 +42,7 @@ class BlockBand {
     return true;
   }
 
-  // Solves in place for `width` numbers a frame.
+  // Solves in place for `width` right-hand sides per frame.
   void solve(double* x) {
     for (int t = 0; t < count_; ++t) {
       double* row_t = x + static_cast<std::size_t>(t) * width_;
@@ -106,7 +106,7 @@ class BlockBand {
     }
   }
 
-  // u <- L^-T of the factor, whose diagonal holds its inverse.
+  // u <- L^-T of the factor, whose diagonal is stored inverted.
   void invert(double* u) {
     for (int i = 0; i < width_; ++i) {
       double* row = lower_.data() + i * width_;
@@ -139,7 +139,7 @@ class BlockBand {
     for (int i = 0; i < width_; ++i) out[i] -= scale * inner(u + i * width_, v, i, width_);
   }
 
-  // out += scale U^T v, or that alone.
+  // out += scale U^T v, or out = scale U^T v.
   void upper_transposed(const double* u, double scale, const double* v, double* out,
                         bool alone) const {
     if (alone) std::fill(out, out + width_, 0.0);

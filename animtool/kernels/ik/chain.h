@@ -9,28 +9,28 @@ namespace animtool::ik {
 
 enum class Kind { PIN = 0, SLIDE = 1, BALL = 2 };
 
-// A moving joint. A pin turns about its own z, a slide goes along it, and z is the
-// twist axis of a ball; whoever builds the chain turns the frames so. Several
-// nodes may follow one coordinate: value = gain * coordinate + shift.
+// A moving joint. The z axis of its frame is the axis of a pin, the direction of a slide,
+// or the twist axis of a ball; the frames of a chain are built that way. Several nodes
+// may depend on one coordinate: value = gain * coordinate + shift.
 struct Node {
   Kind kind;
-  int parent;         // -1 for one that hangs on the world
+  int parent;         // -1 for the world
   double rest[9];     // parent_from_node
-  double offset[3];   // of its origin, in the parent's frame
+  double offset[3];   // its origin in the parent's frame
   double gain, shift;  // of pins and slides
-  bool follows;       // the coordinate belongs to an earlier node, or a program is followed
+  bool follows;       // the coordinate belongs to an earlier node, or a program gives the value
   double limit[4];    // low, high; of a ball swing about x, swing about y, twist low, high
-  double quick[5];    // of the limits of a ball, see prepare
-  int coordinate;     // first of 1 or 4
-  int dof;            // first of 1 or 3
-  int program;        // that gives the value in place of a coordinate, or -1
+  double quick[5];    // precomputed from the limits of a ball, see `prepare`
+  int coordinate;     // index of the first of 1 or 4
+  int dof;            // index of the first of 1 or 3
+  int program;        // program that gives the value instead of a coordinate, or -1
 
   int width() const { return kind == Kind::BALL ? 3 : 1; }
 };
 
 struct Chain {
   std::vector<Node> nodes;
-  std::vector<Program> programs;  // each behind those whose results it reads
+  std::vector<Program> programs;  // each after those whose results it reads
   int coordinates = 0;
   int dofs = 0;
 };
@@ -39,7 +39,7 @@ struct Chain {
 struct Frames {
   std::vector<double> rotations;  // (N, 3, 3)
   std::vector<double> origins;    // (N, 3)
-  std::vector<double> axes;       // (N, 3, 3), one a row; the first only of pins and slides
+  std::vector<double> axes;       // (N, 3, 3), one per row; pins and slides have only the first
   Results results;                // of the chain's programs
 
   explicit Frames(const Chain& chain)
@@ -56,8 +56,8 @@ struct Frames {
   }
 };
 
-// Calls `use(k, dof, gain)` for each axis k of a node and what moves it: `gain` times the
-// degree of freedom, to first order.
+// Calls `use(k, dof, gain)` for each axis k of a node and each degree of freedom that moves it:
+// the motion is `gain` times the change of `dof`, to first order.
 template <class Use>
 void each_slope(const Chain& chain, const Node& node, const Frames& frames, Use&& use) {
   if (node.program < 0) {
@@ -69,7 +69,7 @@ void each_slope(const Chain& chain, const Node& node, const Frames& frames, Use&
     use(0, program.dofs[s], node.gain * frames.results.slopes[program.first + s]);
 }
 
-// Calls `use(dof)` for what moves a node.
+// Calls `use(dof)` for each degree of freedom that moves a node.
 template <class Use>
 void each_dof(const Chain& chain, const Node& node, Use&& use) {
   if (node.program < 0)
@@ -87,7 +87,7 @@ inline void rotate_about_z(const double* r, double angle, double* out) {
   }
 }
 
-// Of the nodes from `first` to before `end`, those before them being known.
+// For the nodes in [first, end); those before them have to be up to date.
 void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
              Frames& frames);
 
@@ -109,7 +109,7 @@ inline void velocity(const Node& node, const double* axis, const double* origin,
 
 // Differences of poses.
 
-// Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
+// Tangent vector (D,) from one pose to another; rotations of balls are in their rest frame.
 void difference(const Chain& chain, const double* from, const double* to, double* out);
 
 // How a rotation vector v = log(b a^-1) changes with b, transposed, on y: the inverse
@@ -124,12 +124,12 @@ inline void pull_back(const double* v, const double* y, double side, double* out
   for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
 }
 
-// The rotation of a single joint that is best for its goals.
+// The rotation of a single joint that serves its goals best.
 
-// Sums over what a joint turns, for C cos(angle) + S sin(angle) about an axis, which is to
-// be the largest: for a vector that is to turn onto another, their product; for a
-// rotation that is left to make, its trace (C. Welman, Inverse kinematics and geometric
-// constraints for articulated figure manipulation, 1993).
+// Sums over everything that a joint rotates. They give C cos(angle) + S sin(angle) for a
+// rotation about an axis, which is maximised: the dot product of a vector with its target, or
+// the trace of a remaining rotation (C. Welman, Inverse kinematics and geometric constraints
+// for articulated figure manipulation, 1993).
 struct Pull {
   double moment[9] = {};  // sum of a b^T
   double torque[3] = {};  // sum of a x b: S = axis . torque
@@ -145,7 +145,7 @@ struct Pull {
     }
   }
 
-  // A rotation that is left to make: half of it, for its trace counts an angle twice.
+  // A remaining rotation: half of it, because its trace counts the angle twice.
   void add(double weight, const double* left) {
     const double half = weight / 2;
     trace += half * (left[0] + left[4] + left[8]);
@@ -162,8 +162,7 @@ struct Pull {
   }
 };
 
-// Fills in the step of a pin or ball that follows the pull: about its axis, or about that
-// of the torque.
+// Writes the step of a pin about its axis, or of a ball about the axis of the torque.
 void follow(const Node& node, const double* axes, const Pull& pull, double* delta);
 
 }  // namespace animtool::ik

@@ -12,25 +12,26 @@ class ClosedForm {
  public:
   virtual ~ClosedForm() = default;
 
-  // Writes a pose `q` and what it misses (K,), from the packed targets: those that misses are
-  // told of, and those in reach. False where it keeps no limits, or does not reach: another
-  // solver has to look.
+  // Writes a pose `q` and its errors (K,), from two sets of packed targets: those that errors
+  // refer to, and those within reach. Returns false if the pose violates limits or does not
+  // reach the target, so that another solver has to search.
   virtual bool solve(const double* start, const double* target, const double* sought,
                      double scale, double* q, double* misses) = 0;
 
-  // Whether the start decides among poses, so that frames of a clip start at the one before.
+  // Whether the solution depends on the start, so that each frame of a clip starts at the
+  // previous one.
   virtual bool follows() const = 0;
 };
 
 // A limb of two bones, see two_bone.cpp; the chain is one.
 std::unique_ptr<ClosedForm> make_limb(const Task& task);
 
-// What makes a closed form of an arm of six pins, with a goal of position and orientation.
+// The arguments for the closed form of an arm of six pins, with a goal of position and orientation.
 enum class ArmKind { NONE = 0, WRIST = 1, PARALLEL = 2 };
 
 ArmKind arm_kind(const Task& task);
 
-// Such an arm, see arm.cpp; its poses that reach a target, at most 8, within the limits.
+// The closed form of such an arm, see arm.cpp: at most 8 poses within the limits reach a target.
 class Arm : public ClosedForm {
  public:
   virtual std::size_t branches(const double* start, const double* target, double* poses) = 0;

@@ -29,7 +29,7 @@ void Evaluation::join(int count, double value, double a, double b, double c) {
   for (std::size_t s = 1; s <= slots_; ++s) {
     double sum = 0;
     for (int k = 0; k < count; ++k)
-      // What a value does not depend on is 0, however steep.
+      // The derivative by what a value does not depend on is 0, even if the slope is infinite.
       if (at(top_ - 1 + k)[s] != 0) sum += by[k] * at(top_ - 1 + k)[s];
     top[s] = sum;
   }

@@ -1,7 +1,7 @@
-// Driven joints: values by arithmetic on other joints, derivatives by forward mode.
+// Driven joints: values are expressions of other joints; derivatives by forward mode.
 //
-// A program is in reverse Polish notation, over coordinates and the results of programs
-// before it. Slopes are taken over the degrees of freedom that it reads.
+// A program is in reverse Polish notation, over coordinates and the results of earlier
+// programs. Derivatives are by the degrees of freedom that it reads.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,7 @@ enum class Op {
 
 // Numbers of an instruction.
 constexpr int MOST_NUMBERS = 6;
-// Values that a program may stack, and slopes that they may have.
+// Largest stack depth of a program, and largest number of derivatives of a value.
 constexpr std::size_t MOST_STACKED = 1024, MOST_SLOPES = 1024;
 
 inline int arguments(Op op) {
@@ -38,8 +38,8 @@ struct Instruction {
   Op op;
   // COORDINATE and BALL: the coordinate; RESULT: the program; CURVE: its points' count.
   int which;
-  // NUMBER: it; POINT: x, y, slope; CURVE: whether it is smooth; COORDINATE: scale; BALL:
-  // what twist, swing about x and y, and the swing's angle count, and the middle of the
+  // NUMBER: its value; POINT: x, y, slope; CURVE: whether it is smooth; COORDINATE: scale; BALL:
+  // factors of the twist, the swing about x and y, and the swing angle, and the middle of the
   // twist's range.
   double numbers[MOST_NUMBERS];
   int slot;  // of the first degree of freedom, among the program's
@@ -47,9 +47,9 @@ struct Instruction {
 
 struct Program {
   std::vector<Instruction> instructions;
-  std::vector<int> dofs;  // what it depends on, ascending
+  std::vector<int> dofs;  // degrees of freedom that it depends on, ascending
   std::size_t first = 0;  // of its slopes, among those of all programs
-  std::size_t depth = 0;  // values stacked at most
+  std::size_t depth = 0;  // largest stack depth
 };
 
 // Results of programs at a pose.
@@ -58,7 +58,7 @@ struct Results {
   std::vector<double> stack;
 };
 
-// Twist and swing of a ball, and their slopes over q <- exp(d) q.
+// Twist and swing of a ball, and their derivatives for q <- exp(d) q.
 struct BallParts {
   double twist, swing[2];
   double slopes[3][3];
@@ -88,7 +88,7 @@ class Evaluation {
     return top + 1;
   }
 
-  // The result of one, two or three values is in place of the first.
+  // The result of one, two or three operands replaces the first.
   void join(int count, double value, double a, double b = 0, double c = 0);
 
   void apply(const Program& program, const Instruction& one, const Instruction* points);

@@ -1,4 +1,4 @@
-// Limbs that ease out and stretch.
+// Soft extension and stretch of limbs.
 #include "ik/extension.h"
 
 #include <algorithm>
@@ -15,8 +15,9 @@ namespace {
 
 constexpr std::size_t LIMB_NUMBERS = 7;
 
-// How far a limb extends towards a target: up to (1 - soft) reach as far as the target, then
-// ever closer to its full reach (A. Nicholas, Soft IK, 2009: the exponential ease).
+// How far a limb extends towards a target: up to the target as long as that is within
+// (1 - soft) reach, then asymptotically to its full reach (A. Nicholas, Soft IK, 2009: the
+// exponential ease).
 double soft_distance(double distance, double reach, double soft) {
   if (soft <= 0) return std::min(distance, reach);
   const double start = (1 - soft) * reach, width = soft * reach;

@@ -1,4 +1,4 @@
-// How far limbs extend towards what is too far: softly, and by stretching their bones.
+// Extension of limbs towards targets out of reach: softly, and by stretching their bones.
 #pragma once
 
 #include <vector>
@@ -8,22 +8,22 @@
 
 namespace animtool::ik {
 
-// The way from a joint that stays in its place to a goal's point, lengths in shares of the
-// chain's.
+// A limb from a joint with a fixed position to the point of a goal. Lengths are fractions of the
+// chain's length.
 struct Limb {
   std::size_t goal;
   double origin[3];  // of its root
-  double reach;      // its length when as straight as it can be
-  double bones;      // by how much that grows while the bones grow by 1 of their length
-  double soft;       // share of the reach over which its extension eases out
-  double stretch;    // most that its bones grow by
+  double reach;      // its length when fully extended
+  double bones;      // growth of the reach per relative stretch of the bones
+  double soft;       // fraction of the reach over which the extension eases out
+  double stretch;    // largest relative stretch of its bones
 };
 
 std::vector<Limb> read_limbs(const In<std::int64_t, 1>& goals, const In<double, 2>& numbers,
                              std::size_t count);
 
-// Of one problem with `count` goals: targets that the limbs can seek, what their bones are
-// multiplied by (E,), and where ease alone keeps one from its target (E,).
+// For one problem with `count` goals: targets within reach of the limbs, factors of their bone
+// lengths (E,), and whether only the soft extension keeps a limb from its target (E,).
 void extend(const std::vector<Limb>& limbs, std::size_t count, const double* targets,
             double* sought, double* scales, bool* eased);
 

@@ -1,11 +1,11 @@
-// Fits the poses of a clip to weighted goals: robust against outliers, smooth in time, within
-// the limits.
+// Fits the poses of a clip to weighted goals: robust to outliers, smooth in time, and within the
+// limits.
 //
 // Over all frames at once: min sum rho(|r|) + speed |v|^2 / 2 + acceleration |a|^2 / 2, with
 // rho(r) = r^2 / 2 / (1 + r^2 / c^2) (S. Geman, D. McClure, Statistical methods for
-// tomographic image reconstruction, 1987) for each goal, by reweighted Gauss-Newton. Before,
-// frame after frame starts where those before it lead to, and c comes down from what is missed
-// there (A. Blake, A. Zisserman, Visual reconstruction, 1987).
+// tomographic image reconstruction, 1987) for each goal, by reweighted Gauss-Newton. Before that,
+// frames are solved one after the other, each from a pose extrapolated from earlier frames, with c
+// decreasing from the residuals there (A. Blake, A. Zisserman, Visual reconstruction, 1987).
 #include "ik/solve.h"
 
 #include "ik/attempt.h"
@@ -21,11 +21,11 @@ namespace {
 
 struct FitSettings {
   PathWeights weights;
-  double robust;   // c, in weighted residuals; infinite is least squares
-  double homing;   // share of the way to its rest that a joint goes in a frame nothing holds
+  double robust;   // c, in units of weighted residuals; infinite for least squares
+  double homing;   // fraction of the way to its rest that an unconstrained joint moves per frame
   int first, end;  // frames that may move
-  int rounds;      // of Gauss-Newton over all frames
-  bool tracked;    // frames are looked for one after the other first
+  int rounds;      // largest number of Gauss-Newton iterations over all frames
+  bool tracked;    // frames are solved one after the other first
 };
 
 struct FitOutcome {
@@ -35,8 +35,8 @@ struct FitOutcome {
 
 class PathFit : public Descent {
  public:
-  // `starts` (F, Q) are where a frame is looked for that those before it do not lead to.
-  // The task's rest weight is how strongly those before it draw a frame.
+  // `starts` (F, Q) are start poses of frames for which extrapolation from earlier frames fails.
+  // The task's rest weight is the weight of the extrapolated pose.
   PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frames,
           const double* targets, const double* starts)
       : Descent(task, settings), local_task_(task), drawn_(task.rest_weight), fit_(fit), frames_(frames), width_(task.chain.dofs),
@@ -50,11 +50,11 @@ class PathFit : public Descent {
       if (node.kind == Kind::BALL && !node.follows) home_[node.coordinate + 3] = 1;
   }
 
-  // Targets (F, E, W), where those of goals were exchanged.
+  // Targets (F, E, W), after exchanges between goals.
   const double* targets(int t) const { return source_targets(t); }
 
-  // Improves a path (F, Q) in place; `searched` (F,) says which frames began anew, `taken`
-  // (F, E) whose target a goal took, -1 where it gave its own away and took none.
+  // Improves a path (F, Q) in place. `searched` (F,) tells which frames used their start pose, and
+  // `taken` (F, E) from which goal a goal took its target, -1 if it lost its own and took none.
   FitOutcome run(double* path, std::int64_t* searched, std::int64_t* taken) {
     taken_ = taken;
     now_path_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
@@ -68,37 +68,37 @@ class PathFit : public Descent {
   }
 
  private:
-  // What a step over a frame gains at least, and a round over all of them.
+  // Smallest relative gain of a step in one frame, and of an iteration over all frames.
   static constexpr double ENOUGH = 1e-5, ROUND = 1e-4;
-  // The same as long as goals that fit are held on to: a beginning alone is looked for.
+  // The same while fitting goals are held, to find only a start.
   static constexpr double NEAR = 0.01;
-  // What is missed by more has no square.
+  // Squares of larger residuals overflow.
   static constexpr double BEYOND = 1e100;
-  // Of the residuals' median at a start: what is more is likely none to follow. Halved each
-  // time, at most so often.
+  // Residuals above this multiple of their median at a start are probably outliers. The factor is
+  // halved in each descent, at most this often.
   static constexpr double WIDER = 3;
   static constexpr int HALVINGS = 8;
-  // A frame whose goals cost this share of what they can on average is looked for elsewhere,
-  // from so many starts, and what is found must cost this share of that.
+  // A frame whose goals cost more than this fraction of their largest cost, on average, is searched
+  // from this many other starts; a result has to cost less than this fraction of the previous cost.
   static constexpr double LOST = 0.45, BETTER = 0.8;
   static constexpr int SEEDS = 4;
-  // How strongly a frame is drawn to its start that is looked for elsewhere: joints that
-  // nothing holds stay there.
+  // Weight of the start pose in a search from another start: unconstrained joints stay there.
   static constexpr double LOOSE = 1;
-  // A target is a stray that is so many times c^2 off, and another goal's that is within so
-  // many times c of it and this share as far from it. Where more are off than so many, the pose is at fault.
+  // A target is stray if its squared error exceeds this multiple of c^2. It belongs to another goal
+  // that is within this multiple of c, and nearer by this factor. If more than this many are
+  // stray, the pose is wrong, not the targets.
   static constexpr double STRAY = 2, CLOSE = 2, NEARER = 0.25;
   static constexpr std::size_t MOST_STRAYS = 16;
-  // So many goals outweigh whatever the frames before say.
+  // This many goals outweigh the pose extrapolated from earlier frames.
   static constexpr double DOUBT = 3;
-  // Speed that is kept from frame to frame where nothing is seen.
+  // Fraction of the velocity that is kept per frame without observations.
   static constexpr double SLOWED = 0.9;
-  // Tries of a round, each so many times stiffer.
+  // Attempts per iteration, and the factor of the damping from one to the next.
   static constexpr int TRIES = 6;
   static constexpr double STIFFER = 10;
-  // How far a joint goes along the slope to see whether a limit stops it [rad].
+  // Step along the gradient that tests whether a limit blocks a joint [rad].
   static constexpr double PROBE = 1e-6;
-  // How stiff a limit is, in shares of the stiffest degree of freedom.
+  // Stiffness of a limit, relative to the stiffest degree of freedom.
   static constexpr double WALL = 1e6;
 
   double* pose(std::vector<double>& of, int t) {
@@ -117,7 +117,7 @@ class PathFit : public Descent {
     return source_targets_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
 
-  // Calls f(goal, part, squared weighted miss) for all that is asked in a frame.
+  // Calls f(goal, part, squared weighted error) for all parts of goals with a weight in a frame.
   template <class F>
   void each_miss(int t, const State& state, F&& f) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
@@ -125,12 +125,12 @@ class PathFit : public Descent {
         const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, part);
         if (!(weight > 0)) continue;
         const double miss = weight * state.misses[PARTS * e + part];
-        // Poses and targets may be of any numbers: what is none is far off.
+        // Poses and targets may contain any numbers: NaN counts as far away.
         f(e, part, std::fabs(miss) < BEYOND ? miss * miss : BEYOND * BEYOND);
       }
   }
 
-  // What the goals of a frame cost at a pose, no more than c^2 / 2 each.
+  // Cost of the goals of a frame at a pose: at most c^2 / 2 each.
   double robust_cost(int t, const State& state, double scale) const {
     double cost = 0;
     each_miss(t, state, [&](std::size_t, int, double square) {
@@ -139,7 +139,7 @@ class PathFit : public Descent {
     return cost;
   }
 
-  // Share of what the goals of a frame can cost, 0 to 1.
+  // Cost of the goals of a frame, as a fraction of the largest possible cost.
   double cost_fraction(int t, const State& state) const {
     double sum = 0;
     int count = 0;
@@ -150,7 +150,7 @@ class PathFit : public Descent {
     return count ? sum / count : 0;
   }
 
-  // Weights of the goals, by what they miss.
+  // Robust weights of the goals, from their errors.
   void reweight(int t, const State& state, double scale) {
     double* out = asked(t);
     each_miss(t, state, [&](std::size_t e, int part, double square) {
@@ -167,7 +167,7 @@ class PathFit : public Descent {
     return std::sqrt(sizes_[sizes_.size() / 2]);
   }
 
-  // A state whose misses are those of all goals that are given, whatever they weigh.
+  // A state with the errors of all goals that have targets, even if their weight is 0.
   void look(int t, const double* q, State& state) {
     std::copy(q, q + coordinates_, state.q.begin());
     forward(task_.chain, state.q.data(), state.frames);
@@ -180,7 +180,7 @@ class PathFit : public Descent {
     return std::sqrt(most);
   }
 
-  // What a pose is off where the frames before lead to, no more than DOUBT goals cost.
+  // Cost of a pose's distance from the extrapolated pose; at most that of DOUBT goals.
   double surprise(const double* q, const double* predicted) {
     difference(task_.chain, predicted, q, away_.data());
     double square = 0;
@@ -189,8 +189,8 @@ class PathFit : public Descent {
     return std::isfinite(most) ? cost / (1 + cost / most) : cost;
   }
 
-  // kept_ <- the pose that a descent from a start ends in; what its goals cost. What is
-  // missed there by more than a scale counts little at first.
+  // kept_ <- the pose at which a descent from a start ends; returns the cost of its goals. Errors
+  // at the start above a scale count little at first.
   double settle(int t, const double* start, const double* prefer, bool all) {
     look(t, start, kept_);
     double scale = all ? largest_miss(t, kept_) : WIDER * median_miss(t, kept_);
@@ -211,7 +211,7 @@ class PathFit : public Descent {
     return robust_cost(t, kept_, fit_.robust);
   }
 
-  // Where frames lead to.
+  // Extrapolates a pose from earlier frames.
   void predict(int t, double* out) {
     const double* last = pose(now_path_, t - 1);
     std::fill(away_.begin(), away_.end(), 0.0);
@@ -220,7 +220,7 @@ class PathFit : public Descent {
     stepper_.move(last, away_.data(), out);
   }
 
-  // And for joints that no goal holds: they go home in time.
+  // The same for unconstrained joints, which return to their rest pose in time.
   void send_home(double* out) {
     difference(task_.chain, out, home_.data(), away_.data());
     for (const Node& node : task_.chain.nodes)
@@ -229,7 +229,7 @@ class PathFit : public Descent {
     stepper_.move(std::vector<double>(out, out + coordinates_).data(), away_.data(), out);
   }
 
-  // now_path_ at t <- the pose that fits; 1 where frames before it did not lead there.
+  // now_path_ at t <- the fitted pose; returns 1 if it was not reached from earlier frames.
   std::int64_t track(int t) {
     std::vector<double> start(coordinates_), prefer(coordinates_);
     const double* restart = starts_ + static_cast<std::size_t>(t) * coordinates_;
@@ -268,8 +268,8 @@ class PathFit : public Descent {
     return searched;
   }
 
-  // `out` <- a pose with the joints at rest that move goals which all are far off, such as
-  // those of a neck whose head is lost; false where there are none.
+  // `out` <- a pose in which joints are at rest if all goals that they move are far off, such as
+  // those of a neck whose head is lost; returns false if there are no such joints.
   bool send_torn_home(int t, const std::vector<double>& pose, std::vector<double>& out) {
     torn_.assign(task_.chain.nodes.size(), 0);
     const double limit = fit_.robust * fit_.robust;
@@ -289,8 +289,8 @@ class PathFit : public Descent {
     return matched;
   }
 
-  // Targets that lie where frames before lead another goal to, which is without its own or
-  // far off it, are that goal's: two labels were mixed up.
+  // Reassigns targets whose labels were mixed up: a target at the extrapolated position of another
+  // goal, which has no target or is far from it, is given to that goal.
   void exchange(int t, const double* start) {
     look(t, start, kept_);
     strays_.clear();
@@ -324,21 +324,21 @@ class PathFit : public Descent {
       out[WEIGHTS] = target[WEIGHTS];
       taken[nearest] = static_cast<std::int64_t>(from);
       if (taken[from] != static_cast<std::int64_t>(from)) continue;
-      // Until another one is found for it.
+      // Until another target is found for it.
       source_targets(t)[TARGET_WIDTH * from + WEIGHTS] = 0;
       taken[from] = -1;
     }
     std::copy(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH, asked(t));
   }
 
-  // How far a target is from where a goal is at kept_.
+  // Distance of a target from a goal's point at kept_.
   double away(std::size_t e, const double* target) const {
     const double* point = &kept_.points[3 * e];
     const double by[3] = {target[0] - point[0], target[1] - point[1], target[2] - point[2]};
     return length(by);
   }
 
-  // Other poses of joints that are not the root's.
+  // Other poses of all joints except the root.
   void scatter(std::vector<double>& q) {
     std::vector<double> other(q.size());
     sample(task_.chain, q.data(), random_, other.data());
@@ -362,8 +362,8 @@ class PathFit : public Descent {
     blocks_.resize(count);
     for (int i = 0; i < count; ++i) blocks_.couple(i, band_.entry(fit_.first + i, -1), band_.entry(fit_.first + i, -2));
     outcome.before = outcome.after = evaluate(now_path_, false);
-    // Frames by themselves are rough: a step that makes them smooth is long, and would leave
-    // goals behind that count less the farther it goes. What fits now is held on to first.
+    // Frames solved one by one are not smooth. The first smoothing step is long, and would lose
+    // goals, whose weight falls with their error. So goals that fit now are held at first.
     if (fit_.tracked && std::isfinite(fit_.robust)) {
       for (int t = fit_.first; t < fit_.end; ++t) {
         look(t, pose(now_path_, t), kept_);
@@ -374,7 +374,7 @@ class PathFit : public Descent {
     improve(outcome, false);
   }
 
-  // Steps of all frames at once; `held`: goals count as they do in `asked_`.
+  // Steps of all frames at once. With `held`, goals keep the weights in `asked_`.
   void improve(FitOutcome& outcome, bool keep_weights) {
     double cost = evaluate(now_path_, keep_weights), damping = 0;
     for (int round = 0; round < fit_.rounds; ++round) {
@@ -396,7 +396,7 @@ class PathFit : public Descent {
     if (!keep_weights) outcome.after = cost;
   }
 
-  // A state whose residuals are those of goals as they count in `asked_`.
+  // A state with the residuals of goals weighted as in `asked_`.
   void look_as_asked(int t, const double* q) {
     std::copy(q, q + coordinates_, kept_.q.begin());
     forward(task_.chain, kept_.q.data(), kept_.frames);
@@ -419,8 +419,8 @@ class PathFit : public Descent {
     return cost;
   }
 
-  // blocks_ and downhill_ at the present path, goals weighed by what they miss there, or as
-  // they are `held`.
+  // Computes blocks_ and downhill_ at the current path, with robust weights, or fixed ones if
+  // `held`.
   void assemble(bool keep_weights) {
     const int count = fit_.end - fit_.first;
     cost_.evaluate(anchors_.data(), now_path_.data(), &slope_);
@@ -455,10 +455,10 @@ class PathFit : public Descent {
     }
   }
 
-  // Limits that the slope runs against.
+  // Limits that the gradient step would violate.
   void stop(int i, const double* down) {
     std::fill(away_.begin(), away_.end(), 0.0);
-    // Each joint by itself: a small slope runs against a limit too.
+    // Each joint separately: a small gradient component can violate a limit too.
     for (const Node& node : task_.chain.nodes) {
       if (node.follows) continue;
       double size = 0;
@@ -507,7 +507,7 @@ class PathFit : public Descent {
   const double drawn_;
   const FitSettings fit_;
   const int frames_, width_, coordinates_;
-  std::vector<double> source_targets_, asked_;  // targets, and as they are weighed at present
+  std::vector<double> source_targets_, asked_;  // targets, and the same with current weights
   const double* starts_;
   PathCost cost_;
   TimeBand band_;
@@ -522,7 +522,7 @@ class PathFit : public Descent {
   double stiffest_ = 0;
 };
 
-// Of the first step of a fit to goals that are never reached.
+// Damping of the first step of a fit, whose goals are never reached exactly.
 constexpr double FIT_DAMPING = 1e-3;
 
 }  // namespace

@@ -1,8 +1,8 @@
 // The kinds of goals: residuals, Jacobians, and use in solvers.
 //
-// A residual r is what is missing, so that r(q + d) = r(q) - J d to first order, and
-// the gradient of the cost |r|^2 / 2 is -J^T r, exactly: rotations are compared by
-// their rotation vector in the world, apart from positions.
+// A residual r is target minus value, so that r(q + d) = r(q) - J d to first order, and the
+// gradient of the cost |r|^2 / 2 is exactly -J^T r: rotations are compared by their rotation
+// vector in the world, separately from positions.
 #pragma once
 
 #include <array>
@@ -29,7 +29,7 @@ struct Motion {
   const double *axis, *origin;
   double linear[3], angular[3];
 
-  // And another point that the node carries.
+  // The same for another point of the node.
   double along(const double* direction, const double* point) const {
     double moved[3], turned[3];
     velocity(node, axis, origin, point, moved, turned);
@@ -41,7 +41,7 @@ struct Motion {
 struct PointTarget {
   static constexpr int WIDTH = 3;
 
-  // Brings it to the scale of the chain.
+  // Scales it by the length of the chain.
   static void to_chain(double* target, const double*, double length) {
     for (int i = 0; i < 3; ++i) target[i] /= length;
   }
@@ -50,8 +50,8 @@ struct PointTarget {
 struct RotationTarget {
   static constexpr int WIDTH = 4;
 
-  // Brings it to length 1 and to the frame of the node, node_from_joint being `frame`.
-  // Scaled first, so that neither tiny nor huge numbers leave the range.
+  // Normalises it and transforms it to the node's frame; `frame` is node_from_joint. Scales
+  // first, so that neither tiny nor huge numbers under- or overflow.
   static void to_chain(double* q, const double* frame, double) {
     const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
     const double most =
@@ -68,14 +68,14 @@ struct RotationTarget {
 
 // Each kind has, besides its name as in Python:
 //   ROWS     residuals
-//   METRIC   what it misses is a length, else an angle
+//   METRIC   the error is a length, else an angle
 //   LIMB     it needs the nodes of a limb
-//   measure  writes the weighted residuals and returns what is missed
-//   keep     writes the target that is met as the chain is
-//   Slopes   made once for a pose; `add` adds to a column of the Jacobian what a motion
-//            does, `scale` being its weight and gain
-//   pull     of cyclic coordinate descent, if that heeds it: adds what the goal draws a
-//            joint at `origin` to
+//   measure  writes the weighted residuals and returns the error
+//   keep     writes the target that the current pose reaches
+//   Slopes   built once per pose; `add` adds the effect of a motion to a column of the
+//            Jacobian; `scale` is its weight times gain
+//   pull     for cyclic coordinate descent, if supported: adds the goal's pull on a joint at
+//            `origin`
 struct Position : PointTarget {
   static constexpr const char* NAME = "position";
   static constexpr int ROWS = 3;
@@ -113,7 +113,7 @@ struct Orientation : RotationTarget {
   static constexpr int ROWS = 3;
   static constexpr bool METRIC = false, LIMB = false;
 
-  // The rotation that is left to make.
+  // The remaining rotation.
   static void left(const View& view, const double* target, double* out) {
     double desired[9], transposed[9];
     to_matrix(target, desired);
@@ -156,7 +156,7 @@ struct Aim : PointTarget {
   static constexpr int ROWS = 2;
   static constexpr bool METRIC = false, LIMB = false;
 
-  // The turn that takes the aim axis to its target: angle about a unit axis.
+  // The rotation that takes the aim axis to its target: angle and unit axis.
   struct AimRotation {
     double direction[3], desired[3], axis[3];
     double distance, angle;
@@ -228,7 +228,7 @@ struct Pole : PointTarget {
   static constexpr int ROWS = 1;
   static constexpr bool METRIC = false, LIMB = true;
 
-  // The half plane of a limb and that of its pole, seen along the limb.
+  // The half planes of a limb and of its pole, projected along the limb.
   struct Bend {
     double axis[3], middle[3], pole[3];  // the last two at right angles to the axis
     double span, middle_along, pole_along, angle;
@@ -268,7 +268,7 @@ struct Pole : PointTarget {
     std::copy(view.joint, view.joint + 3, target);
   }
 
-  // How the points of a limb turn its half plane: derivatives of Bend::angle.
+  // Derivatives of Bend::angle by the points of a limb.
   struct Slopes {
     View view;
     bool known;
@@ -302,7 +302,7 @@ struct Pole : PointTarget {
   };
 };
 
-// In the order of rows, weights and misses, as Python's table has them.
+// In the order of rows, weights and errors, as in Python's table.
 using Kinds = std::tuple<Position, Orientation, Aim, Pole>;
 constexpr int PARTS = std::tuple_size_v<Kinds>;
 
@@ -332,12 +332,12 @@ constexpr std::array<int, PARTS + 1> sums(F&& count) {
   return ends;
 }
 
-// Where the target of each kind begins in a row of targets; behind them is what weights are
-// multiplied by: where that is 0, the rows are there but ask for nothing.
+// Offset of each kind's target in a row of targets. The targets are followed by factors of the
+// weights: with a factor of 0, the residuals are 0.
 constexpr std::array<int, PARTS + 1> COLUMNS = sums([]<class Kind>() { return Kind::WIDTH; });
 constexpr int WEIGHTS = COLUMNS[PARTS];
 constexpr int TARGET_WIDTH = WEIGHTS + PARTS;
-// Rows of a goal that asks for everything.
+// Number of rows of a goal with all kinds.
 constexpr int MOST_GOAL_ROWS = sums([]<class Kind>() { return Kind::ROWS; })[PARTS];
 constexpr std::array<bool, PARTS> METRIC = [] {
   std::array<bool, PARTS> metric{};

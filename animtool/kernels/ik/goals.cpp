@@ -100,7 +100,7 @@ double nearest_cost(const Task& task, const double* targets, const Frames& frame
     const double gap = std::max({0.0, distance - reach.outer, reach.inner - distance});
     cost += weight * weight * gap * gap / 2;
   }
-  // What rounding alone makes of a target on the edge of the reach.
+  // Rounding error of a target on the boundary of the reach.
   return cost > 1e-16 ? cost : 0;
 }
 
@@ -139,7 +139,7 @@ void Curvature::add(const Task& task, const State& state, std::size_t e, const d
     // Across the residual, turning changes its length by angle/2 cot(angle/2) only.
     if (angle > 1e-9) shrink = w * w * (angle / 2 / std::tan(angle / 2) - 1);
   }
-  // What the joints behind each one do to the point and to the frame.
+  // Sums of the velocities of point and frame over the joints after each one.
   double linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
   for (std::size_t at = goal.path.size(); at-- > 0;) {
     double* behind = &behind_[6 * at];

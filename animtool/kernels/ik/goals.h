@@ -1,4 +1,4 @@
-// Goals of a chain: residuals, Jacobian and curvature.
+// Goals of a chain: residuals, Jacobian and second derivatives.
 #pragma once
 
 #include <cstdint>
@@ -10,13 +10,13 @@ namespace animtool::ik {
 
 struct Goal {
   int node;
-  double offset[3];  // of its point, in the node's frame: what stretches with the limb,
-  double bone[3], tool[3];  // and what does not
+  double offset[3];  // of its point, in the node's frame: the part that stretches with the limb,
+  double bone[3], tool[3];  // and the rest
   double aim_axis[3];
-  double weights[PARTS];  // 0 is not asked for
+  double weights[PARTS];  // 0: not used
   double stretched = 1;
-  int level = 0;      // 0 is hard; higher ones give way to those below
-  int root = -1, middle = -1;  // of the limb that has a pole
+  int level = 0;      // priority: 0 is hard; higher levels yield to lower ones
+  int root = -1, middle = -1;  // nodes of the limb with a pole
   int row = 0;
   std::vector<int> path;  // nodes that move it, from the root
 };
@@ -48,16 +48,16 @@ inline int rows_asked(const Task& task, const double* targets) {
   return count;
 }
 
-// A pose of the chain with its residuals and misses.
+// A pose of the chain with its residuals and errors.
 struct State {
   std::vector<double> q;
   Frames frames;
   std::vector<double> residuals;  // (M,), weighted
   std::vector<double> points;     // (E, 3)
-  std::vector<double> misses;     // (E, K), not weighted: lengths and angles
-  std::vector<double> weights;    // (E, K), with those of the targets
-  double cost = 0;                // of the goals, and of the rest preference:
-  double drawn = 0;               // its part
+  std::vector<double> misses;     // errors (E, K), not weighted: lengths and angles
+  std::vector<double> weights;    // (E, K), times the factors of the targets
+  double cost = 0;                // of the goals and of the rest preference
+  double drawn = 0;               // the part of the rest preference
 
   explicit State(const Task& task)
       : q(task.chain.coordinates), frames(task.chain), residuals(task.rows),
@@ -79,17 +79,17 @@ inline View view_of(const Goal& goal, const State& state, const double* point) {
 void measure(const Task& task, const double* targets, State& state,
              const double* shift = nullptr);
 
-// What the slopes of all kinds are made of.
+// Everything from which the Jacobian rows of all kinds are computed.
 template <class... Kind>
 std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
 using Slopes = decltype(slopes_of(Kinds{}));
 
-// Columns of the Jacobian (D, M), a row of memory for each degree of freedom.
+// Columns of the Jacobian (D, M), each contiguous in memory.
 void differentiate(const Task& task, const double* targets, const State& state,
                    std::vector<double>& columns);
 
-// Adds to `out` (D,) what the second derivatives of positions and rotations make of a
-// direction: (Hessian of the cost - J^T J) times `along`. All other kinds are left out.
+// Adds the second-order part of the Hessian times a direction to `out` (D,): (Hessian of the
+// cost - J^T J) times `along`, for positions and rotations only.
 //
 // Along a path, joint i before joint j: d2p/didj = a_i x (a_j x (p - p_j)), and rotation
 // vectors obey exp(x) exp(y) = exp(x + y + x cross y / 2 + ...). Sums over the joints before
@@ -112,21 +112,21 @@ class Curvature {
   std::vector<double> behind_;
 };
 
-// Lower bounds of misses from bone lengths.
+// Lower bounds of errors from bone lengths.
 
-// Least and largest distance of a goal's point from the first joint of its path.
+// Smallest and largest distance of a goal's point from the first joint of its path.
 struct Reach {
   double inner = 0, outer = 0;
 };
 
 Reach reach_of(const Task& task, const Goal& goal);
 
-// A bound from below on the cost of every pose; 0 where there is none.
+// A lower bound of the cost of all poses.
 double nearest_cost(const Task& task, const double* targets, const Frames& frames);
 
 // Stretching limbs.
 
-// Scales the bones of limbs, from their first joint.
+// Scales the bones of limbs, starting at their first joint.
 void stretch(const Chain& plain, const double* stretches, Task& task);
 
 }  // namespace animtool::ik

@@ -5,7 +5,7 @@ namespace animtool::ik {
 
 Status Search::run(const double* start, const double* targets, const double* rest, bool next) {
   short_ = next && outcome_.status == Status::NEAREST;
-  // Frames that go on searching look elsewhere each time.
+  // Frames that continue a search start elsewhere each time.
   if (!short_) random_ = Random(settings_.seed);
   if (!open(start, targets, rest)) return outcome_.status = Status::BROKEN;
   outcome_.status = look();

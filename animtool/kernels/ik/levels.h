@@ -1,4 +1,4 @@
-// Descents from the start and, where they end short of the goals, from elsewhere.
+// Descents from the start and, if they do not reach the goals, from other starts.
 #pragma once
 
 #include "ik/attempt.h"
@@ -14,13 +14,13 @@ class Search : public Descent {
   // Finds the best pose; `next` is the frame after the last run.
   Status run(const double* start, const double* targets, const double* rest, bool next);
 
-  // Goes on from the best pose to other targets, and stays with what comes of it.
+  // Continues from the best pose to other targets, and keeps the result.
   void refine(const double* targets, const double* shift, double least_gain);
 
-  // Searches from the start for other targets, and keeps what is better for them.
+  // Searches from the start for other targets, and keeps the result if it is better for them.
   void search(const double* targets);
 
-  // Whether other targets are reached from the best pose, which is kept.
+  // Whether other targets are reached from the best pose, which does not change.
   bool reaches(const double* targets) {
     aim(targets, nullptr);
     begin(best_);
@@ -28,36 +28,36 @@ class Search : public Descent {
     return reached(now_);
   }
 
-  // Measures the best pose by other targets.
+  // Evaluates the best pose with other targets.
   void review(const double* targets) {
     aim(targets, nullptr);
     evaluate(best_);
   }
 
  private:
-  // Damping of the first step from a new start, and of one beside the goals.
+  // Damping of the first step from a new start, and from a start near the goals.
   static constexpr double COLD = 1e-3, WARM = 1e-6;
-  // Random poses, of which the best is a new start.
+  // Number of random poses of which the best becomes a new start.
   static constexpr int SAMPLES = 4;
-  // What a descent may leave, in shares of the cost: where levels follow, and where a
-  // preference for a pose keeps the cost from 0.
+  // Relative precision of a descent: if more levels follow, and if a rest preference keeps the
+  // cost above 0.
   static constexpr double ROUGH = 1e-6, FINE = 1e-12;
-  // New starts are compared when they have come so near to where they go.
+  // Precision at which new starts are compared.
   static constexpr double COMPARED = 1e-6;
-  // After so many starts the best is followed to its end.
+  // After this many starts the best is descended to its minimum.
   static constexpr int POLISHED = 8;
-  // How many other starts must end where the best did before it is taken for the
-  // nearest that can be reached.
+  // Number of other starts that must end at the best pose before it is accepted as the global
+  // minimum.
   static constexpr int AGREEING = 16;
-  // A start that ends below this share of the cost is a better one.
+  // A start that ends below this fraction of the best cost is better.
   static constexpr double BETTER = 1 - 1e-3;
-  // So many in a frame whose cost is within a factor of that of the frame before it; it
-  // leaves its branch for one of this share of the cost.
+  // Number of starts in a frame whose cost is within a factor of that of the previous frame; it
+  // changes to another branch only if that has this fraction of the cost.
   static constexpr int RESTARTS_NEXT = 2;
   static constexpr double JUMP = 0.98;
   static constexpr double SAME = 1.25;
-  // With so many times more degrees of freedom than rows, a descent that is slow is
-  // worth its end: there are hardly any minima that it could be stuck in.
+  // With this many times more degrees of freedom than rows, slow descents are continued: there are
+  // hardly any local minima.
   static constexpr int REDUNDANT = 4;
 
   void aim(const double* targets, const double* shift) {
@@ -67,19 +67,19 @@ class Search : public Descent {
 
   Status look();
 
-  // From where the frame before it ended, if that is nearer to the goals than the end of
-  // the way from the frame's own start; whether they are reached.
+  // Descends from the previous frame's pose, if that is nearer to the goals than the result from
+  // the frame's own start; returns whether the goals are reached.
   bool go_on(bool sure) {
     begin(last_);
     descend(WARM, sure);
     return (now_.cost < best_.cost * BETTER || reached(now_)) && keep();
   }
 
-  // Descents from new starts; whether the goals are reached.
+  // Descends from new starts; returns whether the goals are reached.
   bool elsewhere(bool stalled, bool sure);
 
-  // Whether the frame is as far from the goals as the one before it, whose search was
-  // in vain: it need not be made again.
+  // Whether the frame is as far from the goals as the previous one, whose search failed, so that
+  // no new search is needed.
   bool same(End end) const {
     return short_ && end == End::STUCK && best_.cost < SAME * last_cost_ &&
            last_cost_ < SAME * best_.cost;
@@ -87,39 +87,39 @@ class Search : public Descent {
 
   void restart(int i, bool stalled);
 
-  // Follows the best to its end.
+  // Descends from the best pose to its minimum.
   Status polish();
 
-  // Nothing can be nearer, or the goals miss only what the rest preference takes.
+  // Whether no pose can be nearer, or only the rest preference keeps the goals from being reached.
   bool settled() const {
     if (floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9)) return true;
     return best_.drawn > 0 && best_.cost <= 2 * best_.drawn;
   }
 
-  // The pose without motion, or what the limits leave of it.
+  // The zero pose, clamped to the limits.
   void straighten();
 
   // The best of some random poses.
   void scatter(const State& home);
 
   State first_, last_;
-  double floor_ = 0;  // no pose costs less
-  bool short_ = false;  // the frame before ended short of the goals, at this cost:
+  double floor_ = 0;  // lower bound of the cost
+  bool short_ = false;  // the previous frame did not reach its goals, at this cost:
   double last_cost_ = 0;
 };
 
-// Goals that give way to others: among the poses that are best for the hard ones, those
-// that are best for the next, and so on.
+// Prioritised goals: among the poses that are best for the hard goals, those that are best for
+// the next level, and so on.
 //
-// All are sought at once first, each level with a small share of the weight of the one
-// before it. Then level by level: one that is reached is a constraint for those after
-// it, held by the method of multipliers (M. R. Hestenes, Multiplier and gradient methods,
-// 1969; M. J. D. Powell, 1969), which shifts its residuals; one that cannot be reached
-// is held by its weight.
+// At first all levels are solved at once, each with a small fraction of the weight of the level
+// before it. Then they are solved one by one: a level that is reached becomes a constraint for the
+// later ones, enforced by the method of multipliers (M. R. Hestenes, Multiplier and gradient
+// methods, 1969; M. J. D. Powell, 1969), which shifts its residuals; a level that cannot be
+// reached is held by its weight.
 
 class Levels : public Solver {
  public:
-  // Changes the task's rest weight as it goes.
+  // Changes the task's rest weight while it runs.
   Levels(Task& task, const Settings& settings)
       : task_(task), rest_weight_(task.rest_weight), search_(task_, settings),
         scaled_(TARGET_WIDTH * task.goals.size()), shift_(task.rows), constrained_(task.levels),
@@ -132,20 +132,20 @@ class Levels : public Solver {
   const State& best() const override { return search_.best(); }
 
  private:
-  // Share of the weight from level to level where all are sought at once.
+  // Ratio of weights from level to level while all are solved at once.
   static constexpr double SOUGHT = 0.1;
-  // Share of the budget for that.
+  // Fraction of the budget for that.
   static constexpr double SEARCHED = 0.5;
-  // Share of the weight where they are told apart, and the share of the last at least.
+  // Ratio of weights when levels are separated, and smallest weight of the last one.
   static constexpr double STEP = 1e-3, LEAST_SCALE = 1e-6;
-  // Shifts of one level at most, and the share of the tolerance that ends them.
+  // Largest number of shifts of a level, and the fraction of the tolerance at which they end.
   static constexpr int SHIFTS = 8;
   static constexpr double CONSTRAINED = 0.1;
-  // What a level may miss its least cost by, about.
+  // Approximate relative excess of a level over its smallest cost.
   static constexpr double EXACT = 1e-5;
 
-  // The goals up to a level, each level with a share of the weight of the one before it;
-  // the rest preference is as soft as the softest.
+  // Sets the weights of the goals up to a level, each level with a fraction of the weight of the
+  // level before it; the rest preference gets the smallest weight.
   void weigh(int last, double ratio);
 
   double heaviest(int level) const;
@@ -156,7 +156,7 @@ class Levels : public Solver {
         for (int part = 0; part < PARTS; ++part) scaled_[TARGET_WIDTH * e + WEIGHTS + part] *= weight;
   }
 
-  // The one goal, by itself.
+  // A single goal.
   void single(std::size_t goal) {
     task_.rest_weight = 0;
     std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
@@ -170,22 +170,22 @@ class Levels : public Solver {
     return true;
   }
 
-  // `known`: in the frame before, the hard goals were not reached by themselves either.
+  // `known`: the hard goals alone were not reached in the previous frame either.
   Status settle(bool known);
 
-  // Asks more of what is held, where it gave way; false where all is well.
+  // Shifts the residuals of held levels that drifted; returns false if none did.
   bool shift();
 
-  // What shifts did not hold to the tolerance is brought back by the least of steps.
+  // Levels that shifts did not hold within the tolerance are restored by smallest steps.
   void restore();
 
-  // Why goals are missed: they are out of reach, or give way to others, to harder ones or
-  // to the pose preferred.
+  // Determines why goals are missed: they are out of reach, or yield to other goals of their level,
+  // to harder ones, or to the rest preference.
   Status explain();
 
   int asked() const;
 
-  // The goals that are, the farthest first: one out of reach is soon found.
+  // The goals that are not reached, the farthest first, so that one out of reach is found soon.
   std::vector<std::size_t> missed() const;
 
   Task& task_;

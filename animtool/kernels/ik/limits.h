@@ -1,4 +1,4 @@
-// Joint limits: ranges, and cone and twist of balls.
+// Joint limits: ranges, and cones and twist ranges of balls.
 //
 // A ball's motion is swing * twist about z. Its swing vector (x, y) lies in the
 // ellipse of the half-angles limit[0], limit[1]; its twist in limit[2], limit[3].
@@ -10,11 +10,11 @@
 
 namespace animtool::ik {
 
-// A narrower range or cone is locked [rad].
+// A range or cone narrower than this is locked [rad].
 constexpr double SHUT = 1e-9;
 // Tolerance of rounding at limits [rad], [chain lengths].
 constexpr double ROUNDING = 1e-13;
-// Nearer to a limit than this, it is looked at in full [1].
+// Closer to a limit than this, the full test is made [1].
 constexpr double SURE = 1e-9;
 constexpr double REVOLUTION = 6.283185307179586476925;
 
@@ -45,8 +45,8 @@ inline bool limited(const Node& node) {
   return l[0] < 1e300 || l[1] < 1e300 || l[2] > -1e300 || l[3] < 1e300;
 }
 
-// Whether a ball's motion is inside for sure, told without inverse functions: most
-// are, most of the time.
+// Whether a ball's motion is certainly inside: a cheap test without inverse functions, which
+// usually succeeds.
 inline bool well_inside(const Node& node, const double* q) {
   const double* quick = node.quick;
   if (q[0] * q[0] + q[1] * q[1] > quick[0]) return false;
@@ -57,8 +57,8 @@ inline bool well_inside(const Node& node, const double* q) {
          cosine * quick[3] - sine * quick[4] > SURE;
 }
 
-// What `well_inside` compares with: sines and cosines of half the limits. Unlimited
-// and narrow or reaching past half a turn, nothing is for sure.
+// The numbers that `well_inside` compares with: sines and cosines of half the limits. For limits
+// that are infinite, narrow, or beyond half a turn, it never succeeds.
 inline void prepare(Node& node) {
   const double* l = node.limit;
   const double least = std::min(l[0], l[1]);
@@ -70,7 +70,7 @@ inline void prepare(Node& node) {
   node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
 }
 
-// The limits that a motion exceeds.
+// Flags of the limits that a motion exceeds.
 struct Beyond {
   bool swing, twist;
 };
@@ -80,10 +80,10 @@ inline Beyond beyond(const SwingTwist& parts, const double* limit) {
           parts.twist < limit[2] - ROUNDING || parts.twist > limit[3] + ROUNDING};
 }
 
-// Clamp a ball's motion, the swing along its direction.
+// Clamps a ball's motion; the swing keeps its direction.
 void clamp_ball(double* q, const double* limit);
 
-// Gradients of the swing vector and the twist over q <- exp(d) q.
+// Gradients of the swing vector and the twist for q <- exp(d) q.
 struct SwingTwistGradients {
   double swing[2][3];
   double twist[3];
@@ -91,8 +91,8 @@ struct SwingTwistGradients {
 
 SwingTwistGradients gradients(const double* q, const SwingTwist& parts);
 
-// A direction of the degrees of freedom that a step may not choose: its unit vector
-// on `width` of them from `dof`, and the part of the step along it.
+// A direction in which a step is prescribed: its unit vector over `width` degrees of freedom
+// from `dof`, and the component of the step along it.
 struct Fixed {
   int dof, width;
   double direction[3];

@@ -1,4 +1,4 @@
-// The cost around a pose, to second order of what the goals miss, and systems of such.
+// Quadratic model of the cost around a pose, and its linear systems.
 #pragma once
 
 #include <vector>
@@ -7,14 +7,14 @@
 
 namespace animtool::ik {
 
-// Factors a symmetric positive definite A (m, m), see base/cholesky.h; `column` holds m. False
-// where it is not.
+// Factors a symmetric positive definite A (m, m), see base/cholesky.h; `column` is a buffer for m
+// numbers. Returns false if A is not positive definite.
 bool factor_cholesky(double* a, double* column, int m);
 
 // Solves A x = b in place with the factor of A.
 void solve_factored(const double* a, double* b, int m);
 
-// In four sums, that the processor adds side by side.
+// In four partial sums, which are added in parallel.
 inline double inner(const double* a, const double* b, int first, int last) {
   double sums[4] = {0, 0, 0, 0};
   int i = first;
@@ -24,10 +24,10 @@ inline double inner(const double* a, const double* b, int first, int last) {
   return (sums[0] + sums[1]) + (sums[2] + sums[3]);
 }
 
-// The cost around a pose: columns of the Jacobian, the smaller of the two matrices made of
-// them, the gradient.
+// The cost around a pose: columns of the Jacobian, the smaller of its two Gram matrices, and the
+// gradient.
 struct Linearized {
-  // More residuals than degrees of freedom: systems are as large as the chain.
+  // More residuals than degrees of freedom: systems have the size of the chain.
   const bool primal;
   std::vector<double> columns;   // (D, M)
   std::vector<double> gram;      // (M, M), lower triangle: J J^T; unless primal
@@ -53,7 +53,7 @@ struct Linearized {
   }
 };
 
-// Where a preference for another pose draws each degree of freedom, and its cost.
+// Pull of the rest preference on each degree of freedom, and its cost.
 double rest_pull(const Task& task, const double* q, const double* rest, double weight,
                  double* pull);
 

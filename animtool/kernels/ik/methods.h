@@ -1,5 +1,5 @@
-// The methods of the textbooks: from the start, by one way of stepping, to the goals or
-// until it makes no headway. They are for comparison; `Levels` is the solver to use.
+// Textbook methods, for comparison: each repeats one kind of step from the start, until the goals
+// are reached or progress ends. `Levels` is the solver to use.
 #pragma once
 
 #include "ik/attempt.h"
@@ -33,11 +33,11 @@ class Method : public Solver, public Attempt {
 
  protected:
   virtual void prepare() {}
-  // Moves now_ on; false where it sees no way.
+  // Advances now_ by a step; returns false if there is none.
   virtual bool advance() = 0;
 
  private:
-  // Over so many steps the cost has to come down to this share.
+  // In this many steps the cost has to fall to this fraction.
   static constexpr int MAX_STALLED = 50;
   static constexpr double PROGRESS = 0.999;
 
@@ -58,7 +58,7 @@ class Method : public Solver, public Attempt {
       note();
       if (reached(best_)) return Status::REACHED;
       if (shaken) return Status::STALLED;
-      // Straight limbs pull along themselves: out of that, once.
+      // Fully extended limbs are singular: perturbs the pose once.
       shaken = true;
       begin(best_);
       shake();
@@ -67,17 +67,17 @@ class Method : public Solver, public Attempt {
     }
   }
 
-  // Some methods pass by better poses than they end in.
+  // Some methods pass better poses than their last.
   void note() {
     if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) best_ = now_;
   }
 };
 
-// The methods that go by derivatives of the cost: steepest descent, and Newton's.
+// Methods that use derivatives of the cost: steepest descent and Newton's method.
 
-// Steepest descent; each step as long as the cost then falls by a share of what the slope
-// promises (L. Armijo, Minimization of functions having Lipschitz continuous first partial
-// derivatives, 1966), brought back inside the limits.
+// Steepest descent. Steps are shortened until the cost falls by a fraction of the decrease that
+// the gradient predicts (L. Armijo, Minimization of functions having Lipschitz continuous first
+// partial derivatives, 1966), and clamped to the limits.
 class Gradient : public Method {
  public:
   using Method::Method;
@@ -107,7 +107,7 @@ class Gradient : public Method {
  private:
   static constexpr double BACK = 0.5, DECREASE = 1e-4, MIN_ROTATION = 1e-14;
 
-  // What the slope promises of the way from now_ to next_, limits kept.
+  // Decrease that the gradient predicts from now_ to next_, after clamping.
   double promise() {
     rest_pull(task_, now_.q.data(), next_.q.data(), 1, pull_.data());
     double sum = 0;
@@ -118,8 +118,8 @@ class Gradient : public Method {
   double length_ = 1;
 };
 
-// Newton's method: the whole Hessian, second derivatives of positions and orientations
-// included, in a region of trust so that the cost falls where it is not convex.
+// Newton's method: the full Hessian, with second derivatives of positions and orientations, in a
+// trust region so that the cost falls where it is not convex.
 class Newton : public Method {
  public:
   using Method::Method;
@@ -151,9 +151,9 @@ class Newton : public Method {
   double trusted_ = MAX_ROTATION;
 };
 
-// Cyclic coordinate descent: joint by joint, from the tips to the root, each to where it
-// serves the goals best by itself (L.-C. T. Wang, C. C. Chen, A combined optimization
-// method for solving the inverse kinematics problem of mechanical manipulators, 1991).
+// Cyclic coordinate descent: each joint in turn, from the tips to the root, is set to the value
+// that serves the goals best (L.-C. T. Wang, C. C. Chen, A combined optimization method for
+// solving the inverse kinematics problem of mechanical manipulators, 1991).
 
 class Cyclic : public Method {
  public:
@@ -179,7 +179,7 @@ class Cyclic : public Method {
       follow(node, &now_.frames.axes[9 * n], pull(n), delta_.data());
     stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
     evaluate(next_);
-    // Aims and joints that follow this one may have a say against it.
+    // Aim goals, and joints that follow this one, may be worse afterwards.
     if (next_.cost < now_.cost) std::swap(now_, next_);
   }
 
@@ -223,10 +223,10 @@ class Cyclic : public Method {
   }
 };
 
-// FABRIK: points are drawn to the targets bone by bone, inwards to the root and out again,
-// then the joints turn after them as far as their axes and limits let them (A. Aristidou,
-// J. Lasenby, FABRIK: a fast, iterative solver for the inverse kinematics problem, 2011).
-// Where branches meet, the point is drawn to the centroid of what they ask.
+// FABRIK: points are moved to the targets bone by bone, inwards to the root and outwards again;
+// then joints rotate towards the points as far as their axes and limits allow (A. Aristidou, J.
+// Lasenby, FABRIK: a fast, iterative solver for the inverse kinematics problem, 2011). A point
+// where branches join moves to the centroid of the positions they need.
 
 class Fabrik : public Method {
  public:
@@ -236,9 +236,9 @@ class Fabrik : public Method {
         next_(task.chain.nodes.size()), grips_(task.chain.nodes.size()) {}
 
  protected:
-  // Which points each joint turns: of a ball the next on every branch that are not in
-  // its own place, which it can point at; of a pin some behind them as well, for the next
-  // may be on its axis. So for the twist of a ball that carries a pin.
+  // Collects the points that each joint rotates. A ball points at the next point on each
+  // branch that does not coincide with it. A pin uses several points of each branch, because
+  // the next one may be on its axis; so does the twist of a ball that carries a pin.
   void prepare() override {
     const std::vector<Node>& nodes = task_.chain.nodes;
     for (std::vector<Grip>& next : next_) next.clear();
@@ -270,12 +270,12 @@ class Fabrik : public Method {
 
  private:
   static constexpr double NO_LENGTH = 1e-9;
-  // How many points along each branch a pin looks at.
+  // Number of points along each branch that a pin considers.
   static constexpr int FORWARD = 8;
 
   struct Grip {
     int index;
-    bool tip;  // of a goal, or else the origin of a node
+    bool tip;  // the point of a goal, else the origin of a node
   };
 
   void hold(std::size_t n, int levels, std::vector<Grip>& kept_grips) const {
@@ -285,7 +285,7 @@ class Fabrik : public Method {
     }
   }
 
-  // `from` as far from `to` as the bone is long.
+  // Moves `from` to the bone's length from `to`.
   static void draw(const double* from, const double* to, double bone, double* out) {
     double along[3] = {from[0] - to[0], from[1] - to[1], from[2] - to[2]};
     const double distance = length(along);
@@ -330,7 +330,7 @@ class Fabrik : public Method {
     }
   }
 
-  // Turns a joint so that the points it holds lie towards where they were drawn.
+  // Rotates a joint so that the points it carries lie towards their desired positions.
   void rotate_joint(int n) {
     const Node& node = task_.chain.nodes[n];
     update(n);
@@ -358,7 +358,7 @@ class Fabrik : public Method {
     forward(task_.chain, now_.q.data(), n, n + 1, now_.frames);
   }
 
-  // The frames of the points that a joint holds.
+  // The frames of the points that a joint carries.
   void update(int n) {
     std::size_t end = n + 1;
     for (const Grip& grip : grips_[n])
@@ -379,7 +379,7 @@ class Fabrik : public Method {
     return sum;
   }
 
-  // The bone about which a ball that carries a pin twists.
+  // The bone that is the twist axis of a ball that carries a pin.
   bool twists(int n, double* axis) const {
     if (next_[n].size() != 1 || next_[n][0].tip) return false;
     const int next = next_[n][0].index;
@@ -391,7 +391,7 @@ class Fabrik : public Method {
     return true;
   }
 
-  // Where a point is now; false where nothing is asked of it.
+  // Current position of a point; returns false if it has no desired position.
   bool find(const Grip& grip, double* point) const {
     if (!grip.tip) {
       std::copy_n(&now_.frames.origins[3 * grip.index], 3, point);
@@ -403,9 +403,9 @@ class Fabrik : public Method {
     return now_.weights[PARTS * grip.index + part_of<Position>()] > 0;
   }
 
-  std::vector<double> desired_;  // (N, 3): where the joints' origins are drawn to
-  std::vector<double> tips_;    // (E, 3): and the goals' points
-  std::vector<int> asking_;     // (N,): how many ask something of it
+  std::vector<double> desired_;  // (N, 3): desired positions of the joints' origins
+  std::vector<double> tips_;    // (E, 3): and of the goals' points
+  std::vector<int> asking_;     // (N,): number of branches that move it
   std::vector<double> bones_;   // (N,): lengths from the parent
   std::vector<std::vector<Grip>> next_, grips_;
 };

@@ -1,5 +1,5 @@
-// The cheapest way along paths and over from one to another (A. Viterbi, Error bounds for
-// convolutional codes and an asymptotically optimum decoding algorithm, 1967).
+// The cheapest sequence of poses along several paths, with changes from one to another (A. Viterbi,
+// Error bounds for convolutional codes and an asymptotically optimum decoding algorithm, 1967).
 #include "ik/solve.h"
 
 #include <cstdint>
@@ -15,11 +15,11 @@ namespace ik {
 
 namespace {
 
-// How much more what goes beyond an easy step costs.
+// Factor of the cost of motion beyond an easy step.
 constexpr double STEEP = 100;
 
-// Price of a step (D,): its squared distance from a drift, free pins the short way round,
-// and more where a joint goes farther than is easy.
+// Cost of a step (D,): its squared distance from a drift, with unlimited pins the short way round,
+// and more if a joint moves farther than is easy.
 double price_of(const Chain& chain, const double* step, const double* drift,
                        double easy) {
   double sum = 0;
@@ -35,8 +35,8 @@ double price_of(const Chain& chain, const double* step, const double* drift,
   return sum;
 }
 
-// Which of `count` paths (K, L, C) to be on in each of L frames, to begin on the first, or
-// if `open` on any.
+// Chooses one of `count` paths (K, L, C) for each of L frames, starting on the first, or, if
+// `open`, on any.
 void cheapest(const Chain& chain, const double* paths, const double* costs,
                      const double* drifts, const double* easy, std::size_t count,
                      std::size_t length, bool open, bool closed, std::int64_t* chosen) {

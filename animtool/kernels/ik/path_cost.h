@@ -1,4 +1,4 @@
-// The matrix of what a path costs over time, the same for each degree of freedom.
+// The matrix of the quadratic cost of a path over time, the same for each degree of freedom.
 #pragma once
 
 #include <algorithm>
@@ -26,7 +26,7 @@ class TimeBand {
     damp(0);
   }
 
-  // Adds a multiple of the identity, in place of that before.
+  // Adds a multiple of the identity, replacing an earlier one.
   void damp(double damping) {
     for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
     damping_ = damping;
@@ -47,7 +47,7 @@ class TimeBand {
     }
   }
 
-  // Of the matrix: row t, and the column that is so many frames off, at most two.
+  // Entry of the matrix: row t, and a column at most two frames off.
   double entry(int t, int off) const { return rows_[5 * t + 2 + off]; }
 
   // out = P x for frames of `width` numbers, all of them.
@@ -115,21 +115,21 @@ class TimeBand {
   std::vector<double> inverses_, below_;  // one over the pivots, and what is below them
 };
 
-// What a path of poses costs: its distance from another, its speed and its acceleration.
+// The cost of a path: its distance from another path, its speed and its acceleration.
 
 // Sums anchor |q - anchor|^2 + speed |v|^2 + acceleration |a|^2, halved, over the frames. Of
 // balls, differences are rotation vectors.
 class PathCost {
  public:
-  // What the acceleration at each frame costs.
+  // Weight of the acceleration at each frame.
   std::vector<double> bends;
 
-  // `drifts` (F - 1, D) is the motion from frame to frame that costs nothing; null is none.
+  // `drifts` (F - 1, D) is the motion from frame to frame without cost; null for none.
   PathCost(const Chain& chain, int frames, const PathWeights& weights, const double* drifts)
       : chain_(chain), frames_(frames), width_(chain.dofs), weights_(weights), drifts_(drifts),
         away_(chain.dofs), zero_(chain.dofs, 0.0) {}
 
-  // Of a path (F, Q), and its gradient (F, D) where one is asked for.
+  // Returns the cost of a path (F, Q), and writes its gradient (F, D) if requested.
   double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
     const std::size_t size = static_cast<std::size_t>(frames_) * width_;
     speeds_.resize(size), forces_.resize(size);
@@ -171,7 +171,7 @@ class PathCost {
   std::size_t row(int t) const { return static_cast<std::size_t>(t) * width_; }
   const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : zero_.data(); }
 
-  // What pulls at the motion from one frame to the next pulls at both poses.
+  // The gradient by a motion between two frames contributes to both poses.
   void spread(int t, std::vector<double>& slope) const {
     const double *speed = speeds_.data() + row(t), *force = forces_.data() + row(t);
     double *now = slope.data() + row(t), *next = slope.data() + row(t + 1);

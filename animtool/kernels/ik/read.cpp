@@ -1,4 +1,4 @@
-// The arrays of a problem to its chain and its task.
+// Builds the chain and the task from the arrays of a problem.
 #include "ik/read.h"
 
 #include <algorithm>
@@ -10,9 +10,9 @@ namespace animtool::ik {
 
 namespace {
 
-// A matrix of the rows is gone through with int.
+// Matrices over the rows are indexed with int.
 constexpr std::size_t MOST_GOALS = 46340 / MOST_GOAL_ROWS;
-// Of a goal: two parts of its offset and its aim axis, and its weights.
+// Numbers of a goal: both parts of its offset, its aim axis, and its weights.
 constexpr std::size_t GOAL_NUMBERS = 9 + PARTS;
 
 // Frames and gains are finite; limits, which may be infinite, are in order.
@@ -27,12 +27,12 @@ void check_numbers(const Node& node, const double* values) {
 // Rows behind those of the nodes hold programs: 3, its number, operation, and 1 more than
 // the coordinate, program or count that this needs, these too counted from 1.
 constexpr std::int64_t INSTRUCTION = 3;
-// Of a node, in place of whether it follows a coordinate: its coordinate is a program.
+// Value of a node's `follows` column if its coordinate is a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
 // Degrees of freedom that are gathered before doubles are taken out.
 constexpr std::size_t MOST_ROWS_READ = 4 * MOST_SLOPES;
 
-// What a program depends on: its own coordinates' degrees of freedom, and those of others.
+// Degrees of freedom that a program depends on: of its coordinates, and of other programs.
 void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& program) {
   for (const Instruction& one : program.instructions) {
     if (one.op == Op::COORDINATE) program.dofs.push_back(dof_of[one.which]);
@@ -58,7 +58,7 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
     }
 }
 
-// Counts the values stacked; what is left is one, and no instruction lacks a value.
+// Simulates the stack: one value remains, and no instruction lacks operands.
 void check_stack(Program& program) {
   std::size_t stacked = 0;
   int points = 0;
@@ -79,7 +79,7 @@ void check_stack(Program& program) {
     check::refuse("nodes", "a program does not come to one value");
 }
 
-// balls: whether a coordinate is a ball's first, by coordinate.
+// `balls`: for each coordinate, whether it is the first of a ball.
 void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                    std::size_t first, const std::vector<int>& dof_of,
                    const std::vector<bool>& balls, Chain& chain) {

@@ -13,7 +13,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
                double rest_weight);
 
-// Poses (B, Q) may be of any numbers: what comes to none is an outcome, as it is of targets.
+// Poses (B, Q) and targets may contain any numbers: NaN results are valid outcomes.
 void check_poses(const char* name, const Task& task, std::size_t batch,
                  const In<double, 2>& poses);
 

@@ -1,4 +1,4 @@
-// Coordinates of a rig and of a chain.
+// Conversion between the coordinates of a rig and of a chain.
 #include "ik/rig_map.h"
 
 #include <algorithm>

@@ -30,7 +30,7 @@ class RigMap {
 
   void to_chain(const double* rig, double* q) const;
 
-  // Into a row of the rig's coordinates; those that the chain has none for stay.
+  // Writes into a row of the rig's coordinates; coordinates that are not in the chain stay.
   void to_rig(const double* q, double* rig) const;
 
  private:

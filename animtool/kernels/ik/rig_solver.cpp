@@ -121,7 +121,7 @@ struct RigSolver::Parts {
     }
   }
 
-  // Numbers that callers look at beforehand, so that there is one who says what is wrong.
+  // Checks that callers make first, so that errors are reported in one place.
   void check_world(const char* name, std::size_t batch, const In<double, 3>& targets) const {
     check_targets(name, task, batch, targets);
     check::finite(name, targets);
@@ -142,7 +142,7 @@ struct RigSolver::Parts {
     return true;
   }
 
-  // Where the joints are, bones of limbs stretched.
+  // Positions of the joints, with stretched bones.
   void pose(const double* rig, const double* scales, double* positions, double* linear) {
     const std::size_t count = joints.types.size();
     translations.resize(3 * count), rotations.resize(4 * count);
@@ -198,8 +198,8 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
   std::vector<double> start(chain), rest(chain), solved(chain), last(chain), searched(chain);
   std::vector<double> target(goals * TARGET_WIDTH), sought(goals * TARGET_WIDTH);
   const std::unique_ptr<bool[]> eased(new bool[std::max<std::size_t>(goals, 1)]);
-  bool has_last = false;   // a frame that asked for something, whose pose is in `last`
-  bool looked = false;  // and one that was searched for, whose pose is in `searched`
+  bool has_last = false;   // there was a frame with goals, whose pose is in `last`
+  bool looked = false;  // and a frame with a search, whose pose is in `searched`
   for (std::size_t b = 0; b < batch; ++b) {
     double* miss = misses.get() + b * goals * PARTS;
     double* scale = scales.get() + b * goals;
@@ -233,7 +233,7 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       searched = solved;
       looked = true;
     }
-    // A limb of which a frame asks nothing stays where the last frame left it.
+    // A limb without goals in a frame keeps its last pose.
     const bool idle = parts.closed && parts.warm && !rows_asked(parts.task, target.data());
     if (!idle) last = solved, has_last = true;
     else if (has_last) solved = last;
@@ -247,7 +247,7 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       for (int part = 0; part < PARTS; ++part)
         if (METRIC[part]) miss[PARTS * e + part] *= parts.length;
     }
-    // A target that was brought into reach may have been out of it.
+    // A target that was moved into reach may have been out of reach before.
     if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all)
       report[0] = static_cast<std::int64_t>(yielded ? Status::YIELDED : Status::NEAREST);
     if (placed)

@@ -1,4 +1,4 @@
-// Problems of one rig, from its coordinates and targets in the world to poses of it.
+// Problems of one rig: from its coordinates and targets in the world to its poses.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@
 
 namespace animtool {
 
-// What the solver is made of: arrays of a problem, and how to solve it.
+// The arguments of the solver: arrays of a problem, and its settings.
 struct RigSolverArrays {
   // The chain and its goals, as for `solve_ik`.
   In<std::int64_t, 2> nodes;
@@ -20,7 +20,7 @@ struct RigSolverArrays {
   In<std::int64_t, 2> goals;
   In<double, 2> goal_numbers;
   double rest_weight;
-  // What targets are brought to.
+  // Scale of the targets.
   In<double, 2> goal_frames;
   double length;
   // See `RigMapArrays`.
@@ -69,7 +69,7 @@ class RigSolver {
   std::mutex busy_;
 };
 
-// Which closed form an arm of six pins has: 0 none, 1 a wrist, 2 parallel axes.
+// Type of closed form of an arm of six pins: 0 none, 1 spherical wrist, 2 parallel axes.
 int arm_kind(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
              In<double, 2> goal_numbers, double rest_weight);
 

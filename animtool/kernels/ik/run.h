@@ -7,10 +7,10 @@
 
 namespace animtool::ik {
 
-// By method number; refuses methods that do not support the chain.
+// Creates the solver of a method number; raises an error if it does not support the chain.
 std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings);
 
-// Refuses numbers out of their range.
+// Raises an error for numbers out of range.
 Settings checked_settings(const Settings& settings);
 
 struct Ran {
@@ -18,8 +18,8 @@ struct Ran {
   double seconds;
 };
 
-// Targets that misses are told of, those in reach, what bones are multiplied by (E,), and the
-// pose preferred; `next` is the frame after the last run.
+// Targets that errors refer to, those within reach, factors of bone lengths (E,), and the
+// preferred pose; `next` is the frame after the last run.
 Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
             const double* targets, const double* sought, const double* stretches,
             const double* rest, bool next);

@@ -1,4 +1,4 @@
-// Smooths a path of poses within limits while its goals keep their points.
+// Smooths a path of poses within limits while the points of its goals stay in place.
 //
 // Over all frames at once: min sum |q - anchor|^2 + speed |v|^2 + acceleration |a|^2 by
 // Gauss-Newton, its steps in the null space of the goals' Jacobians. Of balls, differences
@@ -24,7 +24,7 @@ namespace {
 struct PathSettings {
   PathWeights weights;
   int first, end;  // frames that may move
-  int rounds;      // of Gauss-Newton
+  int rounds;      // largest number of Gauss-Newton iterations
 };
 
 struct PathOutcome {
@@ -34,8 +34,8 @@ struct PathOutcome {
 
 class PathSmoother {
  public:
-  // `stretches` (F, E) are what the bones of limbs are multiplied by; `drifts` (F - 1, D)
-  // is the motion from frame to frame that costs nothing.
+  // `stretches` (F, E) are factors of the limbs' bone lengths; `drifts` (F - 1, D) is the motion
+  // from frame to frame without cost.
   PathSmoother(const Task& task, const Settings& settings, const PathSettings& path, int frames,
                const double* targets, const double* stretches, const double* drifts)
       : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings),
@@ -66,25 +66,25 @@ class PathSmoother {
   }
 
  private:
-  // Goals are brought back to this share of their tolerance, in this many steps.
+  // Goals are restored to this fraction of their tolerance, in at most this many steps.
   static constexpr double TIGHT = 1e-2;
   static constexpr int STEPS = 30;
-  // A round that gains less than this share is the last one.
+  // An iteration that gains less than this fraction is the last one.
   static constexpr double ENOUGH = 1e-2;
-  // Corners that are looked at by themselves.
+  // Largest number of corners that are treated separately.
   static constexpr int CORNERS = 8;
-  // A corner stands out that costs so many times what half of the frames about it do.
-  // Passing it is tried this much earlier or later at a time [frames], so many times.
+  // A frame is a corner if it costs this many times the median of the frames around it. Passing it
+  // earlier or later is tried in steps of this many frames, this many times.
   static constexpr double SHARP = 10, SHIFT = 0.5;
   static constexpr int SHIFTS = 8;
-  // How often a step is tried, each so many times stiffer than the one before.
+  // Attempts of a step, and the factor of the damping from one to the next.
   static constexpr int TRIES = 8;
   static constexpr double STIFFER = 4;
-  // Passes over the limits, steps of conjugate gradients and where these end.
+  // Passes over the limits, steps of conjugate gradients, and their tolerance.
   static constexpr int PASSES = 5, MOST_ROUNDS = 60;
   static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
 
-  // What goals come to is kept, whoever gave way, and for whatever preference.
+  // The values of goals are kept, even if they yielded to other goals or to a preference.
   static Task of_goals_alone(Task task) {
     task.rest_weight = 0;
     task.levels = 1;
@@ -113,7 +113,7 @@ class PathSmoother {
 
   void stretch_limbs(int t) { stretch(plain_, stretches_ + t * task_.goals.size(), task_); }
 
-  // Brings a pose to the goals of a frame.
+  // Corrects a pose so that it meets the goals of a frame.
   bool bring(int t, const double* start) {
     stretch_limbs(t);
     if (search_.run(start, target(t), start, false) == Status::BROKEN) return false;
@@ -128,7 +128,7 @@ class PathSmoother {
     std::copy(q, q + coordinates_, state_.q.begin());
     forward(task_.chain, state_.q.data(), state_.frames);
     measure(task_, target(t), state_);
-    // However little a goal weighs, what it asks is to stay.
+    // A goal is kept however small its weight is.
     for (double& weight : state_.weights) weight = weight > 0 ? 1 : 0;
   }
 
@@ -138,7 +138,7 @@ class PathSmoother {
     return true;
   }
 
-  // Where a frame misses a goal, what it comes to is what is to be kept.
+  // If a frame misses a goal, the current value becomes the target.
   void keep_what_is_missed(int t) {
     look(t);
     if (reached(state_)) return;
@@ -152,7 +152,7 @@ class PathSmoother {
     }
   }
 
-  // Rounds over the frames from first_ to end_, until they gain too little of `scale`.
+  // Iterates over the frames first_ to end_ until the gain is small relative to `scale`.
   void improve_all(PathOutcome& outcome, double scale) {
     damping_ = 0;
     double cost = evaluate(now_);
@@ -166,8 +166,8 @@ class PathSmoother {
     }
   }
 
-  // Lets only the frames about the sharpest corner move that was not looked at: the rest
-  // has come to its end, and is not to say how far these may go at a time.
+  // Moves only the frames around the sharpest remaining corner: the others have converged, and must
+  // not limit the step length.
   bool narrow(std::vector<char>& looked) {
     evaluate(now_);
     int sharpest = -1;
@@ -185,8 +185,8 @@ class PathSmoother {
     return true;
   }
 
-  // Where a path passes close by a singular pose, it turns a corner that no small change
-  // takes away: it is smooth only if it passes at one moment. So others are tried.
+  // A path that passes near a singular pose has a corner that no small change removes; it can be
+  // smooth only if it passes at another moment. So other moments are tried.
   void cross_elsewhere(PathOutcome& outcome) {
     for (const double wide : {1.0, 0.5})
       for (int tried = 0; tried < 2 * SHIFTS; ++tried) {
@@ -200,7 +200,7 @@ class PathSmoother {
     evaluate(now_);
   }
 
-  // Whether a corner stands out.
+  // Whether a frame is a corner.
   bool sharp() {
     evaluate(now_);
     const auto worst = std::max_element(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
@@ -209,8 +209,8 @@ class PathSmoother {
     return *worst > SHARP * others[others.size() / 2];
   }
 
-  // Runs the frames that move ahead by so many, most in their middle; now_ <- the path
-  // brought back to the goals. False where a frame does not come back.
+  // Shifts the moving frames in time, most in their middle; now_ <- the path restored to its goals.
+  // Returns false if a frame cannot be restored.
   bool shift(double by, double wide) {
     const double middle = (first_ + end_ - 1) / 2.0, reach = wide * (end_ - first_ + 1) / 2.0;
     next_ = now_;
@@ -241,8 +241,8 @@ class PathSmoother {
     return cost_.evaluate(anchors_.data(), q.data(), slope);
   }
 
-  // One round; the cost after it. A step that is too long is taken with more damping:
-  // such that what was asked for becomes some times stiffer.
+  // Makes one iteration; returns the cost after it. A step that is too long is repeated with more
+  // damping.
   double improve(double cost) {
     evaluate(now_, &slope_);
     for (int i = 0; i < TRIES; ++i) {
@@ -260,7 +260,7 @@ class PathSmoother {
     return cost;
   }
 
-  // step_ <- the best one within the limits; how stiff the path is against it.
+  // step_ <- the best step within the limits; returns the stiffness of the path along it.
   double attempt() {
     band_.damp(damping_);
     step_.assign(slope_.size(), 0.0);
@@ -287,7 +287,7 @@ class PathSmoother {
     return most;
   }
 
-  // Limits that have no width, and the goals' space, at the present pose.
+  // Locked limits, and the null space of the goals, at the current pose.
   void open(int t) {
     look(t);
     stepper_.shut(state_, spaces_[t].fixed, spaces_[t].pinned);
@@ -308,7 +308,7 @@ class PathSmoother {
       spaces_[t].project(values, work_);
   }
 
-  // step_ <- the best one that goals and fixed limits leave, from that before.
+  // step_ <- the best step that goals and fixed limits allow, starting from the previous one.
   void solve(double near) {
     const std::size_t size = slope_.size();
     for (int t = first_; t < end_; ++t) project(step_, t);
@@ -384,8 +384,8 @@ class PathSmoother {
     return improved;
   }
 
-  // next_ <- the path after the step, brought back to the goals. False where a frame does
-  // not come back; without `again`, such a frame stays where it is from now on.
+  // next_ <- the path after the step, restored to its goals. Returns false if a frame cannot be
+  // restored; without `again`, such a frame is fixed from now on.
   bool take(bool again) {
     next_ = now_;
     moved_.resize(coordinates_);
@@ -405,7 +405,7 @@ class PathSmoother {
   const Settings settings_, tight_;
   const PathSettings path_;
   const int frames_, width_, coordinates_;
-  int first_, end_;  // frames that move at present
+  int first_, end_;  // frames that currently move
   std::vector<double> targets_;
   const double* stretches_;
   PathCost cost_;

@@ -15,7 +15,7 @@ namespace animtool::ik {
 
 class GoalSpace {
  public:
-  // Room for what is reckoned on the way, for one frame at a time.
+  // Buffers for the computation, one frame at a time.
   struct Work {
     std::vector<double> gram, missing, felt;
   };
@@ -59,7 +59,7 @@ class GoalSpace {
     spread(work.missing, 1, step.data());
   }
 
-  // Takes out of x (D,) what goals and limits feel.
+  // Projects x (D,) onto the null space of goals and limits.
   void project(double* x, Work& work) const {
     for (const Fixed& one : fixed) {
       double along = 0;
@@ -75,7 +75,7 @@ class GoalSpace {
   }
 
  private:
-  // What the Gram matrix of the goals is damped by: rows of length 1 lose as much.
+  // Damping of the Gram matrix of the goals, relative to rows of length 1.
   static constexpr double DAMPING = 1e-10;
 
   // Columns of the Jacobian, from `dof` on, that are 0 outside the same rows.

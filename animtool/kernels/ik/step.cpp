@@ -1,4 +1,4 @@
-// One damped step that keeps the limits: its equations, and what is fixed.
+// One damped step within the limits: its equations, and fixed directions.
 #include "ik/step.h"
 
 namespace animtool::ik {
@@ -145,7 +145,7 @@ bool Stepper::fix_ball(int n, const double* q, const double* step) {
   const Beyond out = beyond(split(next, node.limit), node.limit);
   const bool swing = out.swing && !pinned.swing, twist = out.twist && !pinned.twist;
   if (!swing && !twist) return false;
-  // The tangent of the limit where the step would be brought back to it.
+  // The tangent of the limit at the point to which the step would be clamped.
   clamp_ball(next, node.limit);
   const double back[4] = {-q[0], -q[1], -q[2], q[3]};
   double between[4], towards[3];

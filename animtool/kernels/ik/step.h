@@ -1,7 +1,7 @@
 // One damped step within the limits.
 //
-// min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits, by fixing what
-// would go beyond at the limit and solving again for the rest.
+// min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits: degrees of freedom that
+// would exceed a limit are fixed at it, and the others are solved again.
 #pragma once
 
 #include <vector>
@@ -31,8 +31,8 @@ class Stepper {
     bool swing = false, twist = false, box = false;
   };
 
-  // As those of a step, for a caller that keeps what is fixed: directions that limits
-  // of no width leave no room for, and those that a step of its own violates.
+  // For callers that keep their own list of fixed directions: directions blocked by locked limits,
+  // and those that the caller's step violates.
   void shut(const State& state, std::vector<Fixed>& fixed, std::vector<Pinned>& pinned) {
     shut(state);
     fixed = fixed_, pinned = pinned_;
@@ -41,22 +41,22 @@ class Stepper {
   bool fix_violations(const State& state, const double* step, std::vector<Fixed>& fixed,
                       std::vector<Pinned>& pinned);
 
-  // Fills in the step; `curved` uses the whole Hessian in place of J^T J. False where
-  // the damping is too small for it.
+  // Computes the step; `curved` uses the full Hessian instead of J^T J. Returns false if the
+  // damping is too small for it.
   bool step(const State& state, const Linearized& linear, double damping, bool curved,
             double longest, double* out);
 
   // How far the last step turns a joint or, curved, anything in the world [rad].
   double rotation() const { return rotation_; }
 
-  // What the model says the step gains, without the damping.
+  // Gain of the step that the model predicts, without the damping.
   double predicted(const State& state, const Linearized& linear, bool curved,
                    const double* step);
 
   void hessian(const State& state, const Linearized& linear, bool curved, double damping,
                const double* v, double* out);
 
-  // Takes a step, limits kept to the last bit.
+  // Applies a step; limits are kept exactly.
   void move(const double* q, const double* step, double* out) const {
     for (const Node& node : task_.chain.nodes)
       if (!node.follows) move(node, q + node.coordinate, step + node.dof, out + node.coordinate);
@@ -73,18 +73,18 @@ class Stepper {
   // image_ = J v
   void map(const Linearized& linear, const double* v);
 
-  // Directions that limits of no width leave no room for.
+  // Directions that are blocked by locked limits.
   void shut(const State& state);
 
-  // Fixes the part of a ball's step along a direction, less what is fixed already.
+  // Fixes the component of a ball's step along a direction, minus those fixed already.
   void fix(int n, const double* normal, double value);
 
   bool fix_violations(const State& state, const double* step);
 
   bool fix_ball(int n, const double* q, const double* step);
 
-  // Joints turn by no more than a bound; where second derivatives are trusted, what
-  // turns in the world does not either, for these are far off once it has.
+  // Limits the rotation of each joint; with second derivatives, also all rotations in the world,
+  // beyond which these are inaccurate.
   void shorten(const State& state, bool curved, double most, double* step) {
     const double longest = curved ? turning(state, step) : turning(step);
     rotation_ = std::min(longest, most);
@@ -110,7 +110,7 @@ class Stepper {
     for (const Fixed& fixed : fixed_) add(fixed, -along(fixed, v), v);
   }
 
-  // (J^T J + D) d = J^T r + c: as large as the chain, not as the residual.
+  // (J^T J + D) d = J^T r + c: has the size of the chain, not of the residual.
   bool solve_primal(const Linearized& linear, double damping, double* out);
 
   void prepare_normal(const Linearized& linear, double diagonal) {
@@ -130,11 +130,10 @@ class Stepper {
     }
   }
 
-  // A <- P A P + c c^T, P = 1 - c c^T: nothing moves along c, and nothing feels it.
+  // A <- P A P + c c^T, P = 1 - c c^T: removes the direction c from the system.
   void shut(const Fixed& fixed);
 
-  // (J J^T + D) z = r - J c / D, d = J^T z + c / D: as large as the residual, not as
-  // the chain.
+  // (J J^T + D) z = r - J c / D, d = J^T z + c / D: has the size of the residual, not of the chain.
   bool solve_dual(const State& state, const Linearized& linear, double damping, double* out);
 
   void take_out(const Fixed& fixed, const Linearized& linear);
@@ -145,10 +144,10 @@ class Stepper {
   bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
                     double* out);
 
-  // How much second derivatives may bend the cost: forces and torques on the goals.
+  // A bound of the second-order terms: forces and torques on the goals.
   double bending(const State& state) const;
 
-  // The factor of J J^T + floor or J^T J + floor, what is fixed taken out.
+  // The factor of J J^T + floor or J^T J + floor, without fixed directions.
   bool prepare_measure(const Linearized& linear, double floor);
 
   // free_ = (J^T J + floor)^-1 rest_

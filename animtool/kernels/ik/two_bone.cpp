@@ -1,12 +1,12 @@
 // The limb of two bones: a ball, then a pin across both, or two balls.
 //
-// The elbow opens until the tip is as far from the root as its target is, then the shoulder
-// turns it there by the shortest way, and about the line to the target until the elbow lies
-// towards the pole.
+// The elbow bends until the tip is as far from the root as the target. Then the shoulder rotates
+// the tip to the target by the shortest arc, and about the line to the target until the elbow
+// points to the pole.
 //
-// Limits of the method: a target within 1e-12 of the root, or one exactly behind the start's
-// direction, leaves the plane of the limb open without a pole; a pole on the line from root to
-// target leaves it as it was.
+// Limits of the method: without a pole, a target within 1e-12 of the root, or exactly opposite to
+// the start's direction, leaves the plane of the limb undetermined; a pole on the line from root
+// to target does not change the plane.
 #include <algorithm>
 #include <cmath>
 
@@ -17,7 +17,7 @@ namespace animtool::ik {
 
 namespace {
 
-// Lengths below this share of the limb's are none.
+// Lengths below this fraction of the limb's count as zero.
 constexpr double NO_LENGTH = 1e-12;
 
 void perpendicular(const double* v, double* out) {
@@ -32,7 +32,7 @@ void perpendicular(const double* v, double* out) {
     for (int i = 0; i < 3; ++i) out[i] /= size;
 }
 
-// At length 1; false where there is none.
+// Normalises a vector; returns false if it has no length.
 bool unit(const double* v, double* out) {
   const double size = length(v);
   if (!(size > NO_LENGTH * NO_LENGTH)) return false;
@@ -71,8 +71,8 @@ void of_matrix(const double* m, double* q) {
     for (int i = 0; i < 4; ++i) q[i] = -q[i];
 }
 
-// The angle between two bones' directions, 0 where straight, by the half-angle form that
-// keeps its digits at both ends.
+// The angle between the directions of two bones, 0 if straight, by a half-angle formula that is
+// accurate at both ends.
 double bend(double a, double b, double distance) {
   const double reach = std::clamp(distance, std::fabs(a - b), a + b);
   const double shorter = (a + b - reach) * (a + b + reach);
@@ -80,7 +80,7 @@ double bend(double a, double b, double distance) {
   return 2 * std::atan2(std::sqrt(std::max(shorter, 0.0)), std::sqrt(std::max(longer, 0.0)));
 }
 
-// The signed angle from a to b, seen along a line; 0 where it is open.
+// The signed angle from a to b about a line; 0 if undetermined.
 double angle_about(const double* line, const double* a, const double* b) {
   double axis[3] = {0, 0, 0}, u[3], v[3], turned[3];
   unit(line, axis);
@@ -114,7 +114,7 @@ class TwoBone : public ClosedForm {
     const double* pole_target = target + COLUMNS[poled];
     std::fill(misses, misses + PARTS, 0.0);
     std::copy(start, start + (elbow_.kind == Kind::BALL ? 8 : 5), q);
-    // A pole by itself is no matter of reach: another solver turns the limb to it.
+    // A pole without a position goal is left to another solver.
     const bool has_position = weight_of(goal_, target, position) > 0;
     const bool has_pole = weight_of(goal_, target, poled) > 0;
     if (!has_position) return !has_pole;
@@ -143,7 +143,7 @@ class TwoBone : public ClosedForm {
   }
 
  private:
-  // Sets the elbow; whether its limits allow it.
+  // Sets the elbow; returns whether its limits allow it.
   bool open_elbow(double* q, const double* lower, double opened) const {
     double across[3];
     for (int i = 0; i < 3; ++i)
@@ -187,11 +187,11 @@ class TwoBone : public ClosedForm {
     make_unit(q);
   }
 
-  // Turns the tip to its target by the shortest way.
+  // Rotates the tip to its target by the shortest arc.
   void rotate_shoulder(double* q, const double* tip, const double* towards) const {
     double world[4];
     product(rest_, q, world);
-    // Twice: the first turn leaves what rounding makes of a half turn.
+    // Twice, because of the rounding error of the first rotation near half a turn.
     for (int i = 0; i < 2; ++i) {
       double now[3], normal[3], axis[3], turned[4], composed[4];
       rotate_vector(world, tip, now);

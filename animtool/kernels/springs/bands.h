@@ -12,17 +12,17 @@ namespace animtool {
 // Particles processed together, in multiples of four, and the springs that start there.
 struct BandPiece {
   std::size_t begin, end;
-  std::size_t first, count;  // their offsets
-  std::size_t number;        // where their numbers begin
+  std::size_t first, count;  // range of its offsets
+  std::size_t number;        // index of its first coefficient
 };
 
-// Springs in bands of one index offset. A particle without such a spring gets one without
+// Springs in bands with the same index offset. Particles without such a spring get one without
 // force.
 struct BandPieces {
   const BandPiece* pieces;
   std::size_t count;
   const std::size_t* offsets;  // of each piece, ascending
-  // Of each piece, each four particles and each offset: four lengths at rest, four
+  // For each piece, group of four particles and offset: four rest lengths, four
   // stiffnesses and four dampings.
   const double* numbers;
 };
@@ -41,16 +41,16 @@ struct PlaneSteps {
   double h;
 };
 
-// Rounded up to fours, and one more: padding springs may reach beyond the end.
+// Rounded up to a multiple of four, plus four: padding springs may reach beyond the end.
 constexpr std::size_t plane_height(std::size_t particles) {
   return (particles + WIDE - 1) / WIDE * WIDE + WIDE;
 }
 
-// Most particles of a piece, so that its forces stay near.
+// Largest number of particles of a piece, so that its forces stay in the cache.
 constexpr std::size_t BAND_PIECE = 16 * WIDE;
-// Offsets no farther from each other than this are taken together, so many at most.
+// Offsets that differ by at most this are processed together, at most this many.
 constexpr std::size_t GROUPED = WIDE, TOGETHER = 3;
-// Zeros before and after the forces that are kept, for those of other offsets.
+// Zero padding before and after the stored forces, for accesses with other offsets.
 constexpr std::size_t EDGE = GROUPED + WIDE, KEPT = BAND_PIECE + 2 * EDGE;
 
 template <class On>
@@ -75,7 +75,7 @@ void planes_to_rows(const double* planes, std::size_t count, std::size_t height,
   }
 }
 
-// Forces of a piece's springs: they are kept, and taken from where the springs begin.
+// Computes the forces of a piece's springs: stores them, and subtracts them at the first ends.
 template <class On>
 void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
   using N = Four<On>;
@@ -102,7 +102,7 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
   }
 }
 
-// Add what was kept of some offsets to forces where their springs end.
+// Adds the stored forces of some offsets at the second ends.
 template <class On, std::size_t... B>
 void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const double* kept,
                 std::size_t begin, std::size_t end, double* forces) {
@@ -115,8 +115,8 @@ void pull_grouped(std::index_sequence<B...>, const std::size_t* offsets, const d
   }
 }
 
-// Forces of a piece's springs where these end. They are added when all are known: reading at
-// once what was just stored a few places further on would wait for it.
+// Adds the forces of a piece's springs at their second ends, after all are computed: loading a
+// value right after it was stored at an overlapping address would stall.
 template <class On>
 void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
   for (std::size_t row = 0; row < 3 * piece.count; ++row)
@@ -138,8 +138,8 @@ void pull_ends(const BandPieces& springs, const BandPiece& piece, const BandPlan
   }
 }
 
-// Go on with a piece's particles by the forces on them, which then are none: velocities first,
-// and places with the new ones. Those that are held stay.
+// Advances the particles of a piece by the forces on them, and clears these: velocities first, then
+// positions with the new velocities. Held particles stay.
 template <class On>
 void advance_piece(const BandPiece& piece, const PlaneSteps& steps, const BandPlanes& planes) {
   using N = Four<On>;
@@ -159,7 +159,7 @@ void advance_piece(const BandPiece& piece, const PlaneSteps& steps, const BandPl
   }
 }
 
-// Add the forces of springs to planes of forces.
+// Adds the forces of springs to planes of forces.
 template <class On>
 void pull_planes(const BandPieces& springs, const BandPlanes& planes) {
   for (std::size_t p = 0; p < springs.count; ++p) {
@@ -168,8 +168,8 @@ void pull_planes(const BandPieces& springs, const BandPlanes& planes) {
   }
 }
 
-// One step of particles that springs and the planes of forces pull. Pieces come in the order of
-// their particles: none reads those of an earlier one, which may go on.
+// One step of particles under the forces of springs and of the planes. Pieces are in the order of
+// their particles, and none reads particles of an earlier one, which may already be advanced.
 template <class On>
 void step_planes(const BandPieces& springs, const PlaneSteps& steps, const BandPlanes& planes) {
   for (std::size_t p = 0; p < springs.count; ++p) {

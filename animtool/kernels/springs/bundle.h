@@ -13,8 +13,8 @@
 
 namespace animtool {
 
-// What colliders that are no rods answer, asked for one particle: of row (step, C). As the
-// step begins or as it ends, a distance and the way out; whether what goes far is stopped.
+// Queries of colliders other than rods, for one particle and the row (step, C): distance and
+// direction out at the start or end of a step; and a test that stops fast particles.
 struct OtherColliders {
   const void* all;
   void (*sample)(const void* all, std::size_t row, bool end, const double* point,
@@ -24,33 +24,33 @@ struct OtherColliders {
 
 struct StrandBundle;
 
-// Segments of strands against what is finer than these: of one of four strands in a step, by
-// particles that are near. Returns whether it moved any, and adds how far to their ways.
+// Collides segments of one of four strands with finer features in a step, for nearby particles.
+// Returns whether any moved, and adds the displacements to their path lengths.
 struct SegmentContacts {
-  void* all = nullptr;  // null where nothing is that fine
+  void* all = nullptr;  // null if no feature is that fine
   bool (*settle)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
                  std::size_t near) = nullptr;
-  double reach = 0;  // a particle this far from all colliders has no segment at them
+  double reach = 0;  // segments of a particle this far from all colliders cannot touch them
 };
 
 // Constants of a frame, shared by all strands.
 struct StrandSteps {
   std::size_t points, cells, substeps;
   double h;
-  double fall[3];  // what gravity adds to velocities in a step
-  double slowed;   // what drag leaves of them
-  // Compliances: of folds, and at the root; of the pull to the animation, by position and
-  // by velocity; of springs along the strand.
+  double fall[3];  // velocity change by gravity in a step
+  double slowed;   // factor of velocities by drag
+  // Compliances: of folds, and of the fold at the root; of the pull to the animation, by
+  // position and by velocity; of springs along the strand.
   double fold, root_fold, draw, draw_change, soft;
-  double longest;  // that springs along the strand may be, over their length at rest
+  double longest;  // largest length of springs along the strand, over their rest length
   std::size_t colliders;
   const collide::Rod* rods;   // (steps, C)
-  // Which are rods, and of which it is known how far their surfaces move (C,).
+  // Which colliders are rods, and for which the displacement of the surface is known (C,).
   const unsigned char *is_rod, *is_bounded;
-  std::size_t depth_rows;  // the first colliders, which have allowed depths
+  std::size_t depth_rows;  // number of first colliders that have allowed depths
   const double* thicknesses;  // (C,)
-  // How all go on in each step, (steps, 3), and how far the surfaces of rods go beside that
-  // from each step on, to the end of the frame, (steps + 1, C).
+  // Common drift of each step (steps, 3), and displacement of rod surfaces relative to it
+  // from each step to the end of the frame (steps + 1, C).
   const double *drifts, *remaining;
   OtherColliders others;
   double tolerance;
@@ -59,35 +59,35 @@ struct StrandSteps {
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
-  double* unmoved;  // where those that are moved out slowly would have stood still from
+  double* unmoved;  // positions relative to which particles that are moved out slowly are at rest
   const double* goals;  // (cells + 1, P, 3, 4)
   const double *rests, *folds;
-  // How deep particles may be: of each strand in the first collider, the next so much on.
+  // Allowed depths: of each strand in the first collider, and the stride to the next one.
   const double* depths[WIDE];
   std::size_t next_depths;
-  unsigned counted;  // bits of those that are not there only to fill up
-  // Room: along each spring (P, 3, 4), and of the matrix (P, 3, 4).
+  unsigned counted;  // bits of strands that are not padding
+  // Buffers: vectors along each spring (P, 3, 4), and the matrix (P, 3, 4).
   double *along, *matrix;
-  // How far each particle went beside the drift (P,), at which way it may meet any collider
-  // (P,), and each (P, C); those that are near (C,).
+  // Path length of each particle relative to the drift (P,), path lengths at which it may
+  // touch any collider (P,), and each collider (P, C); nearby colliders (C,).
   double *shift, *due, *dues;
   std::size_t* near;
   SegmentContacts segments;
   std::int32_t* at_segments;  // those with a segment near a collider (P,)
-  // Results: particles moved by colliders in each step, summed; left inside; the largest
-  // strain.
+  // Results: number of particles moved by colliders, summed over steps; number left inside;
+  // the largest strain.
   std::int64_t* touched;
   std::int64_t inside;
   double stretch;
 };
 
-// Length corrections in a step; the first is for all strands.
+// Length corrections in a step; the first one covers all strands.
 constexpr int CORRECTIONS = 4;
-// Length corrections after collisions, each followed by collisions.
+// Length corrections after collisions, each followed by more collisions.
 constexpr int YIELDS = 5;
-// Rounds of resolving all colliders.
+// Iterations over all colliders.
 constexpr int ROUNDS_OUT = 3;
-// Colliders that are farther off than this at the begin of a frame [m] are hardly met in it.
+// Colliders farther away than this at the start of a frame are rarely touched in it [m].
 constexpr double NEAR = 0.1;
 
 template <class On>
@@ -126,7 +126,7 @@ class BundleCrossing {
  private:
   static V at(const double* rows, std::size_t p) { return V::of(rows + WIDE_VECTOR * p); }
 
-  // Where the animation has a particle at a share of the cell; at its ends to the bit.
+  // Animated position of a particle at a fraction of the cell; exact at both ends.
   V goal(std::size_t p, double fraction) const {
     return at(first_, p) * (1 - fraction) + at(first_ + WIDE_VECTOR * plan_.points, p) * fraction;
   }
@@ -150,7 +150,7 @@ class BundleCrossing {
     for (std::size_t p = 0; p + 2 < plan_.points; ++p) {
       const V a = at(b_.x, p), b = at(b_.x, p + 2), d = b - a;
       const N square = dot(d, d), rest = N::of(b_.folds + WIDE * p);
-      // Ends at one place have no direction, and no pull.
+      // Coincident ends have no direction, and no force.
       const N one = chosen(below(N(0.0), square), N(1.0), N(0.0));
       const N beyond = one - rest * (root(square) * inverse(square));
       const V pull = d * (beyond * (p == 0 ? plan_.root_fold : plan_.fold));
@@ -168,7 +168,7 @@ class BundleCrossing {
     }
   }
 
-  // Which strands have a spring that is longer than it may be: those that turn far in a step.
+  // Which strands have a spring above its largest length: those that rotate far in a step.
   N too_long() const {
     N hit = below(N(0.0), N(0.0));
     for (std::size_t p = 1; p < plan_.points; ++p) {
@@ -179,9 +179,8 @@ class BundleCrossing {
     return hit;
   }
 
-  // One correction of Newton's for all lengths along some of the strands: each spring's pull
-  // moves those before and behind it, so that the matrix has three diagonals. Particles are
-  // known to be on their way, or it is noted how far they go.
+  // One Newton correction of all lengths along some of the strands. Each spring moves its
+  // neighbours, so that the matrix is tridiagonal. Optionally records the displacements.
   template <bool Noted>
   void correct(const N& some) {
     V before{0.0, 0.0, 0.0};
@@ -190,7 +189,7 @@ class BundleCrossing {
       const V d = at(b_.x, p) - at(b_.x, p - 1);
       const N size = length(d);
       const V along = d * inverse(size);
-      // Between springs that share a particle; the root gives way to none.
+      // Coupling of springs that share a particle; the root does not move.
       const N shared = dot(before, along);
       const N full = N((p == 1 ? 1 : 2) + plan_.soft) - shared * shared * fraction;
       sum = size - N::of(b_.rests + WIDE * (p - 1)) + shared * fraction * sum;
@@ -218,11 +217,11 @@ class BundleCrossing {
 
   static N length(const V& a) { return root(dot(a, a)); }
 
-  // The part of the strands, of four from root to tip, that a point is in.
+  // In which of four parts of the strands, from root to tip, a point is.
   std::size_t part(std::size_t p) const { return p * WIDE / plan_.points; }
 
-  // A ball about each part of all the strands together: its centre and its radius. Returns
-  // which parts there are: strands of few points do not have all.
+  // Bounding ball of each part of all strands: centre and radius. Returns which parts exist:
+  // strands with few points do not have all.
   unsigned surround(V& centre, N& radius) const {
     unsigned parts = 0;
     double low[3][WIDE], high[3][WIDE];
@@ -244,7 +243,7 @@ class BundleCrossing {
     return parts;
   }
 
-  // How far the parts of the strands are from each collider as the frame begins.
+  // Distances of the parts of the strands from each collider at the start of the frame.
   void look_about() {
     near_ = 0;
     far_ = NEVER;
@@ -276,7 +275,7 @@ class BundleCrossing {
     }
   }
 
-  // The way at which a particle may meet the next collider.
+  // Path length at which a particle may touch the next collider.
   double next_due(std::size_t p) const {
     const double* dues = b_.dues + p * plan_.colliders;
     double next = far_;
@@ -287,7 +286,7 @@ class BundleCrossing {
     return next;
   }
 
-  // Colliders have the last word of each step; strands that they drew out give way first.
+  // Colliders come last in each step; strands that they stretched are corrected before.
   void keep_out(std::size_t step) {
     if (plan_.colliders == 0) return;
     const V drift = V::spread(plan_.drifts + 3 * step);
@@ -306,7 +305,7 @@ class BundleCrossing {
     }
   }
 
-  // Colliders move some of the strands.
+  // Moves some of the strands out of colliders.
   void allow(unsigned some) {
     double lanes[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) lanes[l] = some >> l & 1;
@@ -328,7 +327,7 @@ class BundleCrossing {
     return b_.segments.all ? lanes | meet_segments(step) : lanes;
   }
 
-  // The same of segments between particles; the root is near where another is.
+  // The same for segments between particles; the root counts as near if any particle is.
   unsigned meet_segments(std::size_t step) {
     std::size_t near = 0;
     b_.at_segments[near++] = 0;
@@ -361,7 +360,7 @@ class BundleCrossing {
     return hit;
   }
 
-  // Brings four particles out of what they may be in; returns which were moved.
+  // Moves four particles out of colliders; returns which were moved.
   unsigned settle(std::size_t step, std::size_t p, double went) {
     double &shift = b_.shift[p], *dues = b_.dues + p * plan_.colliders;
     const V from = at(b_.before, p);
@@ -377,7 +376,7 @@ class BundleCrossing {
         only = c;
         pushed |= push(step, p, c, from, to, unmoved);
       }
-      // What is pushed may come near what was far.
+      // A particle that is pushed may come near colliders that were far away.
       if (shift >= far_) look_at_all();
       moved |= pushed;
       if (!pushed || (looked == 1 && !any_due(dues, shift, only))) break;
@@ -501,14 +500,14 @@ class BundleCrossing {
 
   const StrandSteps& plan_;
   StrandBundle& b_;
-  // Of the cell under way: where the animation has the strands at its begin, then at its
-  // end; shares of it at the begin and the end of the step.
+  // Animated positions of the strands at the start and the end of the current cell; fractions
+  // of the cell at the start and the end of the step.
   const double* first_ = nullptr;
   double was_ = 0, is_ = 0;
-  // How many colliders are near, and at which way any of the others may be met.
+  // Number of nearby colliders, and the path length at which any other may be touched.
   std::size_t near_ = 0;
   double far_ = 0;
-  // Which strands colliders may move.
+  // The strands that colliders may move.
   N allowed_{0.0};
   unsigned allowed_bits_ = 0;
 };

@@ -22,11 +22,11 @@ using collide::store;
 
 // Impact speed, in steps of gravity, below which a contact is resting.
 constexpr double RESTING = 2;
-// Rounds of resolving all colliders.
+// Iterations over all colliders.
 constexpr int TRIES = 3;
 // Impulse, moment, mass.
 constexpr std::size_t PUSH = 7;
-// Factor of the kept distance for edge middles, which cut corners.
+// Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDDLES_NEARER = 0.25;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
@@ -46,7 +46,7 @@ double thickness_of(const Collider& c, double radius) {
   return 0;
 }
 
-// Pushes of one span of time, and of another.
+// Adds the impulses of two spans of time.
 std::vector<double> both(const std::vector<double>& first, const std::vector<double>& second) {
   std::vector<double> sum(first);
   for (std::size_t k = 0; k < sum.size(); ++k)
@@ -526,7 +526,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
       Vec along = speed - hit.normal * into;
       const double most = length(along);
       along = along * (most > pinned ? 1 - pinned / most : 0.0);
-      // What a step of its weight brings is no blow: it rests.
+      // The speed that gravity adds in a step is no impact: the particle rests.
       const double back = -into > least_blow_ ? restitution * into : 0.0;
       store(surface + along - hit.normal * back, v);
     }

@@ -11,9 +11,9 @@ namespace animtool {
 
 namespace {
 
-// Cells are counted to this in each direction; what is beyond is in the last.
+// Largest cell number in each direction; points beyond are in the last cell.
 constexpr double MOST_CELLS = 1e6;
-// What is lost in rounding [1].
+// Relative rounding error [1].
 constexpr double ROUNDING = 1 + 1e-9;
 
 using Cell = std::array<std::int32_t, 3>;

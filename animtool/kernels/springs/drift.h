@@ -15,20 +15,20 @@ struct Drift {
   double near = 0, all = 0;
 };
 
-// Particles in wide cells. Parts in common rigid motion have little relative displacement,
+// Particles in wide cells. Parts that move rigidly together have a small relative displacement,
 // however fast they are.
 class NearMotion {
  public:
-  // Near is in the same cell or in one beside it: all that is no farther than its width.
+  // Nearby particles are in the same or an adjacent cell: all that are within a cell width.
   void build(const std::vector<double>& x, double width);
   double width() const { return width_; }
   Drift between(const std::vector<double>& from, const std::vector<double>& to);
-  // Beside what a rigid motion of all does, which brings none nearer to another.
+  // Relative to the rigid motion of all, which changes no distances.
   Drift between(const std::vector<double>& from, const std::vector<double>& to,
                 const RigidMotion& shift);
 
  private:
-  // What ways there are in a cell, at least and at most along each axis.
+  // Smallest and largest displacement in a cell along each axis.
   struct Range {
     double low[3], high[3];
   };

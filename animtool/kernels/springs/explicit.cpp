@@ -22,7 +22,7 @@ void check_cells(const Cells& cells, std::int64_t substeps) {
   check::positive("cell", cells.cell);
   check::between("substeps", substeps, 1, MOST_SUBSTEPS);
   check::between("cells", cells.count, 0, MOST_STEPS / substeps);
-  // Speeds are ways over the length of a step.
+  // Speeds are displacements over the step length.
   const double h = cells.cell / static_cast<double>(substeps);
   if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
       !std::isfinite(cells.start(cells.count)))
@@ -103,20 +103,20 @@ class Explicit {
     strides_ = {1, height};
   }
 
-  // A cell from a time on, in steps of h.
+  // Advances over a cell from a time, in steps of h.
   void cross(double start, int substeps, double h) {
     if (run_.lines().pulls.banded()) return cross_in_columns(start, substeps, h);
     for (int j = 0; j < substeps; ++j) step_rows(start + j * h, h, j);
   }
 
-  // Take out what is stretched beyond its limit.
+  // Removes springs that are stretched beyond their limit.
   void tear() {
     if (!run_.lines().tear) return;
     end();
     run_.tear();
   }
 
-  // Have rows as they are to be.
+  // Updates the rows from the columns.
   void end() {
     if (in_columns_ && !in_rows_) write();
     in_columns_ = false;

@@ -19,14 +19,14 @@ using collide::load;
 using collide::store;
 using shapes::row_of;
 
-// Edges that were stretched to twice their length have no point farther from both ends
-// [longest edge at rest].
+// No point of an edge that is stretched to twice its length is farther than this from both ends
+// [longest rest edge].
 constexpr double NEAR = 1.2;
-// What is kept from lines of no thickness, at least [longest edge at rest].
+// Smallest distance kept from lines without thickness [longest rest edge].
 constexpr double LEAST_KEPT = 1e-3;
-// Sides of boxes and meshes that turn by less are flat [rad].
+// Angle below which neighbouring faces of boxes and meshes count as flat [rad].
 constexpr double FLAT = 1e-3;
-// Searches for contacts, and rounds of resolving them, in a step.
+// Contact searches in a step, and iterations of resolving contacts.
 constexpr int LOOKS = 2, ROUNDS = 6;
 
 Vec least_of(Vec a, Vec b) {
@@ -35,7 +35,7 @@ Vec least_of(Vec a, Vec b) {
 Vec most_of(Vec a, Vec b) {
   return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
 }
-// Whether boxes are no farther apart than this along each axis.
+// Whether boxes are at most this far apart along each axis.
 bool overlap(Vec low, Vec high, Vec other_low, Vec other_high, double reach) {
   return low.x <= other_high.x + reach && high.x >= other_low.x - reach &&
          low.y <= other_high.y + reach && high.y >= other_low.y - reach &&
@@ -53,8 +53,8 @@ FineParts parts_of_box(const double* half) {
   return parts;
 }
 
-// How round a mesh is over the edge of a triangle: a radius, infinite where it is flat or
-// hollow, no greater than for faces as wide as a length.
+// Radius of curvature of a mesh at the edge of a triangle: infinite if it is flat or concave, and
+// at most that of faces as wide as a length.
 double radius_over(const Mesh& mesh, std::int32_t triangle, int side, double widest) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
   const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
@@ -63,7 +63,7 @@ double radius_over(const Mesh& mesh, std::int32_t triangle, int side, double wid
   if (!(squared > 0)) return collide::FAR;
   const Vec inward = opposite - along * (dot(opposite, along) / squared);
   const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
-  // On the rim of an open mesh.
+  // On the boundary of an open mesh.
   if (dot(sum, sum) == 0) return 0;
   if (!(dot(sum, inward) < -FLAT * FLAT * length(inward))) return collide::FAR;
   const Vec normal = collide::face_normal(mesh, triangle, {});
@@ -110,7 +110,7 @@ FineParts parts_of_mesh(const Collider& c, double longest, double kept) {
   return parts;
 }
 
-// What of a collider is finer than the longest edge of a surface.
+// The features of a collider that are finer than the longest edge of a surface.
 FineParts parts_of(const Collider& c, double radius, double longest) {
   if (c.container) return {};
   const double kept = collide::kept(c, radius);
@@ -142,7 +142,7 @@ FaceContacts::FaceContacts(const SpringElements& elements, double radius)
     : network_(elements), radius_(radius), reach_(NEAR * elements.longest_edge) {}
 
 void FaceContacts::add(const Collider& c) {
-  // Meshes are looked through where something comes to them.
+  // Features of meshes are searched only near elements.
   const bool later = c.shape == Shape::MESH && !c.container;
   parts_.emplace_back();
   if (network_.edges.empty()) return;
@@ -172,7 +172,7 @@ bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
     parted = true;
     int rounds = 1;
     while (part(separation) && rounds < ROUNDS) ++rounds;
-    // What was moved but little meets nothing else.
+    // Elements that moved little make no new contacts.
     if (rounds == 1) break;
   }
   if (parted) {
@@ -185,7 +185,7 @@ bool FaceContacts::settle(std::size_t index, const StepCollider& c, double h,
   return parted;
 }
 
-// Whether a point may be at parts of a collider; of a box at its edges.
+// Whether a point may touch features of a collider; for a box: its edges.
 static bool may_meet(const FineParts& parts, const Collider& c, Vec p, double reach) {
   if (c.shape == Shape::BOX) {
     const double off[3] = {std::abs(p.x) - c.size[0], std::abs(p.y) - c.size[1],
@@ -269,8 +269,7 @@ void FaceContacts::add_element(const std::int32_t* corners, int count, const Ste
   elements_.push_back(one);
 }
 
-// How many axes an element reaches a side of a box along: edges are where two sides meet,
-// corners where three do.
+// Number of axes along which an element reaches a face of a box: two at edges, three at corners.
 static int sides_reached(const double* half, Vec low, Vec high, double reach) {
   const double lows[3] = {low.x, low.y, low.z}, highs[3] = {high.x, high.y, high.z};
   int sides = 0;

@@ -1,8 +1,8 @@
 // Edges and faces of surfaces against collider features finer than the cloth cells.
 //
-// Particles collide by themselves. Features that pass between particles are handled here: thin
-// balls and rods, edges and corners of boxes and meshes. Tests are continuous over the step,
-// in the frame of the collider, where its features are static.
+// Particles collide separately. This handles features that pass between particles: thin spheres
+// and capsules, edges and corners of boxes and meshes. Tests are continuous over the step, in
+// the frame of the collider, where its features are static.
 #pragma once
 
 #include <array>
@@ -17,13 +17,13 @@ namespace animtool {
 
 struct StepCollider;
 
-// Parts of a collider in its frame: points, lines between two, and what is kept from them [m].
+// Features of a collider in its frame: points, lines between them, and their radius [m].
 struct FineParts {
   std::vector<collide::Vec> points;
   std::vector<std::array<std::int32_t, 2>> lines;
   double kept = 0;
   bool known = true;
-  // Of a mesh, the lines and points of each triangle, -1 for none.
+  // For a mesh: lines and points of each triangle, -1 for none.
   std::vector<std::array<std::int32_t, 6>> of_triangle;
 
   bool any() const { return !points.empty(); }
@@ -39,12 +39,12 @@ class FaceContacts {
  public:
   FaceContacts(const SpringElements& elements, double radius);
 
-  // Colliders as they come; whether any has parts that are looked for.
+  // Adds the next collider; returns whether any has fine features.
   void add(const collide::Collider& c);
-  // One that particles alone collide with.
+  // Adds a collider that collides only with particles.
   void skip() { parts_.emplace_back(); }
   bool any() const { return any_; }
-  // A particle this far from all colliders over a step has no edge or face at them.
+  // Edges and faces of a particle this far from all colliders over a step cannot touch them.
   double reach() const { return any_ ? reach_ : -collide::FAR; }
 
   // Moves edges and faces out of the features of a collider; returns whether any moved.
@@ -60,7 +60,7 @@ class FaceContacts {
 
  private:
   struct Element {
-    FourParticles corners;  // in `from_`; of an edge two
+    FourParticles corners;  // indices in `from_`; two for an edge
     int count;
     collide::Vec low, high;  // about its way
   };
@@ -72,7 +72,7 @@ class FaceContacts {
   std::int32_t slot(std::int32_t particle, const StepCollider& c, const StepRows& rows);
   void add_element(const std::int32_t* corners, int count, const StepCollider& c,
                    const StepRows& rows);
-  // Those that may meet in the step, as they are now.
+  // The contacts that are possible in the step, at the current positions.
   void find(const FineParts& parts, const StepCollider& c);
   void meet(const FineParts& parts, const Element& one, std::int32_t part);
   template <class Shape>

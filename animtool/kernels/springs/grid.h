@@ -9,13 +9,13 @@
 
 namespace animtool {
 
-// Points by number; those of a cell ascend.
+// Indices of points; ascending in each cell.
 class PointGrid {
  public:
-  // Rows: of points, with the cell's size.
+  // Builds it from rows of points, with a cell size.
   void build(const double* rows, std::size_t count, double cell);
 
-  // Calls with each point that may lie in a box, and its place.
+  // Calls a function with each point that may lie in a box, and its position.
   template <class Function>
   void visit(const double* low, const double* high, Function function) const;
 
@@ -28,12 +28,12 @@ class PointGrid {
     return static_cast<std::size_t>((key * 0x9e3779b97f4a7c15u) >> 32) & mask_;
   }
   std::int64_t cell_of(double location, std::size_t axis) const {
-    // What is no number is in the first.
+    // NaN is in the first cell.
     const double cell = (location - low_[axis]) * over_;
     return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MOST_CELLS))) : 0;
   }
 
-  // Cells are counted to this from the first in each direction.
+  // Largest cell number from the first in each direction.
   static constexpr std::int64_t MOST_CELLS = (1 << 20) - 1;
 
   std::size_t count_ = 0, mask_ = 0;
@@ -53,7 +53,7 @@ void PointGrid::visit(const double* low, const double* high, Function function) 
     last[k] = cell_of(high[k], k);
     cells *= static_cast<double>(last[k] - first[k] + 1);
   }
-  // A box of more cells than there are points is looked through faster without them.
+  // If a box has more cells than there are points, testing all points is faster.
   if (cells > static_cast<double>(count_)) {
     for (std::size_t i = 0; i < count_; ++i) function(points_[i], &locations_[ROW * i]);
     return;

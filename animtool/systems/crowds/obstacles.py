@@ -107,13 +107,13 @@ class Obstacles:
         """Return gaps, directions to the agents and closing speeds of each collider."""
         if not self.colliders.rigid:
             return []
-        radii, tall = self.agents.radii, self.agents.heights
+        radii, body_heights = self.agents.radii, self.agents.heights
         heights, _ = self.ground(x)
         base = np.where(np.isfinite(heights), heights, 0.0)
         return [
             (distances - radii, directions, speeds)
             for distances, directions, speeds in capsule_distances(
-                self.colliders, self.frame, x, base, radii, tall, t, dt
+                self.colliders, self.frame, x, base, radii, body_heights, t, dt
             )
         ]
 
@@ -147,7 +147,7 @@ def capsule_distances(
     x: FloatArray,
     base: FloatArray,
     radii: FloatArray,
-    tall: FloatArray,
+    body_heights: FloatArray,
     t: float,
     dt: float,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
@@ -159,7 +159,7 @@ def capsule_distances(
     heights ``(K,)`` [m].
     """
     count = len(x)
-    lows, highs = base + radii, base + np.maximum(tall - radii, radii)
+    lows, highs = base + radii, base + np.maximum(body_heights - radii, radii)
     levels = [lows, (lows + highs) / 2, highs]
     points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
     samples = colliders.sample(frame.to_world(points), t, t + dt)

@@ -115,12 +115,12 @@ def _solve_legs(
             if hip_parent >= 0
             else np.broadcast_to(so3.IDENTITY, upper.shape)
         )
-        for joint, parent, posed in (
+        for joint, parent, joint_rotation in (
             (thigh, hip_rotation, upper),
             (shin, upper, lower),
             (foot, lower, sole),
         ):
-            rotations[:, joint] = so3.multiply(so3.conjugate(parent), posed)
+            rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
         knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
         ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
         missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)

@@ -157,15 +157,15 @@ def _start_motion(
         seed=species.seed,
     )
     count = species.count if points is None else len(points)
-    points_drawn, velocities_drawn = emitter.sample_at(begin, count)
+    sampled_points, sampled_velocities = emitter.sample_at(begin, count)
     if points is None:
-        return points_drawn, velocities_drawn
+        return sampled_points, sampled_velocities
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
             message = f"{name} of {species.name!r} have shape {array.shape} or are not "
             refuse("SIM060", f"{message}finite: they must be {shape}", name)
-    return points, velocities_drawn if velocities is None else velocities
+    return points, sampled_velocities if velocities is None else velocities
 
 
 def check_species(spec: FlocksModel) -> None:

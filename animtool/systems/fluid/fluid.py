@@ -479,13 +479,13 @@ class Fluid:
             values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid in any frame"
-        nobody = warning("SIM188", message, hint)
+        empty_warning = warning("SIM188", message, hint)
         energy = (
             Energy(kinetic, total - kinetic)
             if known and self._conserves_energy
             else None
         )
-        return Diagnostics(energy, values, self._notices, [nobody])
+        return Diagnostics(energy, values, self._notices, [empty_warning])
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,7 +105,7 @@ class SystemSpec(FileModel):
         return faults + (colour.faults(self.quantities, self.code) if colour else [])
 
     def problems(self) -> Iterator[Problem]:
-        """Yield conflicts of keys that need no parts."""
+        """Yield conflicts between keys that show without other files."""
         yield from ()
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002

@@ -138,7 +138,7 @@ class TiedStep:
         return TiedStep(self._simulation, state, ends, t, t + dt)
 
     def leading_to(self, state: Any) -> Wrenches:
-        """Return the push at the end of the step that leads to a state."""
+        """Return the impulses at the end of the step that result in a given state."""
         return self._simulation.push_to(self._ends, state)
 
     def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:

@@ -80,7 +80,7 @@ class DiscModel(FileModel):
 
 
 class GalaxyModel(PlacementModel):
-    """A galaxy in equilibrium, on its own; it spins about its y."""
+    """An isolated galaxy in equilibrium, which rotates about its y axis."""
 
     name: Name = key("Its name.", "milky_way")
     at: Vector = key("Position of its centre [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])

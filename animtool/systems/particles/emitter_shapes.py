@@ -16,7 +16,7 @@ from animtool.sim.colliders.shapes import Mesh
 PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
-class _Checked:
+class _RangeChecked:
     """A shape with ranges declared by its fields."""
 
     __slots__ = ()
@@ -27,7 +27,7 @@ class _Checked:
 
 
 @dataclass(frozen=True, slots=True)
-class Point(_Checked):
+class Point(_RangeChecked):
     """The origin of the emitter's frame."""
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
@@ -36,7 +36,7 @@ class Point(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Disc(_Checked):
+class Disc(_RangeChecked):
     """A disc perpendicular to y.
 
     Attributes:
@@ -58,7 +58,7 @@ class Disc(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SphereShape(_Checked):
+class SphereShape(_RangeChecked):
     """A sphere.
 
     Attributes:
@@ -85,7 +85,7 @@ class SphereShape(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class BoxShape(_Checked):
+class BoxShape(_RangeChecked):
     """A box centred at the origin.
 
     Attributes:

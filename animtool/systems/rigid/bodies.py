@@ -18,11 +18,11 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
-from animtool.systems.rigid.cores import Core, core_of, shown
+from animtool.systems.rigid.cores import Core, core_mesh, core_of
 from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,
-    check_moved,
+    check_motion_keys,
     copies,
     kind_of,
 )
@@ -49,21 +49,21 @@ class RigidBodies:
         kinds: Body kind of each entry of the file.
         names: Names of all bodies.
         of: Kind index of each ``(B,)``.
-        moved: Whether each is dynamic ``(B,)``.
+        is_dynamic: Whether each is dynamic ``(B,)``.
         poses: Poses of each over time; of dynamic ones the initial pose.
     """
 
     kinds: Sequence[BodyKind]
     names: Sequence[str]
     of: IntArray
-    moved: BoolArray
+    is_dynamic: BoolArray
     poses: Sequence[Poses]
     begin: float
     dynamic: IntArray = field(init=False)  # numbers of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
         """Number the dynamic bodies."""
-        object.__setattr__(self, "dynamic", np.flatnonzero(self.moved))
+        object.__setattr__(self, "dynamic", np.flatnonzero(self.is_dynamic))
 
     @staticmethod
     def of_models(
@@ -71,37 +71,37 @@ class RigidBodies:
     ) -> RigidBodies:
         """Return the bodies of a spec."""
         kinds: list[BodyKind] = []
-        names, of, moved, poses = [], [], [], []
-        taken: set[str] = set()
+        names, of, is_dynamic, poses = [], [], [], []
+        used_names: set[str] = set()
         refusals = Refusals()
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
             where, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
             with refusals.collect(), _entry(where, origin):
-                if model.name in taken:
+                if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
             with refusals.collect(), _entry(where, origin):
-                check_moved(model)
+                check_motion_keys(model)
             with refusals.collect(), _entry(where, origin):
                 kind = kind_of(model, part)
                 points, rotations = copies(model, part)
-            taken.add(model.name)
+            used_names.add(model.name)
             if refusals.faults:
                 continue
-            notices = [_at(notice, where, origin) for notice in kind.notices]
+            notices = [_locate(notice, where, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
             carrier: Poses = part["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
-                several = len(points) > 1 or model.grid is not None
-                names.append(f"{model.name}[{k}]" if several else model.name)
+                is_numbered = len(points) > 1 or model.grid is not None
+                names.append(f"{model.name}[{k}]" if is_numbered else model.name)
                 of.append(number)
-                moved.append(not model.kinematic or model.release is not None)
-                poses.append(placed_on(carrier, point, rotation))
+                is_dynamic.append(not model.kinematic or model.release is not None)
+                poses.append(offset_poses(carrier, point, rotation))
         refusals.check()
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies; the limit is {MAX_BODIES}"
             refuse("SIM061", message, "bodies")
         return RigidBodies(
-            kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
+            kinds, names, np.array(of), np.array(is_dynamic, np.bool_), poses, begin
         )
 
     @cached_property
@@ -114,7 +114,7 @@ class RigidBodies:
     @cached_property
     def static(self) -> frozenset[int]:
         """Kinematic bodies that never move."""
-        kinematic = np.flatnonzero(~self.moved).tolist()
+        kinematic = np.flatnonzero(~self.is_dynamic).tolist()
         return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
 
     @cached_property
@@ -150,12 +150,14 @@ class RigidBodies:
         models = [self.kinds[k].model for k in self.of[self.dynamic]]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
-        at = rows[:, :3] + so3.rotate(rows[:, 3:], self.centres)
+        centres = rows[:, :3] + so3.rotate(rows[:, 3:], self.centres)
         rotations = so3.multiply(rows[:, 3:], self.axes)
         spins_local = so3.rotate(so3.conjugate(rotations), spins)
         momenta = so3.rotate(rotations, spins_local * self.moments)
-        idle = np.zeros((len(rows), 1))
-        return np.concatenate([at, rotations, velocities, momenta, idle], axis=1)
+        rest_times = np.zeros((len(rows), 1))
+        return np.concatenate(
+            [centres, rotations, velocities, momenta, rest_times], axis=1
+        )
 
     def kinematic_state(self, number: int, t: float, dt: float) -> FloatArray:
         """Return the state ``(14,)`` of a dynamic body from its poses.
@@ -183,7 +185,7 @@ class RigidBodies:
         local = np.divide(local, moments, out=np.zeros_like(local), where=moments > 0)
         return so3.rotate(state[:, 3:7], local)
 
-    def placed(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def body_frames(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of body frames."""
         rotations = so3.multiply(state[:, 3:7], so3.conjugate(self.axes))
         return state[:, :3] - so3.rotate(rotations, self.centres), rotations
@@ -193,12 +195,12 @@ class RigidBodies:
         return [
             Collider(
                 shape,
-                placed_on(self.poses[i], at, rotation),
+                offset_poses(self.poses[i], at, rotation),
                 name=self.names[i],
                 restitution=kind.model.restitution,
                 friction=kind.model.friction,
             )
-            for i in np.flatnonzero(~self.moved).tolist()
+            for i in np.flatnonzero(~self.is_dynamic).tolist()
             for kind in [self.kinds[self.of[i]]]
             for shape, at, rotation in kind.shapes
         ]
@@ -211,17 +213,21 @@ class RigidBodies:
             first: Number of the first of `colliders` among all.
         """
         shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
-        counts = np.where(self.moved, 0, shapes_of[self.of])
-        behind = len(self.dynamic) + first + np.cumsum(counts) - counts
-        numbers = np.cumsum(self.moved) - 1
+        counts = np.where(self.is_dynamic, 0, shapes_of[self.of])
+        first_shapes = len(self.dynamic) + first + np.cumsum(counts) - counts
+        dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
-        for one, other in pairs.tolist():
-            a, b = (one, other) if self.moved[one] else (other, one)
-            if self.moved[b]:
-                rows.append((int(numbers[a]), int(numbers[b])))
-            elif self.moved[a]:
-                shapes = range(int(behind[b]), int(behind[b] + counts[b]))
-                rows += [(int(numbers[a]), shape) for shape in shapes]
+        for first_body, second_body in pairs.tolist():
+            a, b = (
+                (first_body, second_body)
+                if self.is_dynamic[first_body]
+                else (second_body, first_body)
+            )
+            if self.is_dynamic[b]:
+                rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
+            elif self.is_dynamic[a]:
+                shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
+                rows += [(int(dynamic_indices[a]), shape) for shape in shapes]
         return np.array(rows, np.int64).reshape(-1, 2)
 
     @cached_property
@@ -286,14 +292,14 @@ class RigidBodies:
         )
 
     @cached_property
-    def _numbers(self) -> Mapping[str, int]:
+    def _indices_by_name(self) -> Mapping[str, int]:
         return {name: i for i, name in enumerate(self.names)}
 
     def find(self, name: str, key: str) -> int:
         """Return the number of a body by name (SIM061)."""
-        if name not in self._numbers:
+        if name not in self._indices_by_name:
             refuse_unknown(name, list(self.names), key)
-        return self._numbers[name]
+        return self._indices_by_name[name]
 
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
@@ -306,11 +312,11 @@ def outline(shape: Shape) -> Shape:
     """Return a shape as a collider: the hull of a mesh."""
     if not isinstance(shape, Mesh):
         return shape
-    points, counts, corners = shown(core_of(shape))
+    points, counts, corners = core_mesh(core_of(shape))
     return Mesh(points, triangulated(counts, corners), closed=True)
 
 
-def placed_on(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
+def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
     """Return the poses of a fixed offset in a moving frame."""
     if not at.any() and rotation[3] == 1:
         return poses
@@ -332,11 +338,11 @@ def _entry(where: str, origin: str | None) -> Iterator[None]:
     try:
         yield
     except OptionError as error:
-        faults = [_at(fault, where, origin) for fault in error.faults]
+        faults = [_locate(fault, where, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _at(fault: Fault, where: str, origin: str | None) -> Fault:
+def _locate(fault: Fault, where: str, origin: str | None) -> Fault:
     """Return a fault located at an entry, or at the prim the entry names."""
     if origin is not None:
         return replace(fault, where=where, message=f"{origin}: " + fault.message)

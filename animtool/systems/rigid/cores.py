@@ -12,16 +12,16 @@ from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Shape, Sphere
 
 # Hull faces with normals closer than this are merged [rad].
-FLAT = 1e-6
+COPLANAR_ANGLE = 1e-6
 # A mesh whose volume equals its hull's within this fraction is convex.
-CONVEX = 1e-3
+CONVEX_TOLERANCE = 1e-3
 
 # Box faces: +x, -x and so on; corner i is on +x if its bit 0 is set, and so on.
 _BOX_FACES = (
     (1, 3, 7, 5), (0, 4, 6, 2), (2, 6, 7, 3), (0, 1, 5, 4), (4, 5, 7, 6), (0, 2, 3, 1),
 )  # fmt: skip
-# Facets around a sphere or capsule end, as drawn.
-ROUND = 16
+# Number of facets around displayed spheres and capsules.
+FACET_COUNT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class Core:
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
     radius: float = 0.0  # [m]
 
-    def placed(self, at: FloatArray, rotation: FloatArray) -> Core:
-        """Return it moved by a translation ``(3,)`` [m] and a quaternion ``(4,)``."""
+    def transformed(self, at: FloatArray, rotation: FloatArray) -> Core:
+        """Return the core moved by a translation ``(3,)`` [m] and a quaternion."""
         return Core(at + so3.rotate(rotation, self.points), self.faces, self.radius)
 
 
@@ -45,25 +45,30 @@ class SolidProperties:
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # about the centre (3, 3) [m⁵]
 
-    def placed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
-        """Return them moved to another frame."""
+    def transformed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
+        """Return the properties in another frame."""
         matrix = so3.to_matrix(rotation)
         centre = at + so3.rotate(rotation, self.centre)
         return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
 
 
-def together(
+def combine_solids(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
     """Return several solids as one, with mass [kg] as volume and inertia in [kg m²]."""
-    masses = np.array([s.volume * d for s, d in zip(solids, densities, strict=True)])
-    centres = np.array([s.centre for s in solids])
+    masses = np.array(
+        [
+            solid_.volume * density_
+            for solid_, density_ in zip(solids, densities, strict=True)
+        ]
+    )
+    centres = np.array([solid_.centre for solid_ in solids])
     centre = masses @ centres / masses.sum()
     inertia = np.zeros((3, 3))
     for solid, density, mass in zip(solids, densities, masses, strict=True):
-        off = solid.centre - centre
+        offset = solid.centre - centre
         inertia += density * solid.inertia
-        inertia += mass * (off @ off * np.eye(3) - np.outer(off, off))
+        inertia += mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return SolidProperties(float(masses.sum()), centre, inertia)
 
 
@@ -97,22 +102,26 @@ def _hull(points: FloatArray) -> Core:
         raise ValueError("its points are coplanar: it has no volume") from None
     # Coplanar triangles are merged to one face.
     normals, planes = hull.equations[:, :3], []
-    rest = list(range(len(normals)))
-    while rest:
-        first = rest[0]
-        coplanar = np.linalg.norm(normals[rest] - normals[first], axis=1) < FLAT
-        planes.append((normals[first], np.array(rest)[coplanar]))
-        rest = np.array(rest)[~coplanar].tolist()
+    remaining = list(range(len(normals)))
+    while remaining:
+        first = remaining[0]
+        coplanar = (
+            np.linalg.norm(normals[remaining] - normals[first], axis=1) < COPLANAR_ANGLE
+        )
+        planes.append((normals[first], np.array(remaining)[coplanar]))
+        remaining = np.array(remaining)[~coplanar].tolist()
     corners = np.unique(hull.simplices)
-    number = np.full(len(points), -1)
-    number[corners] = np.arange(len(corners))
+    corner_numbers = np.full(len(points), -1)
+    corner_numbers[corners] = np.arange(len(corners))
     faces = []
     for normal, triangles in planes:
-        used = np.unique(hull.simplices[triangles])
-        off = points[used] - points[used].mean(axis=0)
-        across = np.cross(normal, off[0])
-        angles = np.arctan2(off @ across, off @ off[0] * np.linalg.norm(normal))
-        faces.append(number[used[np.argsort(angles)]])
+        face_corners = np.unique(hull.simplices[triangles])
+        offsets = points[face_corners] - points[face_corners].mean(axis=0)
+        tangent = np.cross(normal, offsets[0])
+        angles = np.arctan2(
+            offsets @ tangent, offsets @ offsets[0] * np.linalg.norm(normal)
+        )
+        faces.append(corner_numbers[face_corners[np.argsort(angles)]])
     return Core(points[corners], faces)
 
 
@@ -137,46 +146,50 @@ def solid_of(shape: Shape, core: Core) -> SolidProperties:
         for face in core.faces
         for k in range(1, len(face) - 1)
     ]
-    return filled(np.array(triangles))
+    return enclosed_solid(np.array(triangles))
 
 
 def _capsule(shape: Capsule) -> SolidProperties:
     r, length = shape.radius, shape.length
-    middle, ends = np.pi * r * r * length, 4 / 3 * np.pi * r**3
+    cylinder, caps = np.pi * r * r * length, 4 / 3 * np.pi * r**3
     # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
-    along = 0.5 * middle * r * r + 0.4 * ends * r * r
-    across = middle * (r * r / 4 + length**2 / 12)
-    across += ends * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
+    axial = 0.5 * cylinder * r * r + 0.4 * caps * r * r
+    transverse = cylinder * (r * r / 4 + length**2 / 12)
+    transverse += caps * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
     axis = np.asarray(shape.axis, np.float64) / np.linalg.norm(shape.axis)
-    inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-    return SolidProperties(middle + ends, np.asarray(shape.centre, np.float64), inertia)
+    inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(axis, axis)
+    return SolidProperties(
+        cylinder + caps, np.asarray(shape.centre, np.float64), inertia
+    )
 
 
-def filled(triangles: FloatArray) -> SolidProperties:
+def enclosed_solid(triangles: FloatArray) -> SolidProperties:
     """Return the mass properties enclosed by triangles ``(T, 3, 3)``, by tetrahedra.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
     Binstock (2004).
     """
-    base = triangles.reshape(-1, 3).mean(axis=0)
-    a, b, c = (triangles - base).swapaxes(0, 1)
+    origin = triangles.reshape(-1, 3).mean(axis=0)
+    a, b, c = (triangles - origin).swapaxes(0, 1)
     volumes = np.einsum("ti,ti->t", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
     corners = a + b + c
     centre = volumes @ corners / 4 / volume
     products = sum(np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corners))
-    second = np.asarray(products) / 20 - volume * np.outer(centre, centre)
-    return SolidProperties(volume, base + centre, np.trace(second) * np.eye(3) - second)
+    moment_matrix = np.asarray(products) / 20 - volume * np.outer(centre, centre)
+    return SolidProperties(
+        volume, origin + centre, np.trace(moment_matrix) * np.eye(3) - moment_matrix
+    )
 
 
-def convex(mesh: Mesh, hull: SolidProperties) -> bool:
+def is_convex(mesh: Mesh, hull: SolidProperties) -> bool:
     """Return whether a closed mesh equals its hull, by volume."""
     points, triangles = mesh.weld()
-    inside = abs(filled(points[triangles]).volume)
-    return abs(inside - hull.volume) <= CONVEX * hull.volume
+    volume = abs(enclosed_solid(points[triangles]).volume)
+    return abs(volume - hull.volume) <= CONVEX_TOLERANCE * hull.volume
 
 
-def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
+def core_mesh(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
     """Return points, corner counts and corners of a mesh that shows a core."""
     if core.faces:
         counts = np.array([len(face) for face in core.faces])
@@ -184,12 +197,12 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
     first, last = core.points[0], core.points[-1]
     axis = last - first
     length = float(np.linalg.norm(axis))
-    up = axis / length if length else np.array([0.0, 1.0, 0.0])
-    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0.0, 1, 0])
-    side /= np.linalg.norm(side)
-    frame = np.stack([side, up, np.cross(side, up)])
-    around = np.arange(ROUND) * (2 * np.pi / ROUND)
-    rings, rings_per_cap = [], ROUND // 4
+    y_axis = axis / length if length else np.array([0.0, 1.0, 0.0])
+    x_axis = np.cross(y_axis, [1.0, 0, 0] if abs(y_axis[0]) < 0.9 else [0.0, 1, 0])
+    x_axis /= np.linalg.norm(x_axis)
+    frame = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
+    angles = np.arange(FACET_COUNT) * (2 * np.pi / FACET_COUNT)
+    rings, rings_per_cap = [], FACET_COUNT // 4
     heights = [-k for k in range(rings_per_cap - 1, -1, -1)] + list(
         range(rings_per_cap)
     )
@@ -197,9 +210,9 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
         angle = height * np.pi / 2 / rings_per_cap
         ring = np.stack(
             [
-                np.cos(around) * np.cos(angle),
-                np.full(ROUND, np.sin(angle)),
-                np.sin(around) * np.cos(angle),
+                np.cos(angles) * np.cos(angle),
+                np.full(FACET_COUNT, np.sin(angle)),
+                np.sin(angles) * np.cos(angle),
             ],
             axis=1,
         )
@@ -208,21 +221,25 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
         )
     # A sphere has one ring at its equator.
     rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
-    poles = np.stack([first - core.radius * up, last + core.radius * up])
+    poles = np.stack([first - core.radius * y_axis, last + core.radius * y_axis])
     points = np.concatenate([*rings, poles])
-    count, k = len(rings), np.arange(ROUND)
-    after = (k + 1) % ROUND
+    count, k = len(rings), np.arange(FACET_COUNT)
+    next_k = (k + 1) % FACET_COUNT
     quads = [
-        np.stack([r * ROUND + k, (r + 1) * ROUND + k, (r + 1) * ROUND + after,
-                  r * ROUND + after], axis=1)
+        np.stack([r * FACET_COUNT + k, (r + 1) * FACET_COUNT + k,
+                  (r + 1) * FACET_COUNT + next_k, r * FACET_COUNT + next_k], axis=1)
         for r in range(count - 1)
     ]  # fmt: skip
-    low, high = count * ROUND, count * ROUND + 1
-    top = (count - 1) * ROUND
+    bottom_pole, top_pole = count * FACET_COUNT, count * FACET_COUNT + 1
+    last_ring = (count - 1) * FACET_COUNT
     caps = [
-        np.stack([np.full(ROUND, low), k, after], axis=1),
-        np.stack([np.full(ROUND, high), top + after, top + k], axis=1),
+        np.stack([np.full(FACET_COUNT, bottom_pole), k, next_k], axis=1),
+        np.stack(
+            [np.full(FACET_COUNT, top_pole), last_ring + next_k, last_ring + k], axis=1
+        ),
     ]
-    counts = np.concatenate([np.full(ROUND * (count - 1), 4), np.full(2 * ROUND, 3)])
+    counts = np.concatenate(
+        [np.full(FACET_COUNT * (count - 1), 4), np.full(2 * FACET_COUNT, 3)]
+    )
     corners = np.concatenate([*(q.ravel() for q in quads), *(c.ravel() for c in caps)])
     return points, counts, corners

@@ -1,9 +1,8 @@
 """Free flight of bodies under forces of position and velocity.
 
-In a step each body goes for itself, so its equation of motion is solved alone, exactly
-where the force is linear: drag, wind and springs of any stiffness are as they are with
-a step as short as one likes. What of this contacts and joints prevent is found by the
-kernel, which takes a force and a mass for the step.
+In a step each body moves independently, so its equation of motion is solved alone. The
+solution is exact for linear forces: drag, wind and springs of any stiffness. Contacts
+and joints are solved by the kernel, which gets a mean force and a mass for the step.
 
 References:
     M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 2010, section
@@ -26,14 +25,14 @@ from animtool.maths.phi import phi_functions
 TOLERANCE = 2e-5
 # Shortest substep over the step, and largest growth of substeps: this resolves
 # discontinuous forces.
-FLOOR, MAX_PARTS = 1 / 2048, 128
-# A substep with a larger error, over the motion, follows the Jacobian alone and is too
+MIN_STEP_FRACTION, MAX_SUBSTEPS = 1 / 2048, 128
+# A substep with a larger error, over the motion, uses only the Jacobian and is too
 # long.
-COARSE = 0.5
-AT_REST = 1e-9  # least motion [m]
-LARGEST = 1e300  # error of non-finite motion
+COARSE_ERROR = 0.5
+MIN_MOTION = 1e-9  # least motion [m]
+INFINITE_ERROR = 1e300  # error of non-finite motion
 # Bounds and safety factor of the next substep's change.
-SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
+MIN_STEP_CHANGE, MAX_STEP_CHANGE, SAFETY = 0.1, 4.0, 0.8
 
 # Accelerations at a time, positions and velocities ``(N, 3)``.
 Rate: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
@@ -48,11 +47,11 @@ class Flight:
     """Positions and velocities after a step without contact.
 
     Attributes:
-        points: ``(N, 3)`` [m].
-        velocities: ``(N, 3)`` [m/s].
-        inertias: How much less their velocities change than by the force at the
-            beginning, as a factor on their masses ``(N,)``.
-        coarse: Whose forces change so fast that this is not so ``(N,)``.
+        points: Positions ``(N, 3)`` [m].
+        velocities: Velocities ``(N, 3)`` [m/s].
+        inertias: Factors on masses with which the initial force causes the actual
+            change of velocity ``(N,)``.
+        coarse: Mask of bodies whose forces change too fast to be resolved ``(N,)``.
     """
 
     points: FloatArray
@@ -65,75 +64,92 @@ def fly(
     rate: Rate, slopes: Slopes, t: float, dt: float, x: FloatArray, v: FloatArray
 ) -> Flight:
     """Return positions and velocities ``(N, 3)`` after a free step [s]."""
-    end, now, step = t + dt, t, dt
-    begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
-    points, velocities, pull, grown = x, v, begin, begin_slopes
-    parts_left, least, coarse = MAX_PARTS, FLOOR * dt, np.zeros(len(x), np.bool_)
-    while now < end:
-        after, shares = _part(rate, now, step, points, velocities, pull, grown)
-        error = float(shares.max(initial=0.0)) / TOLERANCE
-        if error > 1 and step > least:
-            step = max(step * max(CAUTION / np.sqrt(error), SHRINK), least)
+    end, time, step = t + dt, t, dt
+    start_rate, start_jacobians = rate(t, x, v), slopes(t, x, v)
+    points, velocities, acceleration, jacobians = x, v, start_rate, start_jacobians
+    substeps_left, min_step, coarse = (
+        MAX_SUBSTEPS,
+        MIN_STEP_FRACTION * dt,
+        np.zeros(len(x), np.bool_),
+    )
+    while time < end:
+        next_state, errors = _substep(
+            rate, time, step, points, velocities, acceleration, jacobians
+        )
+        error = float(errors.max(initial=0.0)) / TOLERANCE
+        if error > 1 and step > min_step:
+            step = max(step * max(SAFETY / np.sqrt(error), MIN_STEP_CHANGE), min_step)
             continue
-        points, velocities = after
-        if step > 2 * FLOOR * dt:
-            coarse |= shares > COARSE
-        now = end if step >= end - now else now + step
-        if now < end:
-            parts_left -= 1
-            least = max(FLOOR * dt, (end - now) / max(parts_left, 1) ** 2)
-            pull, grown = rate(now, *after), slopes(now, *after)
-            longer = step * min(CAUTION / np.sqrt(max(error, 1e-12)), GROW)
-            step = min(max(longer, least), end - now)
-    inertias = _inertias(begin, begin_slopes[1], velocities - v, dt, v)
+        points, velocities = next_state
+        if step > 2 * MIN_STEP_FRACTION * dt:
+            coarse |= errors > COARSE_ERROR
+        time = end if step >= end - time else time + step
+        if time < end:
+            substeps_left -= 1
+            min_step = max(
+                MIN_STEP_FRACTION * dt, (end - time) / max(substeps_left, 1) ** 2
+            )
+            acceleration, jacobians = rate(time, *next_state), slopes(time, *next_state)
+            next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
+            step = min(max(next_step, min_step), end - time)
+    inertias = _inertias(start_rate, start_jacobians[1], velocities - v, dt, v)
     return Flight(points, velocities, inertias, coarse)
 
 
-def _part(
+def _substep(
     rate: Rate,
     t: float,
     h: float,
     x: FloatArray,
     v: FloatArray,
-    pull: FloatArray,
-    grown: tuple[FloatArray, FloatArray],
+    acceleration: FloatArray,
+    jacobians: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Return positions and velocities after a substep, and their error ``(N,)``.
 
-    Both are one vector for each, of positions and of velocities times the part.
+    Computed with vectors of positions and of velocities times the substep.
     """
-    by_position, by_speed = h * h * grown[0], h * grown[1]
+    by_position, by_speed = h * h * jacobians[0], h * jacobians[1]
     matrices = np.zeros((len(x), 6, 6))
     matrices[:, :3, 3:] = np.eye(3)
     matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_speed
-    one, two = phi_functions(matrices)
-    first = _times(one, np.concatenate([h * v, h * h * pull], axis=1))
-    change = h * h * (rate(t + h, x + first[:, :3], v + first[:, 3:] / h) - pull)
-    change -= _times(by_position, first[:, :3]) + _times(by_speed, first[:, 3:])
-    second = _times(two[:, :, 3:], change)
-    moved = first + second
-    size = np.linalg.norm(moved[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
-    size += np.linalg.norm(h * v + moved[:, 3:], axis=1)
-    off = np.linalg.norm(second, axis=1)
-    shares = off / (size + AT_REST)
-    shares[~np.isfinite(shares)] = LARGEST
-    moved = np.where((shares > COARSE)[:, None], first, moved)
-    return (x + moved[:, :3], v + moved[:, 3:] / h), shares
+    phi1, phi2 = phi_functions(matrices)
+    first = _multiply(phi1, np.concatenate([h * v, h * h * acceleration], axis=1))
+    change = (
+        h * h * (rate(t + h, x + first[:, :3], v + first[:, 3:] / h) - acceleration)
+    )
+    change -= _multiply(by_position, first[:, :3]) + _multiply(by_speed, first[:, 3:])
+    second = _multiply(phi2[:, :, 3:], change)
+    total = first + second
+    size = np.linalg.norm(total[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
+    size += np.linalg.norm(h * v + total[:, 3:], axis=1)
+    error_size = np.linalg.norm(second, axis=1)
+    errors = error_size / (size + MIN_MOTION)
+    errors[~np.isfinite(errors)] = INFINITE_ERROR
+    total = np.where((errors > COARSE_ERROR)[:, None], first, total)
+    return (x + total[:, :3], v + total[:, 3:] / h), errors
 
 
-def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+def _multiply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _inertias(
-    begin: FloatArray, grown: FloatArray, change: FloatArray, dt: float, v: FloatArray
+    start_rate: FloatArray,
+    jacobians: FloatArray,
+    velocity_change: FloatArray,
+    dt: float,
+    v: FloatArray,
 ) -> FloatArray:
-    """Return factors on mass so that an impulse changes velocity as the flow does."""
+    """Return factors on masses so that impulses cause the change of the free flight."""
     # Equal for linear drag.
-    z = np.maximum(-np.trace(grown, axis1=1, axis2=2) / 3 * dt, 0.0)
+    z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
-    squared, along = (begin * begin).sum(axis=1), (begin * change).sum(axis=1)
-    some = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
-    some &= along > 0
-    np.divide(squared * dt, along, out=ratios, where=some)
+    squared, projections = (
+        (start_rate * start_rate).sum(axis=1),
+        (start_rate * velocity_change).sum(axis=1),
+    )
+    is_clear = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
+    is_clear &= projections > 0
+    np.divide(squared * dt, projections, out=ratios, where=is_clear)
     return np.asarray(np.maximum(ratios, 1.0))

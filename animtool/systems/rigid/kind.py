@@ -27,16 +27,16 @@ from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
     Core,
     SolidProperties,
-    convex,
+    combine_solids,
+    core_mesh,
     core_of,
-    shown,
+    is_convex,
     solid_of,
-    together,
 )
 from animtool.systems.rigid.pieces import (
-    EXTRA,
-    beyond,
-    installed,
+    INSTALL_COMMAND,
+    excess_volume,
+    is_available,
     pieces_of,
     solid_of_mesh,
 )
@@ -45,8 +45,8 @@ from animtool.systems.rigid.spec import BodyModel
 # Tolerance of the triangle inequality of moments, over their sum: rounding.
 ROUNDING = 1e-9
 # Smaller masses overflow impulses.
-LIGHTEST = 1e-30  # [kg]
-LEAST_MOMENT = 1e-100  # [kg m²]
+MIN_MASS = 1e-30  # [kg]
+MIN_MOMENT = 1e-100  # [kg m²]
 # Off-diagonal elements below this fraction of the trace are rounding.
 DIAGONAL_TOLERANCE = 1e-12
 # Largest number of bodies of a system; more take gigabytes.
@@ -77,8 +77,8 @@ class BodyKind:
 
     def core_at_centre(self, core: Core) -> Core:
         """Return a core in the frame of the principal axes."""
-        back = so3.conjugate(self.axes)
-        return core.placed(-so3.rotate(back, self.centre), back)
+        to_principal = so3.conjugate(self.axes)
+        return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
 
 def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
@@ -90,9 +90,9 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         shapes = _shapes(model, parts)
     refusals.check()
     hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
-    cores, solids, notices, met = [], [], [], []
-    drawn: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
-    for k, (shape, at, rotation) in enumerate(shapes):
+    cores, solids, notices, collision_shapes = [], [], [], []
+    display_shapes: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
+    for k, (shape, origin, rotation) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
             message = f"a shape of {model.name!r}: a height field has no inside"
@@ -103,24 +103,28 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
         solid = solid_of(shape, core)
         pieces: Sequence[tuple[Shape, Core]] = [(shape, core)]
-        if isinstance(shape, Mesh) and not convex(shape, solid):
-            moved = not model.kinematic or model.release is not None
-            split_pieces = [] if hulls[k] or not moved else _pieces(shape)
-            fault = _concave(model.name, shape, split_pieces)
+        if isinstance(shape, Mesh) and not is_convex(shape, solid):
+            is_dynamic = not model.kinematic or model.release is not None
+            split_pieces = [] if hulls[k] or not is_dynamic else _pieces(shape)
+            fault = _concave_notice(model.name, shape, split_pieces)
             notices.append(replace(fault, where=key))
             if split_pieces:
                 pieces, solid = split_pieces, solid_of_mesh(shape)
-        cores += [core.placed(at, rotation) for _, core in pieces]
-        met += [(one, at, rotation) for one, _ in pieces]
-        split = len(pieces) > 1
-        mesh = shape if split and isinstance(shape, Mesh) else None
-        drawn.append((mesh, core.placed(at, rotation), at, rotation))
-        solids.append(solid.placed(at, rotation))
-    mass, centre, inertia = _weighed(model, solids)
+        cores += [core.transformed(origin, rotation) for _, core in pieces]
+        collision_shapes += [(piece, origin, rotation) for piece, _ in pieces]
+        is_split = len(pieces) > 1
+        mesh = shape if is_split and isinstance(shape, Mesh) else None
+        display_shapes.append(
+            (mesh, core.transformed(origin, rotation), origin, rotation)
+        )
+        solids.append(solid.transformed(origin, rotation))
+    mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal(inertia)
     shows = parts.get("shows")
-    meshes = tuple(shows()) if shows is not None else (_mesh(drawn),)
-    return BodyKind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
+    meshes = tuple(shows()) if shows is not None else (_mesh(display_shapes),)
+    return BodyKind(
+        model, collision_shapes, cores, mass, centre, moments, axes, meshes[:1], notices
+    )
 
 
 def _weight_problems(model: BodyModel) -> Iterator[Problem]:
@@ -128,8 +132,8 @@ def _weight_problems(model: BodyModel) -> Iterator[Problem]:
         yield f"{model.name!r} has both a mass and a density", "density", "keep one"
     if model.inertia is None:
         return
-    least, middle, most = sorted(model.inertia)
-    if 2 * most > (least + middle + most) * (1 + ROUNDING):
+    smallest, middle, largest = sorted(model.inertia)
+    if 2 * largest > (smallest + middle + largest) * (1 + ROUNDING):
         message = f"no body can have the moments of {model.name!r}, {model.inertia}: "
         yield f"{message}one is larger than the sum of the others", "inertia", None
     elif not middle:
@@ -141,14 +145,14 @@ def _shapes(
     model: BodyModel, parts: Mapping[str, Any]
 ) -> list[tuple[Shape, FloatArray, FloatArray]]:
     """Return the shapes of a body, each with its origin and quaternion."""
-    several = zip(model.shapes, parts.get("shapes", ()), strict=True)
+    entries = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
         (
             part["shape"],
             np.array(shape.at, np.float64),
             _rotation(shape.rotate, model.name, f"shapes[{k}].rotate"),
         )
-        for k, (shape, part) in enumerate(several)
+        for k, (shape, part) in enumerate(entries)
     ]
     if model.shape is not None:
         if shapes:
@@ -170,50 +174,56 @@ def _shapes(
 
 def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
     """Return convex pieces of a mesh; empty if its hull is used."""
-    return list(pieces_of(mesh)) if installed() else []
+    return list(pieces_of(mesh)) if is_available() else []
 
 
-def _concave(name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]) -> Fault:
-    """Return a notice of how a concave mesh collides."""
+def _concave_notice(
+    name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]
+) -> Fault:
+    """Return a notice about the collision shape of a concave mesh."""
     if pieces:
-        more = beyond(mesh, [core for _, core in pieces])
+        excess = excess_volume(mesh, [core for _, core in pieces])
         message = f"a mesh of {name!r} collides as "
-        message += f"{counted(len(pieces), 'convex piece')}, {more:+.1%} of its volume"
+        message += (
+            f"{counted(len(pieces), 'convex piece')}, {excess:+.1%} of its volume"
+        )
         return Fault("SIM198", message, severity=Severity.NOTE)
     message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
     hint = "build it from several convex shapes"
-    if not installed():
-        hint += f", or install coacd: {EXTRA}"
+    if not is_available():
+        hint += f", or install coacd: {INSTALL_COMMAND}"
     return warning("SIM125", message, hint)
 
 
-def _weighed(
+def _mass_properties(
     model: BodyModel, solids: Sequence[SolidProperties]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
-    densities = [each.density or model.density for each in model.shapes] or [
+    densities = [entry.density or model.density for entry in model.shapes] or [
         model.density
     ]
-    weight = sum(
-        each.volume * density for each, density in zip(solids, densities, strict=True)
+    total = sum(
+        entry.volume * density for entry, density in zip(solids, densities, strict=True)
     )
-    if min(weight, weight if model.mass is None else model.mass) < LIGHTEST:
-        message = f"{model.name!r} must weigh {LIGHTEST:g} kg or more"
+    if min(total, total if model.mass is None else model.mass) < MIN_MASS:
+        message = f"{model.name!r} must weigh {MIN_MASS:g} kg or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
-    joined = together(solids, densities)
-    mass = joined.volume if model.mass is None else model.mass
-    inertia = joined.inertia * (mass / joined.volume)
-    centre = joined.centre
+    combined = combine_solids(solids, densities)
+    mass = combined.volume if model.mass is None else model.mass
+    inertia = combined.inertia * (mass / combined.volume)
+    centre = combined.centre
     if model.centre is not None:
         centre = np.array(model.centre, np.float64)
-        off = joined.centre - centre
-        inertia = inertia + mass * (off @ off * np.eye(3) - np.outer(off, off))
+        offset = combined.centre - centre
+        inertia = inertia + mass * (
+            offset @ offset * np.eye(3) - np.outer(offset, offset)
+        )
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
         axes = so3.to_matrix(_rotation(model.inertia_axes, model.name, "inertia_axes"))
         inertia = axes @ np.diag(moments) @ axes.T
-    if np.trace(inertia) < LEAST_MOMENT:
-        message = f"{model.name!r} must have moments of {LEAST_MOMENT:g} kg m² or more"
+    if np.trace(inertia) < MIN_MOMENT:
+        message = f"{model.name!r} must have moments of {MIN_MOMENT:g} kg m² or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
     return mass, centre, inertia
 
@@ -221,16 +231,16 @@ def _weighed(
 def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
 
-    Axes that are those of the frame but for rounding stay so.
+    Inertias that are diagonal up to rounding keep the axes of the frame.
     """
-    size = float(np.trace(inertia))
-    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= DIAGONAL_TOLERANCE * size:
+    trace = float(np.trace(inertia))
+    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= DIAGONAL_TOLERANCE * trace:
         return np.diag(inertia).copy(), so3.IDENTITY.copy()
     moments, axes = np.linalg.eigh(inertia)
     # The axis nearest to x comes first, and so on: small changes stay small.
     order = [int(np.argmax(np.abs(axes[0])))]
-    rest = [k for k in range(3) if k not in order]
-    order += sorted(rest, key=lambda k: -abs(float(axes[1, k])))
+    remaining = [k for k in range(3) if k not in order]
+    order += sorted(remaining, key=lambda k: -abs(float(axes[1, k])))
     axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
@@ -239,12 +249,12 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _mesh(
-    drawn: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
+    display_shapes: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the mesh that shows shapes; the original of split ones."""
+    """Return the display mesh of shapes; decomposed meshes are shown as they were."""
     points, counts, corners, base = [], [], [], 0
-    for mesh, core, at, rotation in drawn:
-        part_vertices, count, corner = shown(core)
+    for mesh, core, at, rotation in display_shapes:
+        part_vertices, count, corner = core_mesh(core)
         if mesh is not None:
             vertices, triangles = mesh.weld()
             part_vertices = at + so3.rotate(rotation, vertices)
@@ -264,12 +274,12 @@ def _mesh(
     )
 
 
-def check_moved(model: BodyModel) -> None:
+def check_motion_keys(model: BodyModel) -> None:
     """Refuse keys that a body's motion mode does not support (SIM061)."""
-    refuse_all("SIM061", _moved_problems(model))
+    refuse_all("SIM061", _motion_key_problems(model))
 
 
-def _moved_problems(model: BodyModel) -> Iterator[Problem]:
+def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is dynamic, so it cannot have {key}"

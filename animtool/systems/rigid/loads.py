@@ -15,19 +15,19 @@ from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
 
 # Largest rotation or phase of a swing in a substep [rad].
-ANGLE = 0.5
-MAX_PARTS = 256
+MAX_ANGLE = 0.5
+MAX_SUBSTEPS = 256
 # Constrained bodies with a larger inertia factor from drag take shorter substeps, so
 # that they bounce right and keep their inertia ratio.
-MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS = 2.0, 64
+MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS = 2.0, 64
 # Constrained bodies with larger factors at the most substeps would drift from contacts.
-HEAVIEST = 64.0
+MAX_FACTOR = 64.0
 # Smaller relative changes of mass are ignored.
-LIGHT = 1e-3
+MIN_FACTOR_CHANGE = 1e-3
 # Bodies with a larger factor collide at the velocity of their free flight.
-HEAVY = 1.25
-# Velocity difference, relative, below which a body flew freely.
-OFF = 1e-6
+UNEXPECTED_CONTACT_FACTOR = 1.25
+# Relative velocity difference below which a body had no contact.
+FREE_FLIGHT_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +36,10 @@ class StepForces:
 
     Attributes:
         forces: Forces [N] and torques [N m] ``(N, 6)``.
-        velocities: What bodies begin with ``(N, 3)`` [m/s]; None is what they have.
+        velocities: Velocities that bodies start with ``(N, 3)`` [m/s]; None keeps
+            theirs.
         inertias: Factors on their masses ``(N,)``; None is 1.
-        flight: Where they come that nothing touches; None where all is constant.
+        flight: Free flight of bodies without contacts; None if forces are constant.
     """
 
     forces: FloatArray
@@ -46,35 +47,43 @@ class StepForces:
     inertias: FloatArray | None = None
     flight: Flight | None = None
 
-    def missed(self, velocities: FloatArray, constrained: BoolArray) -> BoolArray:
+    def unexpected_contacts(
+        self, velocities: FloatArray, constrained: BoolArray
+    ) -> BoolArray:
         """Return bodies with contacts that were not expected ``(N,)``.
 
-        Only bodies that drag makes much heavier count.
+        Only bodies whose mass factor is large are considered.
         """
         flight = self.flight
         if flight is None:
             return np.zeros(len(constrained), np.bool_)
-        off = np.linalg.norm(velocities - flight.velocities, axis=1)
-        begun = velocities if self.velocities is None else self.velocities
-        size = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(begun, axis=1)
+        differences = np.linalg.norm(velocities - flight.velocities, axis=1)
+        initial = velocities if self.velocities is None else self.velocities
+        magnitudes = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(
+            initial, axis=1
+        )
         return np.asarray(
-            ~constrained & (flight.inertias >= HEAVY) & (off > OFF * size)
+            ~constrained
+            & (flight.inertias >= UNEXPECTED_CONTACT_FACTOR)
+            & (differences > FREE_FLIGHT_TOLERANCE * magnitudes)
         )
 
     def parts(self, parts: int, constrained: BoolArray) -> int:
         """Return the substeps needed to repeat a step."""
         assert self.flight is not None
-        return divided(parts, self.flight.inertias[constrained])
+        return substeps_for_inertias(parts, self.flight.inertias[constrained])
 
 
-def divided(parts: int, inertias: FloatArray) -> int:
-    """Return the number of substeps for inertia factors of some parts."""
-    heaviest = float(inertias.max(initial=1.0))
-    if not heaviest > MAX_INERTIA_RATIO:
+def substeps_for_inertias(parts: int, inertias: FloatArray) -> int:
+    """Return the number of substeps for inertia factors, at least ``parts``."""
+    max_factor = float(inertias.max(initial=1.0))
+    if not max_factor > MAX_INERTIA_RATIO:
         return parts
     return max(
         parts,
-        math.ceil(min(parts * heaviest / MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS)),
+        math.ceil(
+            min(parts * max_factor / MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS)
+        ),
     )
 
 
@@ -88,11 +97,11 @@ class BodyLoads:
         """Return the free flight of bodies; None under constant forces."""
         if not self._forces.vary:
             return None
-        steady = self._forces.pushes_over(t, dt, motion)[:, :3]
-        steady /= self._bodies.masses[:, None]
+        constant = self._forces.push_wrenches(t, dt, motion)[:, :3]
+        constant /= self._bodies.masses[:, None]
 
-        def rate(now: float, x: FloatArray, v: FloatArray) -> FloatArray:
-            return self._forces.accelerations(now, x, v) + steady
+        def rate(time: float, x: FloatArray, v: FloatArray) -> FloatArray:
+            return self._forces.accelerations(time, x, v) + constant
 
         x, v = motion[:, :3], motion[:, 7:10]
         with np.errstate(all="ignore"):
@@ -108,9 +117,9 @@ class BodyLoads:
     ) -> StepForces:
         """Return the forces of a step.
 
-        ``constrained`` bodies ``(N,)``, by contacts or joints, feel the force that
-        there is, and yield to all others as much less as it would have gone down with
-        their velocity. The others come where they fly.
+        Bodies ``constrained`` ``(N,)`` by contacts or joints get the initial force and
+        a larger mass, as the force would decrease with their velocity. Others get the
+        mean force of their free flight.
 
         Raises:
             ToleranceError: A force is not finite (SIM102).
@@ -119,11 +128,11 @@ class BodyLoads:
             with np.errstate(all="ignore"):
                 loads = StepForces(self._forces.over(t, dt, motion))
         else:
-            loads = self._flown(t, dt, motion, constrained, flight)
+            loads = self._flight_forces(t, dt, motion, constrained, flight)
         self._check(loads, t)
         return loads
 
-    def _flown(
+    def _flight_forces(
         self,
         t: float,
         dt: float,
@@ -132,16 +141,18 @@ class BodyLoads:
         flight: Flight,
     ) -> StepForces:
         x, v = motion[:, :3], motion[:, 7:10]
-        heavy = constrained & (flight.inertias > 1 + LIGHT)
-        inertias = np.where(heavy, flight.inertias, 1.0)
-        forces = self._forces.pushes_over(t, dt, motion)
+        is_heavier = constrained & (flight.inertias > 1 + MIN_FACTOR_CHANGE)
+        inertias = np.where(is_heavier, flight.inertias, 1.0)
+        forces = self._forces.push_wrenches(t, dt, motion)
         with np.errstate(all="ignore"):
             # The kernel moves bodies by the mean of both velocities.
-            begin = 2 * (flight.points - x) / dt - flight.velocities
-            begin = np.where(constrained[:, None], v, begin)
+            start_velocities = 2 * (flight.points - x) / dt - flight.velocities
+            start_velocities = np.where(constrained[:, None], v, start_velocities)
             masses = (self._bodies.masses * inertias)[:, None]
-            forces[:, :3] = masses * (flight.velocities - begin) / dt
-        return StepForces(forces, begin, inertias if heavy.any() else None, flight)
+            forces[:, :3] = masses * (flight.velocities - start_velocities) / dt
+        return StepForces(
+            forces, start_velocities, inertias if is_heavier.any() else None, flight
+        )
 
     def _check(self, loads: StepForces, t: float) -> None:
         finite = np.isfinite(loads.forces).all(axis=1)
@@ -164,21 +175,25 @@ class BodyLoads:
             ToleranceError: They are too many (SIM102).
         """
         swings, spins = self._rates(t, dt, motion)
-        fastest = float(swings.max(initial=0.0)) * dt / ANGLE
-        if not fastest <= MAX_PARTS:
+        oscillation_steps = float(swings.max(initial=0.0)) * dt / MAX_ANGLE
+        if not oscillation_steps <= MAX_SUBSTEPS:
             number = int(np.argmax(swings))
             message = f"the forces on {self._body(number)} make it oscillate at "
             message += f"{swings[number]:.3g} rad/s, which needs more than "
-            message += f"{MAX_PARTS} substeps in a step of {plain(dt)} s"
+            message += f"{MAX_SUBSTEPS} substeps in a step of {plain(dt)} s"
             hint = "use weaker forces, or more mass"
-            if math.isfinite(fastest):
-                step = floored(dt * MAX_PARTS / fastest)
+            if math.isfinite(oscillation_steps):
+                step = floored(dt * MAX_SUBSTEPS / oscillation_steps)
                 hint = f"use step: {plain(step)}, or {hint}"
             self._stop(t, message, hint)
-        turned = float(spins.max(initial=0.0)) * dt / ANGLE
-        return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
+        rotation_steps = float(spins.max(initial=0.0)) * dt / MAX_ANGLE
+        return max(
+            1,
+            math.ceil(oscillation_steps),
+            min(math.ceil(rotation_steps), MAX_SUBSTEPS),
+        )
 
-    def parts_of_constrained(
+    def constrained_substeps(
         self,
         t: float,
         dt: float,
@@ -193,27 +208,27 @@ class BodyLoads:
         """
         if not constrained.any():
             return parts
-        each = dt / parts
-        flight = self.fly(t, each, motion)
+        substep = dt / parts
+        flight = self.fly(t, substep, motion)
         assert flight is not None
         inertias = np.where(constrained, flight.inertias, 1.0)
-        heaviest = float(inertias.max()) * parts
-        if heaviest > HEAVIEST * MAX_CONSTRAINED_PARTS:
+        max_factor = float(inertias.max()) * parts
+        if max_factor > MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
             message += f"contact, is too strong for a step of {plain(dt)} s"
-            step = floored(dt * HEAVIEST * MAX_CONSTRAINED_PARTS / heaviest)
+            step = floored(dt * MAX_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor)
             self._stop(
                 t, message, f"use step: {plain(step)}, or less drag, or more mass"
             )
-        return divided(parts, inertias)
+        return substeps_for_inertias(parts, inertias)
 
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return how fast bodies swing, and spin under pushes ``(2, N)``."""
+        """Return rates of oscillation, and of spin under pushes ``(2, N)`` [rad/s]."""
         with np.errstate(all="ignore"):
-            rates = self._forces.turning(t, dt, motion)
+            rates = self._forces.oscillation_rates(t, dt, motion)
             if self._forces.vary:
                 x, v = motion[:, :3], motion[:, 7:10]
-                swings = _swings(*self._forces.slopes(t, x, v), dt)
+                swings = _oscillation_rates(*self._forces.slopes(t, x, v), dt)
                 rates[0] = np.maximum(rates[0], swings)
         return rates
 
@@ -225,19 +240,24 @@ class BodyLoads:
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def _swings(by_position: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
+def _oscillation_rates(
+    by_position: FloatArray, by_speed: FloatArray, dt: float
+) -> FloatArray:
     """Return angular frequencies ``(N,)`` [rad/s] of force gradients ``(N, 3, 3)``."""
     # An upper bound, so that few need eigenvalues.
     bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
-    swings = np.zeros(len(by_position))
-    look = bound * dt > ANGLE
-    if look.any():
-        matrices = np.zeros((int(look.sum()), 6, 6))
+    frequencies = np.zeros(len(by_position))
+    is_relevant = bound * dt > MAX_ANGLE
+    if is_relevant.any():
+        matrices = np.zeros((int(is_relevant.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)
-        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position[look], by_speed[look]
+        matrices[:, 3:, :3], matrices[:, 3:, 3:] = (
+            by_position[is_relevant],
+            by_speed[is_relevant],
+        )
         finite = np.isfinite(matrices).all(axis=(1, 2))
         rates = np.full(len(matrices), np.inf)
         rates[finite] = np.abs(np.linalg.eigvals(matrices[finite]).imag).max(axis=1)
-        swings[look] = rates
-    return swings
+        frequencies[is_relevant] = rates
+    return frequencies

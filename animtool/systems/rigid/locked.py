@@ -22,11 +22,11 @@ from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
 
 # Joints with less motion, over the possible motion, are locked.
-NONE = 1e-6
+LOCKED_MOTION = 1e-6
 # Smaller singular values, over the largest, count as 0.
-RANK = 1e-9
+RANK_TOLERANCE = 1e-9
 # Largest number of bodies in a loop that is analysed.
-MOST = 64
+MAX_LOOP_BODIES = 64
 # Constrained translations and rotations of a joint in its first frame, by type; the
 # other axes are free.
 _LOCKED_TRANSLATIONS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
@@ -43,9 +43,9 @@ class Locked:
     """A joint that cannot move.
 
     Attributes:
-        joint_index: Its number.
-        by: Of the joints without any one of which it could; empty where several hold.
-        left: How much of its motion is left, of 1.
+        joint_index: Index of the joint.
+        by: Joints any of whose removal would unlock it; empty if several lock it.
+        left: Remaining fraction of its motion.
     """
 
     joint_index: int
@@ -59,36 +59,45 @@ def locked_joints(
     """Return joints of closed loops that cannot move from their start.
 
     Args:
-        rows: Kind and both bodies of K joints ``(K, 3)``; -1 is what does not move.
-        frames: Of each the first frame in the world ``(K, 7)`` [m].
-        centres: Of N bodies ``(N, 3)`` [m].
+        rows: Kind and both bodies of K joints ``(K, 3)``; -1 is static.
+        frames: World frame of each joint on its first body ``(K, 7)`` [m].
+        centres: Centres of N bodies ``(N, 3)`` [m].
     """
     locked = []
     for loop in _loops(rows, len(centres)):
         loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
         loop_rows, count = rows[loop], len(loop_bodies)
-        numbers = np.searchsorted(loop_bodies, loop_rows[:, 1:])
-        loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, numbers)
-        around = centres[loop_bodies]
-        size = float(np.ptp(np.concatenate([around, frames[loop, :3]]), axis=0).max())
-        ones = [
-            _equations(row, frames[k], around, size or 1.0)
+        body_indices = np.searchsorted(loop_bodies, loop_rows[:, 1:])
+        loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, body_indices)
+        body_centres = centres[loop_bodies]
+        size = float(
+            np.ptp(np.concatenate([body_centres, frames[loop, :3]]), axis=0).max()
+        )
+        equations = [
+            _equations(row, frames[k], body_centres, size or 1.0)
             for row, k in zip(loop_rows, loop, strict=True)
         ]
-        free = _null_space([constraints for constraints, _ in ones], count)
-        for k, (_, motions) in zip(loop, ones, strict=True):
-            left = _left(motions, free)
-            if not len(motions) or left > NONE:
+        free = _null_space([constraints for constraints, _ in equations], count)
+        for k, (_, motions) in zip(loop, equations, strict=True):
+            remaining = _remaining_motion(motions, free)
+            if not len(motions) or remaining > LOCKED_MOTION:
                 continue
             by = []
-            for i, other in enumerate(loop):
-                if other != k:
-                    rest = [
-                        constraints for j, (constraints, _) in enumerate(ones) if j != i
+            for i, other_joint in enumerate(loop):
+                if other_joint != k:
+                    other_constraints = [
+                        constraints
+                        for j, (constraints, _) in enumerate(equations)
+                        if j != i
                     ]
-                    if _left(motions, _null_space(rest, count)) > NONE:
-                        by.append(other)
-            locked.append(Locked(k, tuple(by), left))
+                    if (
+                        _remaining_motion(
+                            motions, _null_space(other_constraints, count)
+                        )
+                        > LOCKED_MOTION
+                    ):
+                        by.append(other_joint)
+            locked.append(Locked(k, tuple(by), remaining))
     return locked
 
 
@@ -97,17 +106,23 @@ def locked_notices(
 ) -> list[Fault]:
     """Return a warning for each locked joint (SIM172)."""
     start = bodies.start
-    frames = np.array([_frame(start[row[2]], entry[7:14]) for row, entry in zip(
-        rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
+    frames = np.array(
+        [
+            _frame(start[row[2]], parameters[7:14])
+            for row, parameters in zip(rows.tolist(), numbers, strict=True)
+        ]
+    ).reshape(-1, 7)
     notices = []
-    for one in locked_joints(rows, frames, start[:, :3]):
-        name = excerpt(names[one.joint_index])
-        message = f"joint {name} cannot move: {one.left:.1g} of its motion is left by "
-        if one.by:
-            message += "joint" + "s" * (len(one.by) > 1) + " "
-            message += ", ".join(excerpt(names[k]) for k in one.by[:3])
-            if len(one.by) > 3:
-                message += f" and {counted(len(one.by) - 3, 'more', 'more')}"
+    for locked in locked_joints(rows, frames, start[:, :3]):
+        name = excerpt(names[locked.joint_index])
+        message = (
+            f"joint {name} cannot move: {locked.left:.1g} of its motion is left by "
+        )
+        if locked.by:
+            message += "joint" + "s" * (len(locked.by) > 1) + " "
+            message += ", ".join(excerpt(names[k]) for k in locked.by[:3])
+            if len(locked.by) > 3:
+                message += f" and {counted(len(locked.by) - 3, 'more', 'more')}"
         else:
             message += "several other joints"
         hint = "align their axes, or remove one of them"
@@ -124,18 +139,20 @@ def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
     """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
-    left = set(range(len(ends)))
+    remaining = set(range(len(ends)))
     while True:
-        degree = np.bincount([i for k in left for i in ends[k]], minlength=count + 1)
-        open_ends = {
-            k for k in left if any(degree[i] == 1 and i < count for i in ends[k])
+        degree = np.bincount(
+            [i for k in remaining for i in ends[k]], minlength=count + 1
+        )
+        dangling = {
+            k for k in remaining if any(degree[i] == 1 and i < count for i in ends[k])
         }
-        if not open_ends:
+        if not dangling:
             break
-        left -= open_ends
+        remaining -= dangling
     groups: list[tuple[set[int], list[int]]] = []
-    for k in sorted(left):
-        # A body that never moves connects nothing.
+    for k in sorted(remaining):
+        # Static bodies connect no loops.
         members, joints = {i for i in ends[k] if i < count}, [k]
         for group in [one for one in groups if one[0] & members]:
             groups.remove(group)
@@ -143,7 +160,9 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
             joints = group[1] + joints
         groups.append((members, sorted(joints)))
     return [
-        joints for members, joints in groups if len(joints) > 1 and len(members) <= MOST
+        joints
+        for members, joints in groups
+        if len(joints) > 1 and len(members) <= MAX_LOOP_BODIES
     ]
 
 
@@ -152,8 +171,8 @@ def _equations(
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
     """Return a joint's constraint rows, and its free directions.
 
-    Each as both bodies, and factors on the velocity and, over a size, the spin of the
-    second at its centre and of the first at its own ``(2, 6)``.
+    Each row has both bodies, and factors ``(2, 6)`` on velocity and scaled spin at the
+    centre of the second and of the first.
     """
     kind, first, second = row.tolist()
     axes = so3.to_matrix(frame[3:]).T
@@ -191,18 +210,20 @@ def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatAr
 
 
 def _null_space(
-    several: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
+    joint_constraints: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
 ) -> FloatArray:
     """Return the velocities that satisfy all constraints ``(6N, …)``."""
-    lines = [one for joint_lines in several for one in joint_lines]
+    lines = [line for joint_lines in joint_constraints for line in joint_lines]
     if not lines:
         return np.eye(6 * count)
-    _, sizes, turned = np.linalg.svd(_matrix(lines, count))
-    rank = int((sizes > RANK * sizes[0]).sum())
-    return np.asarray(turned[rank:].T)
+    _, singular_values, right_vectors = np.linalg.svd(_matrix(lines, count))
+    rank = int((singular_values > RANK_TOLERANCE * singular_values[0]).sum())
+    return np.asarray(right_vectors[rank:].T)
 
 
-def _left(motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
+def _remaining_motion(
+    motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray
+) -> float:
     """Return the largest relative motion that a joint retains."""
     count = len(free) // 6
     return float(

@@ -15,43 +15,43 @@ from animtool.rig.skeleton import Rig
 from animtool.systems.rigid.kind import BodyKind, principal
 
 
-def weighed(
+def with_rig_masses(
     rig: Rig, world: WorldTransforms, joints: IntArray, kinds: Sequence[BodyKind]
 ) -> list[BodyKind]:
-    """Return bodies with the masses that the rig states.
+    """Return bodies with the masses of the rig.
 
-    A mass is of the body of its joint, or of the next above, with which it is stiff.
-    Bodies without one stay as they are.
+    A mass belongs to the body of its joint, or to that of the next ancestor with a
+    body. Bodies without a mass in the rig are unchanged.
 
     Args:
-        rig: With masses.
-        world: One frame.
-        joints: Of the bodies ``(N,)``.
-        kinds: Of the bodies.
+        rig: Rig with masses.
+        world: World transforms of one frame.
+        joints: Joints of the bodies ``(N,)``.
+        kinds: Body kinds.
     """
-    numbers = {int(j): i for i, j in enumerate(joints)}
-    parts: dict[int, list[Mass]] = {}
+    body_indices = {int(j): i for i, j in enumerate(joints)}
+    masses_by_body: dict[int, list[Mass]] = {}
     for mass in rig.masses:
         upwards = rig.upwards(rig.index(mass.joint))
-        body = next((numbers[j] for j in upwards if j in numbers), None)
+        body = next((body_indices[j] for j in upwards if j in body_indices), None)
         if body is not None:
-            parts.setdefault(body, []).append(mass)
+            masses_by_body.setdefault(body, []).append(mass)
     rotations = so3.split_scale(world.linear[0])[0]
-    weighed_kinds = list(kinds)
-    for body, masses in parts.items():
+    result = list(kinds)
+    for body, masses in masses_by_body.items():
         if all(mass.inertia is None for mass in masses):
             total = sum(mass.mass for mass in masses)
             factor = total / kinds[body].mass
             moments = kinds[body].moments * factor
-            weighed_kinds[body] = replace(kinds[body], mass=total, moments=moments)
+            result[body] = replace(kinds[body], mass=total, moments=moments)
             continue
-        weighed_kinds[body] = _of_parts(
+        result[body] = _combined_body(
             rig, world, rotations, int(joints[body]), masses, kinds[body]
         )
-    return weighed_kinds
+    return result
 
 
-def _of_parts(
+def _combined_body(
     rig: Rig,
     world: WorldTransforms,
     rotations: FloatArray,
@@ -60,22 +60,28 @@ def _of_parts(
     kind: BodyKind,
 ) -> BodyKind:
     """Return a body of several point masses, in the frame of its joint."""
-    back = so3.conjugate(rotations[body])
+    to_body = so3.conjugate(rotations[body])
     total = sum(mass.mass for mass in masses)
     centres, inertias = [], []
     for mass in masses:
         j = rig.index(mass.joint)
-        at = world.positions[0, j] + so3.rotate(rotations[j], np.array(mass.centre))
-        centres.append(so3.rotate(back, at - world.positions[0, body]))
-        rotation = so3.multiply(so3.multiply(back, rotations[j]), np.array(mass.axes))
+        position = world.positions[0, j] + so3.rotate(
+            rotations[j], np.array(mass.centre)
+        )
+        centres.append(so3.rotate(to_body, position - world.positions[0, body]))
+        rotation = so3.multiply(
+            so3.multiply(to_body, rotations[j]), np.array(mass.axes)
+        )
         matrix = so3.to_matrix(rotation)
-        # One without inertia is a point mass.
+        # A mass without inertia is a point mass.
         local_inertia = np.diag(mass.inertia or (0.0, 0.0, 0.0))
         inertias.append(matrix @ local_inertia @ matrix.T)
     weights = np.array([mass.mass for mass in masses])
     centre = (weights[:, None] * np.array(centres)).sum(axis=0) / total
     inertia = np.sum(inertias, axis=0)
-    for weight, at in zip(weights, np.array(centres) - centre, strict=True):
-        inertia = inertia + weight * ((at @ at) * np.eye(3) - np.outer(at, at))
+    for weight, position in zip(weights, np.array(centres) - centre, strict=True):
+        inertia = inertia + weight * (
+            (position @ position) * np.eye(3) - np.outer(position, position)
+        )
     moments, axes = principal(inertia)
     return replace(kind, mass=total, centre=centre, moments=moments, axes=axes)

@@ -12,9 +12,9 @@ from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
 # Deeper penetration at the start, over the size, is a warning.
-DEEP = 0.02
+START_OVERLAP = 0.02
 # Bodies that stay this deep, over their size, are squeezed from several sides.
-KEPT_OVERLAP = 0.25
+SQUEEZED_OVERLAP = 0.25
 
 
 def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fault]:
@@ -44,19 +44,19 @@ def depth_notices(
 ) -> Iterator[Fault]:
     """Yield penetration at the start, and later (SIM126, SIM123).
 
-    ``size``: how far the smallest reaches [m]; ``names``: of all shapes.
+    ``size``: smallest bounding radius [m]; ``names``: returns the names of all shapes.
     """
 
     def pair(k: int) -> str:
         return " and ".join(excerpt(names()[i]) for i in state.deepest_pairs[k])
 
-    ever, begin = state.deepest.tolist()
-    if begin > DEEP * size:
-        message = f"{pair(1)} start {begin:g} m inside each other: "
+    max_depth, start_depth = state.deepest.tolist()
+    if start_depth > START_OVERLAP * size:
+        message = f"{pair(1)} start {start_depth:g} m inside each other: "
         message += "they are separated at up to 2 m/s"
         yield warning("SIM126", message, "leave a small gap between them at the start")
-    elif ever > KEPT_OVERLAP * size:
-        message = f"{pair(0)} penetrated each other by up to {ever:g} m: from "
+    elif max_depth > SQUEEZED_OVERLAP * size:
+        message = f"{pair(0)} penetrated each other by up to {max_depth:g} m: from "
         message += "several sides, or faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"
         yield warning("SIM123", message, hint)

@@ -16,7 +16,7 @@ from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.surroundings import StepColliders
 
 # Tolerance of release times before the end of a step, in steps.
-ON_TIME = 1e-9
+RELEASE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class BodyPhase:
     """Dynamic bodies and active joints during one phase.
 
     Attributes:
-        number: Of the phase; contacts of other phases refer to other shapes.
-        bodies: The bodies, those not released yet kinematic.
-        free: Which bodies are dynamic, of all that ever are ``(N,)``.
+        number: Index of the phase; contacts of other phases refer to other shapes.
+        bodies: The bodies; those not released yet are kinematic.
+        free: Mask of dynamic bodies among those that are ever dynamic ``(N,)``.
         joints: Intact joints.
         holding: Their indices among all joints ``(H,)``.
         surroundings: Colliders, with kinematic bodies.
@@ -50,12 +50,12 @@ class BodyPhase:
 
     def shapes_of(self, numbers: IntArray) -> IntArray:
         """Return numbers of shapes and colliders in the full system."""
-        inner = np.minimum(numbers, len(self.shapes) - 1)
-        over = numbers - len(self.shapes)
+        index = np.minimum(numbers, len(self.shapes) - 1)
+        excess = numbers - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
-        return np.where(over < 0, self.shapes[inner], count + over)
+        return np.where(excess < 0, self.shapes[index], count + excess)
 
-    def with_numbers(
+    def with_parameters(
         self, numbers: FloatArray, inertias: FloatArray | float = 1.0
     ) -> Any:
         """Return kernel arrays with other joint numbers and mass factors."""
@@ -70,10 +70,10 @@ class BodyPhases:
     """Phases of a system, built when first used.
 
     Args:
-        bodies: As they are when all are released.
-        joints_of: Returns the joints of bodies, and which of all they are.
-        given: Colliders that come before those of bodies.
-        still: Colliders behind these.
+        bodies: Bodies after all releases.
+        joints_of: Returns the joints of bodies, and their indices among all joints.
+        colliders: Colliders before those of kinematic bodies.
+        static: Colliders after those of kinematic bodies.
         around: Surfaces and bodies of other systems.
     """
 
@@ -94,7 +94,7 @@ class BodyPhases:
         releases = bodies.releases[bodies.dynamic]
         self._releases = releases
         self._times = np.unique(releases[np.isfinite(releases)])
-        self._known: dict[tuple[int, bytes], BodyPhase] = {}
+        self._phases: dict[tuple[int, bytes], BodyPhase] = {}
 
     @property
     def last(self) -> int:
@@ -103,35 +103,35 @@ class BodyPhases:
 
     def number(self, t: float, dt: float) -> int:
         """Return the phase of a step that starts at a time [s]."""
-        reached = t + ON_TIME * dt
-        return int(np.searchsorted(self._times, reached, side="right"))
+        time = t + RELEASE_TOLERANCE * dt
+        return int(np.searchsorted(self._times, time, side="right"))
 
     def free(self, t: float, dt: float) -> BoolArray:
-        """Return which bodies are dynamic in a step [s] at a time [s] ``(N,)``."""
-        free: BoolArray = self._releases <= t + ON_TIME * dt
+        """Return a mask of the bodies dynamic in a step [s] at a time [s] ``(N,)``."""
+        free: BoolArray = self._releases <= t + RELEASE_TOLERANCE * dt
         return free
 
     def at(self, number: int, broken: BoolArray) -> BodyPhase:
         """Return a phase without broken joints ``(K,)``."""
         key = number, broken.tobytes()
-        if key not in self._known:
-            if len(self._known) > 1:
-                self._known.pop(next(iter(self._known)))
-            self._known[key] = self._built(number, broken)
-        return self._known[key]
+        if key not in self._phases:
+            if len(self._phases) > 1:
+                self._phases.pop(next(iter(self._phases)))
+            self._phases[key] = self._build(number, broken)
+        return self._phases[key]
 
-    def _built(self, number: int, broken: BoolArray) -> BodyPhase:
+    def _build(self, number: int, broken: BoolArray) -> BodyPhase:
         last = self._times[number - 1] if number else -np.inf
         free = np.asarray(~(self._releases > last), np.bool_)
         bodies = self._bodies
         if not free.all():
-            moved = bodies.moved.copy()
-            moved[bodies.dynamic[~free]] = False
-            bodies = replace(bodies, moved=moved)
+            is_dynamic = bodies.is_dynamic.copy()
+            is_dynamic[bodies.dynamic[~free]] = False
+            bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, holding = self._joints_of(bodies)
         kept = np.flatnonzero(~broken[holding]) if len(broken) else holding
         if len(kept) < len(holding):
-            joints, holding = joints.some(kept), holding[kept]
+            joints, holding = joints.subset(kept), holding[kept]
         colliders = Colliders(
             [*self._colliders, *bodies.colliders(), *self._static],
             self._around.sheets,
@@ -151,27 +151,31 @@ class BodyPhases:
         full, first = self._bodies, len(self._colliders)
         if bodies is full:
             return np.arange(len(full.shapes[1]) + colliders)
-        numbers = {int(i): k for k, i in enumerate(full.dynamic)}
+        dynamic_indices = {int(i): k for k, i in enumerate(full.dynamic)}
         count = len(full.shapes[1])
-        begins = np.searchsorted(full.shapes[1], np.arange(len(full.dynamic)))
+        first_shapes = np.searchsorted(full.shapes[1], np.arange(len(full.dynamic)))
         dynamic: list[int] = []
         for i in bodies.dynamic.tolist():
             dynamic += range(
-                begins[numbers[i]],
-                begins[numbers[i]] + len(full.kinds[full.of[i]].cores),
+                first_shapes[dynamic_indices[i]],
+                first_shapes[dynamic_indices[i]] + len(full.kinds[full.of[i]].cores),
             )
-        behind = count + first
+        next_collider = count + first
         kinematic: list[int] = []
-        for i in np.flatnonzero(~bodies.moved).tolist():
+        for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             shapes = len(full.kinds[full.of[i]].shapes)
-            if full.moved[i]:
-                kinematic += range(begins[numbers[i]], begins[numbers[i]] + shapes)
+            if full.is_dynamic[i]:
+                kinematic += range(
+                    first_shapes[dynamic_indices[i]],
+                    first_shapes[dynamic_indices[i]] + shapes,
+                )
             else:
-                kinematic += range(behind, behind + shapes)
-                behind += shapes
-        rest = range(behind, behind + len(self._static))
+                kinematic += range(next_collider, next_collider + shapes)
+                next_collider += shapes
+        static_range = range(next_collider, next_collider + len(self._static))
         return np.array(
-            [*dynamic, *range(count, count + first), *kinematic, *rest], np.int64
+            [*dynamic, *range(count, count + first), *kinematic, *static_range],
+            np.int64,
         )
 
 
@@ -180,7 +184,7 @@ def kinematic_states(
 ) -> FloatArray:
     """Return states of kinematic bodies ``(H, 14)`` at a time [s].
 
-    With the velocity that they come with, of the step [s] before.
+    Velocities are those of the previous step [s].
     """
     rows = np.zeros((len(numbers), 14))
     for row, number in zip(rows, numbers.tolist(), strict=True):

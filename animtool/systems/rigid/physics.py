@@ -33,34 +33,41 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import RigidBodies, outline
 from animtool.systems.rigid.joints import (
-    KINDS,
-    NUMBERS,
+    JOINT_KINDS,
+    PARAMETER_COUNT,
     Joints,
-    in_body,
-    placed,
-    within,
+    relative_frame,
+    to_body_frame,
+    to_parent,
 )
 from animtool.systems.rigid.spec import BodyModel
 
-Y = np.array([0.0, 1.0, 0.0])
+Y_AXIS = np.array([0.0, 1.0, 0.0])
 
 
-def described(
+def physics_record(
     bodies: RigidBodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
 ) -> Physics:
     """Return bodies, joints and static colliders as records.
 
-    Only colliders that never move, and gravity of the forces.
+    Moving colliders and forces other than gravity are left out.
     """
-    gravity = [f.acceleration for f in forces if isinstance(f, Gravity)]
-    static = [one for one in colliders if len(one.poses.sample_times) == 1]
+    gravity = [force.acceleration for force in forces if isinstance(force, Gravity)]
+    static_colliders_ = [
+        collider for collider in colliders if len(collider.poses.sample_times) == 1
+    ]
     return Physics(
         [_body(bodies, i) for i in range(len(bodies.names))],
         list(_joints(bodies, joints)),
         [
-            _shape(one.shape, one.poses.rows[0], one.friction, one.restitution)
-            for one in static
-            if not one.container
+            _shape(
+                collider.shape,
+                collider.poses.rows[0],
+                collider.friction,
+                collider.restitution,
+            )
+            for collider in static_colliders_
+            if not collider.container
         ],
         np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
     )
@@ -89,7 +96,7 @@ def _body(bodies: RigidBodies, i: int) -> PhysicsBody:
         kind.axes,
         np.array(model.velocity, np.float64),
         np.radians(model.spin),
-        not bodies.moved[i],
+        not bodies.is_dynamic[i],
     )
 
 
@@ -97,62 +104,64 @@ def _shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
     """Return a shape about its centre, with y as its axis."""
-    kind, at, axis = "mesh", np.zeros(3), Y
+    kind, centre, axis = "mesh", np.zeros(3), Y_AXIS
     size: tuple[float, ...] = ()
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     match shape:
         case Sphere():
-            kind, size, at = "sphere", (shape.radius,), np.array(shape.centre)
+            kind, size, centre = "sphere", (shape.radius,), np.array(shape.centre)
         case Capsule():
             kind, size = "capsule", (shape.radius, shape.length)
-            at, axis = np.array(shape.centre), np.array(shape.axis)
+            centre, axis = np.array(shape.centre), np.array(shape.axis)
         case Box():
             kind, size = "box", tuple(map(float, shape.size))
         case Plane():
             kind, axis = "plane", np.array(shape.normal)
-            at = shape.anchors()[0]
+            centre = shape.anchors()[0]
         case Mesh():
             points, corners = shape.weld()
             triangles = corners.astype(np.int64)
-    rotation = so3.between(Y, axis / np.linalg.norm(axis))
-    in_body = np.concatenate(
-        [pose[:3] + so3.rotate(pose[3:], at), so3.multiply(pose[3:], rotation)]
+    rotation = so3.between(Y_AXIS, axis / np.linalg.norm(axis))
+    to_body_frame = np.concatenate(
+        [pose[:3] + so3.rotate(pose[3:], centre), so3.multiply(pose[3:], rotation)]
     )
-    return PhysicsShape(kind, size, in_body, points, triangles, friction, restitution)
+    return PhysicsShape(
+        kind, size, to_body_frame, points, triangles, friction, restitution
+    )
 
 
 def _joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
-    names = {number: kind for kind, number in KINDS.items()}
+    names = {number: kind for kind, number in JOINT_KINDS.items()}
     dynamic = bodies.dynamic
     excluded = {
         pair for a, b in joints.excluded_pairs.tolist() for pair in ((a, b), (b, a))
     }
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
-        on_a, on_b = numbers[:7], in_body(bodies, second, numbers[7:14])
-        above = joints.above[k]
+        on_a, on_b = numbers[:7], to_body_frame(bodies, second, numbers[7:14])
+        parent = joints.above[k]
         if first >= 0:
-            above, on_a = int(dynamic[first]), in_body(bodies, first, on_a)
-        elif above < 0:
+            parent, on_a = int(dynamic[first]), to_body_frame(bodies, first, on_a)
+        elif parent < 0:
             pose = joints.anchors[k].at(bodies.begin)
-            on_a = placed(pose, on_a)
+            on_a = to_parent(pose, on_a)
         low, high, *swing = numbers[14:18].tolist()
-        target, most = float(numbers[18]), float(numbers[25])
+        target, force_limit = float(numbers[18]), float(numbers[25])
         drive = None
         if numbers[23:25].any():
             stiffness, damping = numbers[23:25].tolist()
-            strongest = None if most < 0 else most
+            max_force = None if force_limit < 0 else force_limit
             rotation, speed = numbers[19:23], float(numbers[26])
-            drive = JointDrive(stiffness, damping, target, rotation, strongest, speed)
+            drive = JointDrive(stiffness, damping, target, rotation, max_force, speed)
         yield PhysicsJoint(
             joints.names[k],
             names[int(row[0])],
-            (above, int(dynamic[second])),
+            (parent, int(dynamic[second])),
             (on_a, on_b),
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
-            above >= 0 and (above, int(dynamic[second])) not in excluded,
+            parent >= 0 and (parent, int(dynamic[second])) not in excluded,
             (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
         )
 
@@ -169,12 +178,12 @@ def body_entries(
     """
     models, parts = [], []
     for body in physics.bodies:
-        first = body.shapes[0]
+        first_shape = body.shapes[0]
         keys: dict[str, Any] = {
             "name": body.name,
             "density": body.density,
-            "friction": first.friction,
-            "restitution": first.restitution,
+            "friction": first_shape.friction,
+            "restitution": first_shape.restitution,
             "kinematic": body.kinematic,
             "shapes": [
                 {
@@ -203,21 +212,21 @@ def body_entries(
         shapes = [
             {"shape": shape_of(shape), "hull": shape.hull} for shape in body.shapes
         ]
-        of = {"entry": entry, "origin": body.origin}
-        parts.append({"poses": poses, "shapes": shapes, **of})
+        location = {"entry": entry, "origin": body.origin}
+        parts.append({"poses": poses, "shapes": shapes, **location})
     return models, parts
 
 
 def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
-    """Return the entry of some keys; unsupported ones are refused (SIM051)."""
+    """Return a body entry from keys; invalid numbers are refused (SIM051)."""
     try:
         return BodyModel.model_validate(keys)
     except ValidationError as error:
-        first = error.errors()[0]
-        value, key = first["input"], ".".join(map(str, first["loc"]))
-        said = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
-        message = f"{origin}: {key} is {said} in metres, kilograms and seconds"
-        hint = f"{first['msg']}: check the units of the stage"
+        problem = error.errors()[0]
+        value, key = problem["input"], ".".join(map(str, problem["loc"]))
+        value_text = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
+        message = f"{origin}: {key} is {value_text} in metres, kilograms and seconds"
+        hint = f"{problem['msg']}: check the units of the stage"
         refuse("SIM051", message, entry, hint)
 
 
@@ -253,30 +262,42 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
         if pair[1] not in dynamic_numbers:
             continue
-        on_b, other, anchor = _of_centre(bodies, pair[1], frames[1]), pair[0], Poses()
-        on_a, number = frames[0], dynamic_numbers.get(other, -1)
-        if number >= 0:
-            on_a = _of_centre(bodies, other, on_a)
-        elif other >= 0:
-            anchor = bodies.poses[other]
+        on_b, parent, anchor = (
+            _relative_to_centre(bodies, pair[1], frames[1]),
+            pair[0],
+            Poses(),
+        )
+        on_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
+        if parent_index >= 0:
+            on_a = _relative_to_centre(bodies, parent, on_a)
+        elif parent >= 0:
+            anchor = bodies.poses[parent]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
-        drives = [0.0, 0.0, -1.0, 0.0]
+        drive_parameters = [0.0, 0.0, -1.0, 0.0]
         if drive is not None:
-            most = -1.0 if drive.max_force is None else drive.max_force
-            drives = [drive.stiffness, drive.damping, most, speed]
-        rows.append((KINDS[joint.kind], number, dynamic_numbers[pair[1]]))
+            max_force = -1.0 if drive.max_force is None else drive.max_force
+            drive_parameters = [drive.stiffness, drive.damping, max_force, speed]
+        rows.append((JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[pair[1]]))
         numbers.append(
-            [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *rotation, *drives]
+            [
+                *on_a,
+                *on_b,
+                *(limits or (1.0, 0.0)),
+                *swing,
+                target,
+                *rotation,
+                *drive_parameters,
+            ]
         )
         anchors.append(anchor)
-        above.append(other)
+        above.append(parent)
         names.append(joint.name)
-        excluded = other >= 0 and not joint.contacts
-        pairs.append((pair[1], other) if excluded else (-1, -1))
+        excluded = parent >= 0 and not joint.contacts
+        pairs.append((pair[1], parent) if excluded else (-1, -1))
         breaks.append(joint.break_limits)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, NUMBERS),
+        np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
         anchors,
         names,
         above,
@@ -286,21 +307,21 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
     )
 
 
-def _of_centre(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
+def _relative_to_centre(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
     """Return a body frame relative to its principal axes ``(7,)``."""
     kind = bodies.kinds[bodies.of[i]]
-    return within(np.concatenate([kind.centre, kind.axes]), frame)
+    return relative_frame(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def static_colliders(physics: Physics) -> list[Collider]:
     """Return bodies that never move, as colliders."""
     return [
         Collider(
-            shape_of(one),
-            Poses.fixed(one.pose[:3], one.pose[3:]),
-            name=one.name,
-            restitution=one.restitution,
-            friction=one.friction,
+            shape_of(shape),
+            Poses.fixed(shape.pose[:3], shape.pose[3:]),
+            name=shape.name,
+            restitution=shape.restitution,
+            friction=shape.friction,
         )
-        for one in physics.colliders
+        for shape in physics.colliders
     ]

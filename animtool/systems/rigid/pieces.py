@@ -10,16 +10,16 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
-from animtool.systems.rigid.cores import Core, SolidProperties, core_of, filled
+from animtool.systems.rigid.cores import Core, SolidProperties, core_of, enclosed_solid
 
 # Largest deviation of pieces from the mesh, over its size: coacd's default.
 THRESHOLD = 0.05
 # Sampled surface points to measure it.
-SAMPLES = 400
-EXTRA = "pip install 'animtool[convex]'"
+RESOLUTION = 400
+INSTALL_COMMAND = "pip install 'animtool[convex]'"
 
 
-def installed() -> bool:
+def is_available() -> bool:
     """Return whether convex decomposition is available."""
     return find_spec("coacd") is not None
 
@@ -33,11 +33,11 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
     if not mesh.watertight:
         return []
     points, triangles = mesh.weld()
-    return _decomposed(points.tobytes(), triangles.tobytes())
+    return _decompose(points.tobytes(), triangles.tobytes())
 
 
 @lru_cache(maxsize=64)
-def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
+def _decompose(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
     """Return convex pieces of points and triangles (cached)."""
     import coacd
 
@@ -48,7 +48,7 @@ def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Cor
         coacd.Mesh(points, triangles),
         threshold=THRESHOLD,
         preprocess_mode="off",
-        resolution=SAMPLES,
+        resolution=RESOLUTION,
         seed=0,
     )
     pieces = []
@@ -65,13 +65,13 @@ def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Cor
 def solid_of_mesh(mesh: Mesh) -> SolidProperties:
     """Return the mass properties of a watertight mesh of density 1."""
     points, triangles = mesh.weld()
-    inside = filled(points[triangles])
+    inside = enclosed_solid(points[triangles])
     if inside.volume > 0:
         return inside
-    return filled(points[triangles[:, ::-1]])
+    return enclosed_solid(points[triangles[:, ::-1]])
 
 
-def beyond(mesh: Mesh, cores: Sequence[Core]) -> float:
+def excess_volume(mesh: Mesh, cores: Sequence[Core]) -> float:
     """Return the excess volume of pieces over the mesh, relative to it [1]."""
     volume = solid_of_mesh(mesh).volume
     return sum(_volume(core) for core in cores) / volume - 1
@@ -83,4 +83,4 @@ def _volume(core: Core) -> float:
         for face in core.faces
         for k in range(1, len(face) - 1)
     ]
-    return filled(np.array(triangles)).volume
+    return enclosed_solid(np.array(triangles)).volume

@@ -1,8 +1,7 @@
 """Ragdolls: a rig's colliders as bodies, connected by its joints.
 
-Joints with colliders become bodies, joined as the rig joins them, with its limits; what
-is between two of them is stiff, and what is below the last of them moves on as the take
-has it.
+Joints with colliders become bodies, connected by joints with the limits of the rig. Rig
+joints between two bodies are rigid; those below the last body follow the take.
 """
 
 from __future__ import annotations
@@ -26,11 +25,16 @@ from animtool.sim.colliders import Capsule, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.framework.fields import ColliderEntries
 from animtool.systems.rigid.bodies import RigidBodies
-from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, in_principal_axes
+from animtool.systems.rigid.joints import (
+    MAX_SWING,
+    PARAMETER_COUNT,
+    Joints,
+    relative_to_principal,
+)
 from animtool.systems.rigid.kind import BodyKind, kind_of
-from animtool.systems.rigid.masses import weighed
+from animtool.systems.rigid.masses import with_rig_masses
 from animtool.systems.rigid.spec import BodyModel
-from animtool.systems.rigid.tone import passive, with_digits
+from animtool.systems.rigid.tone import passive_springs, with_finger_capsules
 
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
@@ -72,10 +76,10 @@ class Ragdoll:
     """The bodies of a rig at a frame.
 
     Attributes:
-        rig: With the colliders.
+        rig: Rig with colliders.
         joints: Joints with bodies, ascending ``(N,)``.
         above: Parent body of each, -1 for none ``(N,)``.
-        bodies: In the same order.
+        bodies: Bodies in the same order.
         frames: Rest frame of each joint relative to the parent body: origin and
             quaternion, with x along the joint's axis ``(N, 7)``.
         axes: Rotation of each body's frame to its joint's axes ``(N, 4)``.
@@ -97,11 +101,13 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         hint = "give its rig file `colliders`: capsules on joints"
         raise OptionError(Fault("SIM062", message, hint=hint))
     if options.fingers:
-        capsules = with_digits(rig, world, capsules)
+        capsules = with_finger_capsules(rig, world, capsules)
     joints = np.unique(capsules.joints)
     kinds = _kinds(rig, world, capsules, joints, options)
     rotations = so3.split_scale(world.linear[0])[0]
-    poses = [Poses.fixed(world.positions[0, j], rotations[j]) for j in joints]
+    poses = [
+        Poses.fixed(world.positions[0, joint], rotations[joint]) for joint in joints
+    ]
     count = len(joints)
     bodies = RigidBodies(
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
@@ -144,7 +150,7 @@ def _kinds(
         )
         kinds.append(kind_of(model, {"shapes": [{"shape": one} for one in shapes]}))
     if rig.masses:
-        kinds = weighed(rig, world, joints, kinds)
+        kinds = with_rig_masses(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
     factor = options.mass / sum(kind.mass for kind in kinds)
@@ -156,13 +162,13 @@ def _kinds(
 
 def _above(rig: Rig, joints: IntArray) -> IntArray:
     """Return the parent body of each body, -1 for none ``(N,)``."""
-    numbers = {int(j): i for i, j in enumerate(joints)}
+    body_indices = {int(j): i for i, j in enumerate(joints)}
     above = np.full(len(joints), -1)
-    tops: dict[int, int] = {}
+    roots: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
-        over = [numbers[k] for k in rig.upwards(j)[1:] if k in numbers]
+        ancestors = [body_indices[k] for k in rig.upwards(j)[1:] if k in body_indices]
         # Branches below a joint without a body are attached to the first of them.
-        above[i] = over[0] if over else tops.setdefault(movable(rig, j), i)
+        above[i] = ancestors[0] if ancestors else roots.setdefault(movable(rig, j), i)
         if above[i] == i:
             above[i] = -1
     return above
@@ -173,7 +179,7 @@ def _frames(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rest frames of joints ``(N, 7)``, and their axes there ``(N, 4)``.
 
-    Where all joints are: ``(J, 3)`` [m] and ``(J, 4)``.
+    World ``positions`` ``(J, 3)`` [m] and ``rotations`` ``(J, 4)`` are of all joints.
     """
     frames, axes = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
     for i, j in enumerate(joints.tolist()):
@@ -214,11 +220,11 @@ def joints_of_rig(
 ) -> Joints:
     """Return the joints between bodies; ``targets`` give drive values at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
-    hung = np.flatnonzero(ragdoll.above >= 0)
-    tone = _passive(ragdoll, options)
-    aims = targets(0.0) if options.tone else None
+    jointed = np.flatnonzero(ragdoll.above >= 0)
+    tone = _passive_springs(ragdoll, options)
+    start_targets = targets(0.0) if options.tone else None
     rows, numbers = [], []
-    for i in hung.tolist():
+    for i in jointed.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
@@ -230,40 +236,40 @@ def joints_of_rig(
             -1.0,
             0.0,
         ]
-        aim = [0.0, *so3.IDENTITY] if aims is None else aims[i]
-        on_a = in_principal_axes(bodies, above, ragdoll.frames[i])
-        on_b = in_principal_axes(bodies, i, frame)
-        numbers.append([*on_a, *on_b, *_limits(joint), *aim, *drive])
-    table = np.array(numbers, np.float64).reshape(-1, NUMBERS)
+        target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
+        on_a = relative_to_principal(bodies, above, ragdoll.frames[i])
+        on_b = relative_to_principal(bodies, i, frame)
+        numbers.append([*on_a, *on_b, *_limits(joint), *target, *drive])
+    table = np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT)
 
     def driven(t: float) -> FloatArray:
         now: FloatArray = table.copy()
-        now[:, 18:23] = targets(t)[hung]
+        now[:, 18:23] = targets(t)[jointed]
         return now
 
-    joined = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
+    body_pairs = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         table,
-        [Poses()] * len(hung),
-        pairs=joined,
+        [Poses()] * len(jointed),
+        pairs=body_pairs,
         others=_overlapping(ragdoll),
         breaks=np.full((len(rows), 2), np.inf),
         driven=driven if options.stiffness else None,
     )
 
 
-def _passive(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
+def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
     """Return passive stiffness and damping of bodies' joints ``(N, 2)``."""
     bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
-    tone = passive(
+    tone = passive_springs(
         ragdoll.above, bodies.masses, bodies.start[:, :3], ragdoll.frames[:, :3]
     )
-    turning = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
-    shares = np.array([options.tone, np.sqrt(options.tone)])
-    return np.asarray(tone * shares * np.array(turning)[:, None])
+    rotates = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
+    factors = np.array([options.tone, np.sqrt(options.tone)])
+    return np.asarray(tone * factors * np.array(rotates)[:, None])
 
 
 def _limits(joint: Joint) -> list[float]:
@@ -272,17 +278,21 @@ def _limits(joint: Joint) -> list[float]:
             return [low, high, -1.0, -1.0]
         case BallLimit(swing=swing, twist=twist):
             low, high = (1.0, 0.0) if twist is None else twist
-            cone = [-1.0, -1.0] if swing is None else np.minimum(swing, SWING).tolist()
+            cone = (
+                [-1.0, -1.0] if swing is None else np.minimum(swing, MAX_SWING).tolist()
+            )
             return [low, high, *cone]
     return [1.0, 0.0, -1.0, -1.0]
 
 
 def _overlapping(ragdoll: Ragdoll) -> IntArray:
     """Return pairs of bodies that overlap at the start ``(P, 2)``."""
-    placed = []
+    cores_by_body = []
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
         pose = poses.at(0.0)
-        placed.append([core.placed(pose[:3], pose[3:]) for core in kind.cores])
+        cores_by_body.append(
+            [core.transformed(pose[:3], pose[3:]) for core in kind.cores]
+        )
     fraction = np.linspace(0, 1, 9)[:, None]
 
     def line(points: FloatArray) -> FloatArray:
@@ -290,13 +300,13 @@ def _overlapping(ragdoll: Ragdoll) -> IntArray:
         return samples
 
     pairs = []
-    for i, j in combinations(range(len(placed)), 2):
+    for i, j in combinations(range(len(cores_by_body)), 2):
         gaps = [
             np.linalg.norm(line(a.points)[:, None] - line(b.points), axis=2).min()
             - a.radius
             - b.radius
-            for a in placed[i]
-            for b in placed[j]
+            for a in cores_by_body[i]
+            for b in cores_by_body[j]
         ]
         if min(gaps) < 0:
             pairs.append((i, j))

@@ -31,7 +31,7 @@ def ragdoll_simulation(
 ) -> RigidSimulation:
     """Return a rigid simulation of a ragdoll, with gravity ``(3,)`` [m/s²].
 
-    ``name`` is for messages; ``keys`` of rigid bodies say how they step.
+    ``name`` is for messages; ``keys`` are further keys of the rigid system.
     """
     force: Any = find_force("gravity")
     # The spec needs one body; the simulation's bodies are the rig's.
@@ -39,8 +39,8 @@ def ragdoll_simulation(
     spec = RigidModel.model_validate(
         {"name": name, "bodies": [body], "sleep": {"speed": 0}, **keys}
     )
-    pull = [force(acceleration=tuple(gravity))]
-    return RigidSimulation(spec, 0.0, ragdoll.bodies, joints, colliders, pull)
+    forces = [force(acceleration=tuple(gravity))]
+    return RigidSimulation(spec, 0.0, ragdoll.bodies, joints, colliders, forces)
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class DriveTargets:
             elif joint.type in (JointType.BALL, JointType.FREE):
                 rotation = so3.slerp(before[-4:], after[-4:], fraction)
                 axes = self.ragdoll.axes[i]
-                back = so3.multiply(so3.conjugate(axes), rotation)
-                targets[i, 1:] = so3.multiply(back, axes)
+                in_axes = so3.multiply(so3.conjugate(axes), rotation)
+                targets[i, 1:] = so3.multiply(in_axes, axes)
         return targets
 
 
@@ -81,11 +81,11 @@ def ragdoll_speeds(
     positions = world.positions[pair, bodies.joints]
     rotations = so3.split_scale(world.linear[pair, bodies.joints])[0]
     spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / span
-    all_of_them = bodies.bodies
-    arms = so3.rotate(rotations[1], all_of_them.centres)
+    rigid_bodies = bodies.bodies
+    arms = so3.rotate(rotations[1], rigid_bodies.centres)
     velocities = (positions[1] - positions[0]) / span + np.cross(spins, arms)
-    axes = all_of_them.start[:, 3:7]
-    momenta_local = so3.rotate(so3.conjugate(axes), spins) * all_of_them.moments
+    axes = rigid_bodies.start[:, 3:7]
+    momenta_local = so3.rotate(so3.conjugate(axes), spins) * rigid_bodies.moments
     return np.concatenate([velocities, so3.rotate(axes, momenta_local)], axis=1)
 
 
@@ -102,34 +102,43 @@ def ragdoll_transforms(
     follow the take.
     """
     rig = bodies.rig
-    numbers = {int(j): i for i, j in enumerate(bodies.joints)}
-    stiff = {k for j in numbers for k in rig.upwards(j)[1:]} - numbers.keys()
-    moved, turned = translations.copy(), rotations.copy()
-    tops = np.flatnonzero(bodies.above < 0).tolist()
-    movers = {movable(rig, int(bodies.joints[i])): i for i in tops}
+    body_indices = {int(j): i for i, j in enumerate(bodies.joints)}
+    rigid_joints = {
+        k for j in body_indices for k in rig.upwards(j)[1:]
+    } - body_indices.keys()
+    new_translations, new_rotations = translations.copy(), rotations.copy()
+    root_bodies = np.flatnonzero(bodies.above < 0).tolist()
+    root_joints = {movable(rig, int(bodies.joints[i])): i for i in root_bodies}
     count, joints = len(origins), len(rig.joints)
-    at, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
+    positions, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
     for j, joint in enumerate(rig.joints):
-        if j in stiff:
-            moved[:, j], turned[:, j] = translations[0, j], rotations[0, j]
-        above = joint.parent
-        if j in numbers or j in movers:
-            i = movers[j] if j in movers else numbers[j]
-            on = _on_body(rig, int(bodies.joints[i]), j, translations[0], rotations[0])
-            joint_rotations = so3.multiply(body_rotations[:, i], on[3:])
-            back = so3.IDENTITY if above < 0 else so3.conjugate(world[:, above])
-            turned[:, j] = so3.multiply(back, joint_rotations)
-            moved[:, j] = translations[0, j]
-            if j in movers or joint.type is JointType.PRISMATIC:
-                origin = origins[:, i] + so3.rotate(body_rotations[:, i], on[:3])
-                off = origin - (0 if above < 0 else at[:, above])
-                moved[:, j] = so3.rotate(back, off)
-        if above < 0:
-            at[:, j], world[:, j] = moved[:, j], turned[:, j]
+        if j in rigid_joints:
+            new_translations[:, j], new_rotations[:, j] = (
+                translations[0, j],
+                rotations[0, j],
+            )
+        parent = joint.parent
+        if j in body_indices or j in root_joints:
+            i = root_joints[j] if j in root_joints else body_indices[j]
+            on_body = _on_body(
+                rig, int(bodies.joints[i]), j, translations[0], rotations[0]
+            )
+            joint_rotations = so3.multiply(body_rotations[:, i], on_body[3:])
+            to_parent = so3.IDENTITY if parent < 0 else so3.conjugate(world[:, parent])
+            new_rotations[:, j] = so3.multiply(to_parent, joint_rotations)
+            new_translations[:, j] = translations[0, j]
+            if j in root_joints or joint.type is JointType.PRISMATIC:
+                origin = origins[:, i] + so3.rotate(body_rotations[:, i], on_body[:3])
+                offset = origin - (0 if parent < 0 else positions[:, parent])
+                new_translations[:, j] = so3.rotate(to_parent, offset)
+        if parent < 0:
+            positions[:, j], world[:, j] = new_translations[:, j], new_rotations[:, j]
         else:
-            at[:, j] = at[:, above] + so3.rotate(world[:, above], moved[:, j])
-            world[:, j] = so3.multiply(world[:, above], turned[:, j])
-    return moved, turned
+            positions[:, j] = positions[:, parent] + so3.rotate(
+                world[:, parent], new_translations[:, j]
+            )
+            world[:, j] = so3.multiply(world[:, parent], new_rotations[:, j])
+    return new_translations, new_rotations
 
 
 def _on_body(
@@ -139,11 +148,11 @@ def _on_body(
 
     Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
     """
-    at, rotation = np.zeros(3), so3.IDENTITY
+    position, rotation = np.zeros(3), so3.IDENTITY
     for k in rig.upwards(body):
         if k == joint:
             break
-        at = translations[k] + so3.rotate(rotations[k], at)
+        position = translations[k] + so3.rotate(rotations[k], position)
         rotation = so3.multiply(rotations[k], rotation)
-    back = so3.conjugate(rotation)
-    return np.concatenate([-so3.rotate(back, at), back])
+    inverse = so3.conjugate(rotation)
+    return np.concatenate([-so3.rotate(inverse, position), inverse])

@@ -21,24 +21,23 @@ class RigidState:
     """The state of bodies, and the impulses of contacts and joints.
 
     Attributes:
-        motion: Of N bodies centre of mass [m], attitude of the principal axes (x, y, z,
-            w), velocity [m/s], angular momentum [kg m²/s], and for how long each has
-            been slow [s] ``(N, 14)``.
-        pairs: Shapes of each point of contact ``(M, 2)``.
-        contacts: Its place on the first body [m], and the force there [N] ``(M, 6)``.
+        motion: For each of N bodies: centre of mass [m], orientation of the principal
+            axes (x, y, z, w), velocity [m/s], angular momentum [kg m²/s], and how long
+            it has been slow [s] ``(N, 14)``.
+        pairs: The two shapes of each contact point ``(M, 2)``.
+        contacts: Position of each on the first body [m], and its force [N] ``(M, 6)``.
         held: Forces and torques of joints ``(K, 12)``.
-        deepest: How deep bodies have been in each other [m]: before, and in the first
-            step.
-        deepest_pairs: The shapes that were, colliders behind them; -1 where none
-            ``(2, 2)``.
-        broken: When joints broke [s], infinite before, and the force [N] and torque
-            [N m] that they held then; nothing where none can ``(K, 3)``.
-        pressing: Points that press.
-        awake: Bodies that are awake.
-        residual: What the last corrections changed velocities by [m/s].
-        follows: The step that follows the drive that swings fastest [s], where none
-            did.
-        swinging: Its joint; -1 is none.
+        deepest: Largest penetration depth so far, and in the first step [m] ``(2,)``.
+        deepest_pairs: The shapes of these penetrations ``(2, 2)``; colliders are
+            numbered after the bodies' shapes, -1 is none.
+        broken: Time at which each joint broke [s], infinite if it has not, and the
+            force [N] and torque [N m] at that time ``(K, 3)``; ``(0, 3)`` if no joint
+            can break.
+        pressing: Number of contact points with a force.
+        awake: Number of bodies that are awake.
+        residual: Change of velocities in the last iteration [m/s].
+        follows: Step that would resolve the drive that oscillates fastest [s].
+        swinging: The joint of that drive; -1 is none.
     """
 
     motion: FloatArray
@@ -59,7 +58,7 @@ class SharedBodies:
     """Bodies in states, for simulations that collide with and push them.
 
     Attributes:
-        bodies: What they are, whatever their state.
+        bodies: The bodies, without their state.
     """
 
     bodies: RigidBodies
@@ -68,9 +67,9 @@ class SharedBodies:
         """Return body frames ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
-        origins, rotations = bodies.placed(state.motion)
+        origins, rotations = bodies.body_frames(state.motion)
         frames[bodies.dynamic] = np.concatenate([origins, rotations], axis=1)
-        for i in np.flatnonzero(~bodies.moved).tolist():
+        for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             frames[i] = bodies.poses[i].at(t)
         return frames
 
@@ -102,7 +101,7 @@ class SharedBodies:
         return np.concatenate([state.motion[:, 7:10], spins], axis=1)
 
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
-        """Return a state after impulses on the bodies."""
+        """Return the state after impulses were applied to the bodies."""
         bodies, motion = self.bodies, state.motion.copy()
 
         def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -110,10 +109,10 @@ class SharedBodies:
             return pushes[:, :3] / bodies.masses[:, None], moments
 
         displacement, twist = changes(wrenches.delayed)
-        turned = motion.copy()
-        turned[:, 10:13] = twist
+        twisted = motion.copy()
+        twisted[:, 10:13] = twist
         motion[:, :3] += displacement
-        motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(turned)), motion[:, 3:7])
+        motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(twisted)), motion[:, 3:7])
         speeds, momenta = changes(wrenches.impulses)
         motion[:, 7:10] += speeds
         motion[:, 10:13] += momenta
@@ -123,9 +122,12 @@ class SharedBodies:
     def push_to(self, state: RigidState, other: RigidState) -> Wrenches:
         """Return the impulses that lead from one state to another."""
         before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
-        turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
+        rotation_vector = so3.log(
+            so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7]))
+        )
         momentum_local = (
-            so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
+            so3.rotate(so3.conjugate(before[:, 3:7]), rotation_vector)
+            * self.bodies.moments
         )
         twist = so3.rotate(before[:, 3:7], momentum_local)
 
@@ -146,9 +148,13 @@ class SharedBodies:
         points: FloatArray,
         directions: FloatArray,
     ) -> FloatArray:
-        """Return inverse effective masses ``(K,)`` [1/kg].
+        """Return the inverse effective masses of bodies at points ``(K,)`` [1/kg].
 
-        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        Args:
+            state: The state of the bodies.
+            owners: The body of each point ``(K,)``.
+            points: Points in the world ``(K, 3)`` [m].
+            directions: Unit vectors along which the points are pushed ``(K, 3)``.
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
         arms = np.cross(points - motion[:, :3], directions)
@@ -160,11 +166,13 @@ class SharedBodies:
         return inverse
 
     def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
-        """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
+        """Return the bodies' centres of mass and inverse inertia tensors in the world.
 
-        In the world [1/(kg m²)].
+        Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """
         motion, moments = state.motion, self.bodies.moments
-        ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
+        inverse_inertia = np.divide(
+            1.0, moments, out=np.zeros_like(moments), where=moments > 0
+        )
         axes = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (axes * ease[:, None]) @ axes.swapaxes(1, 2)
+        return motion[:, :3], (axes * inverse_inertia[:, None]) @ axes.swapaxes(1, 2)

@@ -23,10 +23,10 @@ from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import (
     Joints,
     check_joints,
+    concatenate_joints,
     joint_loads,
-    joints_in,
     joints_of,
-    together,
+    joints_of_subset,
 )
 from animtool.systems.rigid.loads import BodyLoads, StepForces
 from animtool.systems.rigid.locked import locked_notices
@@ -34,7 +34,7 @@ from animtool.systems.rigid.notices import break_notices, depth_notices, swing_n
 from animtool.systems.rigid.phases import BodyPhase, BodyPhases, kinematic_states
 from animtool.systems.rigid.physics import (
     body_entries,
-    described,
+    physics_record,
     stage_joints,
     static_colliders,
 )
@@ -42,24 +42,25 @@ from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
 
-# Beyond these a simulation diverged: keys allow 1e18, and squares must be finite.
-FARTHEST = 1e24  # positions [m] and velocities [m/s]
-FASTEST = 1e100  # angular momenta [kg m²/s]
+# Above these values a simulation has diverged. Scene files allow values up to 1e18, and
+# squares must be finite.
+LARGEST_POSITION = 1e24  # positions [m] and velocities [m/s]
+LARGEST_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     """Return the simulation of a spec.
 
     Raises:
-        OptionError: Something of it makes no sense (SIM020, SIM061).
+        OptionError: A key is invalid (SIM020, SIM061).
     """
     parts, colliders = context.parts, context.colliders
     stages: Sequence[Physics] = parts.get("stages", ())
     models, entries = list(spec.bodies), list(parts.get("bodies", ()))
     for k, stage in enumerate(stages):
-        more = body_entries(stage, f"stages[{k}].prim")
-        models += more[0]
-        entries += more[1]
+        stage_models = body_entries(stage, f"stages[{k}].prim")
+        models += stage_models[0]
+        entries += stage_models[1]
     refusals = Refusals()
     with refusals.collect():
         bodies = RigidBodies.of_models(models, entries, context.begin)
@@ -74,14 +75,14 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
         first += len(stage.bodies)
         static += static_colliders(stage)
     forces = parts.get("forces", ())
-    joined = together(joints) if stages else joints[0]
+    joined = concatenate_joints(joints) if stages else joints[0]
     return RigidSimulation(
         spec, context.begin, bodies, joined, colliders, forces, static
     )
 
 
 class RigidSimulation(SharedBodies):
-    """Bodies and joints in steps, among colliders and forces."""
+    """The simulation of rigid bodies and joints with colliders and forces."""
 
     def __init__(
         self,
@@ -98,7 +99,7 @@ class RigidSimulation(SharedBodies):
         self.bodies, self.joints = bodies, joints
         self._phases = BodyPhases(
             bodies,
-            lambda phase_bodies: joints_in(joints, bodies, phase_bodies),
+            lambda phase_bodies: joints_of_subset(joints, bodies, phase_bodies),
             list(colliders),
             static,
             colliders,
@@ -148,53 +149,56 @@ class RigidSimulation(SharedBodies):
         """Return the state after a step [s].
 
         Raises:
-            ToleranceError: Forces are not finite, swing bodies too fast, or bodies
-                blew up (SIM102).
+            ToleranceError: Forces are not finite, bodies oscillate too fast under
+                them, or the simulation blew up (SIM102).
         """
-        parts = self._loads.parts(t, dt, state.motion)
+        substeps = self._loads.parts(t, dt, state.motion)
         if self._forces.vary:
             constrained = self._constrained(state, t, dt)
-            parts = self._loads.parts_of_constrained(
-                t, dt, parts, state.motion, constrained
+            substeps = self._loads.constrained_substeps(
+                t, dt, substeps, state.motion, constrained
             )
         while True:
-            after, more = self._in_parts(state, t, dt, parts)
-            if more == parts:
+            after, needed = self._in_substeps(state, t, dt, substeps)
+            if needed == substeps:
                 return after
-            parts = more
+            substeps = needed
 
-    def _in_parts(
-        self, state: RigidState, t: float, dt: float, parts: int
+    def _in_substeps(
+        self, state: RigidState, t: float, dt: float, substeps: int
     ) -> tuple[RigidState, int]:
-        """Return the state after substeps, and how many are needed.
+        """Return the state after substeps, and the number of substeps needed.
 
-        More than there are where one that drag makes heavy met something.
+        More are needed if a body that was stepped as free flight in drag hits
+        something.
         """
-        each = dt / parts
-        for k in range(parts):
-            now, motion = t + k * each, state.motion
-            constrained = self._constrained(state, now, each)
-            flight = self._loads.fly(now, each, motion)
-            loads = self._loads.over(now, each, motion, constrained, flight)
-            after = self._solved(state, loads, now, each)
-            missed = loads.missed(after.motion[:, 7:10], constrained)
-            if missed.any():
-                more = loads.parts(parts, missed)
-                if more > parts:
-                    return state, more
+        substep = dt / substeps
+        for k in range(substeps):
+            time, motion = t + k * substep, state.motion
+            constrained = self._constrained(state, time, substep)
+            flight = self._loads.fly(time, substep, motion)
+            loads = self._loads.over(time, substep, motion, constrained, flight)
+            after = self._solve(state, loads, time, substep)
+            unexpected_contacts = loads.unexpected_contacts(
+                after.motion[:, 7:10], constrained
+            )
+            if unexpected_contacts.any():
+                needed = loads.parts(substeps, unexpected_contacts)
+                if needed > substeps:
+                    return state, needed
                 loads = self._loads.over(
-                    now, each, motion, constrained | missed, flight
+                    time, substep, motion, constrained | unexpected_contacts, flight
                 )
-                after = self._solved(state, loads, now, each)
+                after = self._solve(state, loads, time, substep)
             state = after
-        return state, parts
+        return state, substeps
 
     def _phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
         broken = np.isfinite(state.broken[:, 0])
         return self._phases.at(self._phases.number(t, dt), broken)
 
     def _constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
-        """Return bodies with contacts or joints, or asleep ``(N,)``."""
+        """Return which bodies have contacts or joints, or are asleep ``(N,)``."""
         constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
             return constrained
@@ -206,22 +210,22 @@ class RigidSimulation(SharedBodies):
         constrained[bodies[bodies >= 0]] = True
         return constrained
 
-    def _solved(
+    def _solve(
         self, state: RigidState, loads: StepForces, t: float, dt: float
     ) -> RigidState:
         """Return the state after contacts and joints are solved."""
-        motion = self._woken(state.motion, loads, t, dt)
+        motion = self._wake_sleepers(state.motion, loads, t, dt)
         if loads.velocities is not None:
             motion = motion.copy()
             motion[:, 7:10] = loads.velocities
         phase = self._phase(state, t, dt)
-        known = phase.number == self._phases.number(t - dt, dt)
+        same_phase = phase.number == self._phases.number(t - dt, dt)
         free = phase.free
         stepped = _kernels.step_rigid(
-            self._weighed(phase, loads, t + dt),
+            self._kernel_arrays(phase, loads, t + dt),
             motion[free],
-            state.pairs if known else state.pairs[:0],
-            state.contacts if known else state.contacts[:0],
+            state.pairs if same_phase else state.pairs[:0],
+            state.contacts if same_phase else state.contacts[:0],
             state.held[phase.holding],
             loads.forces[free],
             phase.surroundings.arrays(t, t + dt),
@@ -245,7 +249,7 @@ class RigidSimulation(SharedBodies):
                 pair = np.array(stepped[10:12])
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
-        broken, impulses = self._broken(state, phase, impulses, t + dt)
+        broken, impulses = self._break_joints(state, phase, impulses, t + dt)
         follows, swinging = stepped[12] * self._spec.step / dt, stepped[13]
         worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
         return RigidState(
@@ -264,33 +268,36 @@ class RigidSimulation(SharedBodies):
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
-        """Refuse an impossible state (SIM102)."""
-        sound = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= FARTHEST
-        sound &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= FASTEST
-        if sound.all():
+        """Raise an error if a state is not finite or far too large (SIM102)."""
+        finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= LARGEST_POSITION
+        finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= LARGEST_MOMENTUM
+        if finite.all():
             return
-        bad = int(np.flatnonzero(~sound)[0])
-        name = self.bodies.names[self.bodies.dynamic[bad]]
-        speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
+        first_bad = int(np.flatnonzero(~finite)[0])
+        name = self.bodies.names[self.bodies.dynamic[first_bad]]
+        speed = (
+            float(np.linalg.norm(motion[first_bad, 7:10] / LARGEST_POSITION))
+            * LARGEST_POSITION
+        )
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         step = plain(floored(self._spec.step / 2))
         hint = f"do joints start within their limits? if so, use step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
-    def _weighed(self, phase: BodyPhase, loads: StepForces, t: float) -> Any:
+    def _kernel_arrays(self, phase: BodyPhase, loads: StepForces, t: float) -> Any:
         """Return kernel arrays, with step forces and inertia factors."""
         joints, inertias = self.joints, loads.inertias
         if joints.driven is None and inertias is None:
             return phase.kernel
         numbers = joints.numbers if joints.driven is None else joints.driven(t)
-        return phase.with_numbers(
+        return phase.with_parameters(
             numbers, 1.0 if inertias is None else inertias[phase.free]
         )
 
-    def _broken(
+    def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return break times and impulses of joints, at a time [s]."""
+        """Return break records ``(K, 3)`` and impulses ``(K, 12)`` of joints."""
         all_impulses = impulses
         if len(phase.holding) < len(self.joints.rows):
             all_impulses = np.zeros_like(state.held)
@@ -304,10 +311,10 @@ class RigidSimulation(SharedBodies):
         broken[phase.holding[over], 1:] = loads[over]
         return broken, all_impulses
 
-    def _woken(
+    def _wake_sleepers(
         self, motion: FloatArray, loads: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return states, with sleepers woken whose forces change."""
+        """Return the motion with the bodies woken whose forces change ``(N, 14)``."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
@@ -328,11 +335,11 @@ class RigidSimulation(SharedBodies):
         points, velocities, spins = np.zeros((3, count, 3))
         rotations = np.tile(so3.IDENTITY, (count, 1))
         moved = bodies.dynamic
-        points[moved], rotations[moved] = bodies.placed(motion)
+        points[moved], rotations[moved] = bodies.body_frames(motion)
         spins[moved] = bodies.spins(motion)
         arms = points[moved] - motion[:, :3]
         velocities[moved] = motion[:, 7:10] + so3.cross(spins[moved], arms)
-        for i in np.flatnonzero(~bodies.moved).tolist():
+        for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             row, step = bodies.poses[i].at(t), self._spec.step
             before, after = (
                 bodies.poses[i].at(t - step / 2),
@@ -364,19 +371,23 @@ class RigidSimulation(SharedBodies):
 
     @cached_property
     def _physics(self) -> Physics | None:
-        """Physics records for the output, if requested."""
+        """The UsdPhysics records to write, if requested."""
         if not self._spec.physics:
             return None
-        return described(self.bodies, self.joints, self._colliders, self._forces.forces)
+        return physics_record(
+            self.bodies, self.joints, self._colliders, self._forces.forces
+        )
 
     def energy(self, state: RigidState) -> Energy:
         """Return the energy of a state; potential if forces have one."""
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
-        ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
+        inverse_inertia = np.divide(
+            1.0, moments, out=np.zeros_like(moments), where=moments > 0
+        )
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((local**2 * ease).sum())
+        kinetic += 0.5 * float((local**2 * inverse_inertia).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
@@ -399,10 +410,10 @@ class RigidSimulation(SharedBodies):
 
     def _shape_names(self) -> list[str]:
         """Return names of shapes' bodies, then of colliders."""
-        bodies, around = self.bodies, self._colliders
+        bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
-        names += [one.name or f"colliders[{i}]" for i, one in enumerate(around)]
-        names += [sheet.name for sheet in around.sheets]
+        names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
+        names += [sheet.name for sheet in colliders.sheets]
         return names + [
-            one.name for system in around.bodies for one in system.colliders
+            one.name for system in colliders.bodies for one in system.colliders
         ]

@@ -214,7 +214,7 @@ class JointDriveModel(FileModel):
 
 
 class JointBreakModel(FileModel):
-    """What a joint breaks at; a drive's own force and torque do not count."""
+    """The load at which a joint breaks; the force of its drive does not count."""
 
     force: Positive | None = key(
         "Largest force that holds its two sides together [N]. Default: no limit.",
@@ -227,10 +227,10 @@ class JointBreakModel(FileModel):
 
 
 class RigidJointModel(PlacedModel):
-    """A joint between two bodies, or of one with the world.
+    """A joint between two bodies, or between a body and the world.
 
-    `at`, `rotate` and, of one with the world, `moves`, `turns` and `prim` place its
-    frame.
+    `at` and `rotate` place its frame; for a joint with the world, `moves`, `turns` and
+    `prim` do too.
     """
 
     name: str = key("For messages.", "hinge", default="")
@@ -273,7 +273,7 @@ class RigidJointModel(PlacedModel):
 
 
 class SleepModel(FileModel):
-    """Who sleeps."""
+    """When bodies fall asleep."""
 
     speed: NotNegative = key(
         "Speed below which a body can sleep [m/s]; 0 is never.", 0.01, default=0.02
@@ -339,7 +339,7 @@ class RigidModel(ForcedSpec):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Yield which keys make no sense together (SIM061)."""
+        """Yield the problems of keys that contradict each other (SIM061)."""
         if not self.bodies and not self.stages:
             yield "there are no bodies", None, "add some, or a stage with some"
         if self.physics and self.prims != "xforms":

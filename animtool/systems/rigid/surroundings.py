@@ -1,4 +1,4 @@
-"""Forces, pushes and colliders of rigid bodies in a step."""
+"""Forces, pushes and colliders that act on rigid bodies during a step."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.spec import PushModel
 
-# Forces that change by more, relative, in a step wake sleepers.
-CHANGES = 1e-9
+# Relative change of a force in a step above which it wakes a sleeping body.
+WAKE_CHANGE = 1e-9
 
 
 class BodyForces:
@@ -28,7 +28,7 @@ class BodyForces:
         self, bodies: RigidBodies, forces: Sequence[Force], begin: float
     ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
-        # Whether forces depend on position, velocity or time.
+        # Whether any force depends on position, velocity or time.
         self.vary = any(force.varies for force in forces)
         self._pushes = [
             (number, push)
@@ -39,18 +39,22 @@ class BodyForces:
     def over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
         """Return forces [N] and torques [N m] of a step ``(N, 6)``.
 
-        Those of `forces` are as they are where it begins.
+        Those of `forces` are evaluated at the start of the step.
         """
-        wrenches, x, v = self.pushes_over(t, dt, motion), motion[:, :3], motion[:, 7:10]
+        wrenches, x, v = (
+            self.push_wrenches(t, dt, motion),
+            motion[:, :3],
+            motion[:, 7:10],
+        )
         for force in self.forces:
             wrenches[:, :3] += force.force(t, x, v, self._particles)
         return wrenches
 
-    def pushes_over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+    def push_wrenches(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
         """Return forces and torques of pushes in a step ``(N, 6)``.
 
-        Bodies are turned as in the middle of it, so that the energy of what swings
-        under them neither grows nor falls.
+        They are evaluated for the orientations in the middle of the step, so that the
+        energy of bodies that swing under a push does not drift.
         """
         wrenches = np.zeros((len(motion), 6))
         if not self._pushes:
@@ -59,7 +63,7 @@ class BodyForces:
         spins = self._bodies.spins(motion)
         middle[:, 3:7] = so3.multiply(so3.exp(spins * (dt / 2)), motion[:, 3:7])
         for number, push in self._pushes:
-            wrenches[number] += self._pushed(number, push, (t, t + dt), middle)
+            wrenches[number] += self._wrench_of_push(number, push, (t, t + dt), middle)
         return wrenches
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -80,23 +84,23 @@ class BodyForces:
         by_position, by_speed = slopes / self._bodies.masses[:, None, None]
         return by_position, by_speed
 
-    def turning(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return oscillation and spin rates under pushes ``(2, N)``.
+    def oscillation_rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return oscillation and spin rates of bodies under pushes ``(2, N)`` [rad/s].
 
-        The first as a pendulum swings [rad/s], of the force at its arm; the second as
-        they spin, where what pushes them turns with that.
+        The first is the rate of a pendulum whose weight is the force at its arm. The
+        second is the spin of bodies whose torque changes as they rotate, else 0.
         """
         rates = np.zeros((2, len(motion)))
         moments = self._bodies.moments
         for number, push in self._pushes:
-            if not self._lasts(push, (t, t + dt)):
+            if not self._active_fraction(push, (t, t + dt)):
                 continue
             arm = np.array(push.at) - self._bodies.centres[number]
-            pull = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
-            some = moments[number][moments[number] > 0]
-            if pull and not push.local and len(some):
-                rates[0, number] += pull / some.min()
-            if pull or push.local:
+            torque = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
+            nonzero_inertia = moments[number][moments[number] > 0]
+            if torque and not push.local and len(nonzero_inertia):
+                rates[0, number] += torque / nonzero_inertia.min()
+            if torque or push.local:
                 spin = self._bodies.spins(motion)[number]
                 rates[1, number] = np.linalg.norm(spin)
         rates[0] = np.sqrt(rates[0])
@@ -105,10 +109,10 @@ class BodyForces:
     def change(
         self, forces: FloatArray, t: float, dt: float, motion: FloatArray
     ) -> BoolArray:
-        """Return which bodies' forces change in the next step ``(N,)``."""
+        """Return for which bodies the force changes in the next step ``(N,)``."""
         later = self.over(t + dt, dt, motion)
         size = np.linalg.norm(forces, axis=1)
-        return np.asarray(np.linalg.norm(later - forces, axis=1) > CHANGES * size)
+        return np.asarray(np.linalg.norm(later - forces, axis=1) > WAKE_CHANGE * size)
 
     def potential(self, motion: FloatArray) -> float:
         """Return the potential energy of conservative forces [J]."""
@@ -118,22 +122,22 @@ class BodyForces:
             potential += 0.0 if energies is None else float(energies.sum())
         return potential
 
-    def _lasts(self, push: PushModel, span: tuple[float, float]) -> float:
-        """Return the fraction of an interval that a push lasts [1]."""
+    def _active_fraction(self, push: PushModel, span: tuple[float, float]) -> float:
+        """Return the fraction of a time interval in which a push is active."""
         t, end = span
         start = self._begin if push.start is None else push.start
         last = np.inf if push.end is None else push.end
         return float(max(min(end, last) - max(t, start), 0.0) / (end - t))
 
-    def _pushed(
+    def _wrench_of_push(
         self,
         number: int,
         push: PushModel,
         span: tuple[float, float],
         motion: FloatArray,
     ) -> FloatArray:
-        """Return force and torque of a push ``(6,)``, scaled by its duration."""
-        fraction = self._lasts(push, span)
+        """Return force and torque of a push, averaged over an interval ``(6,)``."""
+        fraction = self._active_fraction(push, span)
         if not fraction:
             return np.zeros(6)
         bodies, axes = self._bodies, motion[number, 3:7]
@@ -164,13 +168,13 @@ class StepColliders:
 
     Attributes:
         colliders: All of them.
-        first: Number of colliders before those of kinematic bodies.
+        first: Index of the first collider that belongs to a kinematic body.
     """
 
     def __init__(self, colliders: Colliders, first: int = 0) -> None:
         self.colliders, self.first = colliders, first
-        # Surface points of the last step, and their colliders.
-        self._known: tuple[list[FloatArray], Colliders] | None = None
+        # Surface points of the last step, and the colliders made from them.
+        self._cached: tuple[list[FloatArray], Colliders] | None = None
 
     def arrays(self, t: float, end: float) -> tuple[Any, ...]:
         """Return collider arrays for a step."""
@@ -178,37 +182,40 @@ class StepColliders:
         if not sheets:
             return self.colliders.arrays(t, end)
         positions = [point for one in sheets for point in _ends(one, t, end)]
-        known = self._known
-        if known is None or any(
-            old is not new for old, new in zip(known[0], positions, strict=True)
+        cached = self._cached
+        if cached is None or any(
+            old is not new for old, new in zip(cached[0], positions, strict=True)
         ):
-            moving = [_going(one, t, end) for one in sheets]
-            around = Colliders([*self.colliders, *moving], (), self.colliders.bodies)
-            known = self._known = positions, around
-        return known[1].arrays(t, end)
+            moving = [_rigid_collider(one, t, end) for one in sheets]
+            in_step = Colliders([*self.colliders, *moving], (), self.colliders.bodies)
+            cached = self._cached = positions, in_step
+        return cached[1].arrays(t, end)
 
 
 def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
-    """Return a surface's points at both ends of a step; constant after a teleport."""
+    """Return the points of a surface at the start and the end of a step.
+
+    Both are the same array if the surface teleports in the step.
+    """
     sheet.motion.forget(t)
     return sheet.motion.points(t), sheet.motion.points(end)
 
 
-def _going(sheet: Sheet, t: float, end: float) -> Collider:
-    """Return a surface over a step: its start shape, and the nearest rigid motion.
+def _rigid_collider(sheet: Sheet, t: float, end: float) -> Collider:
+    """Return a collider with the shape of a surface at the start of a step.
 
-    The rotation is that of Kabsch (1976): points that change shape differ from it.
+    It moves with the rigid motion that fits the surface's points best (Kabsch, 1976).
     """
     begin, after = _ends(sheet, t, end)
     collider = sheet.collider(begin, sheet.motion.triangles(t))
     if begin is after or (begin == after).all():
         return collider
-    middle, goal = begin.mean(axis=0), after.mean(axis=0)
-    u, _, v = np.linalg.svd((after - goal).T @ (begin - middle))
+    middle, end_middle = begin.mean(axis=0), after.mean(axis=0)
+    u, _, v = np.linalg.svd((after - end_middle).T @ (begin - middle))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     poses = Poses(
         (t, end),
-        np.stack([np.zeros(3), goal - rotation @ middle]),
+        np.stack([np.zeros(3), end_middle - rotation @ middle]),
         np.stack([so3.IDENTITY, so3.from_matrix(rotation)]),
     )
     return replace(collider, poses=poses)

@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: a rig falls as a ragdoll from a frame on."""
+"""The pass `ragdoll`: lets a rig fall as a ragdoll, starting at a given frame."""
 
 from __future__ import annotations
 
@@ -41,70 +41,75 @@ from animtool.systems.rigid.ragdoll_motion import (
 )
 from animtool.systems.rigid.shared import RigidState
 
-# Tolerance of limits, as their overshoot [rad].
-KEPT = math.radians(1.0)
-KEPT_SLIDE = 0.001  # likewise of slides [m]
+# Overshoot of joint limits that is tolerated [rad].
+ANGLE_TOLERANCE = math.radians(1.0)
+SLIDE_TOLERANCE = 0.001  # the same for prismatic joints [m]
 
 
 def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
-    """Return a take whose rig falls from a frame on.
+    """Return a take whose rig falls as a ragdoll, starting at a given frame.
 
     Args:
-        take: With a rig that has colliders.
-        options: What falls, and when.
-        context: Told the share that is done.
+        take: A take with a rig that has colliders.
+        options: Frames of the fall, and parameters of the ragdoll.
+        context: Receives the progress and the notices.
 
     Raises:
-        OptionError: An option makes no sense, or the rig does not fit (SIM062); a
-            collider makes none (SIM020).
+        OptionError: An option is invalid or does not fit the rig (SIM062), or a
+            collider is invalid (SIM020).
         ToleranceError: The simulation blew up (SIM102).
     """
     _check(options)
     clock, rig = take.clock, take.rig
     codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
     times = (codes - codes[0]) / float(clock.fps)
-    first = _index(options.start, codes, "start", 0)
-    last = _index(options.end, codes, "end", clock.count - 1)
-    if first == clock.count - 1 and options.end is None:
+    first_index = _index(options.start, codes, "start", 0)
+    last_index = _index(options.end, codes, "end", clock.count - 1)
+    if first_index == clock.count - 1 and options.end is None:
         return take
-    if last <= first:
-        message = f"end is frame {codes[last]:g}, which is not after start, "
-        message += f"{codes[first]:g}"
+    if last_index <= first_index:
+        message = f"end is frame {codes[last_index]:g}, which is not after start, "
+        message += f"{codes[first_index]:g}"
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward(rig, translations, rotations, scales)
     pose = WorldTransforms(
-        world.positions[first : first + 1], world.linear[first : first + 1]
+        world.positions[first_index : first_index + 1],
+        world.linear[first_index : first_index + 1],
     )
     bodies = bodies_of_rig(rig, pose, options)
     coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
     targets = DriveTargets(
-        bodies, times - times[first], coordinates, coordinate_slices(rig)
+        bodies, times - times[first_index], coordinates, coordinate_slices(rig)
     )
-    around = [_later(one, float(times[first])) for one in options.colliders]
-    speeds = ragdoll_speeds(bodies, world, times, first)
-    run = _run(bodies, options, targets, speeds, Colliders(around))
+    shifted_colliders = [
+        _shifted_in_time(one, float(times[first_index])) for one in options.colliders
+    ]
+    speeds = ragdoll_speeds(bodies, world, times, first_index)
+    run = _run(bodies, options, targets, speeds, Colliders(shifted_colliders))
     origins, frame_rotations = [], []
-    for k in range(first, clock.count):
-        frame = run.at(float(times[k] - times[first]))
+    for k in range(first_index, clock.count):
+        frame = run.at(float(times[k] - times[first_index]))
         assert isinstance(frame, TransformsFrame)
         origins.append(frame.points)
         frame_rotations.append(frame.rotations)
         if context.progress is not None:
-            context.progress((k + 1 - first) / (clock.count - first))
+            context.progress((k + 1 - first_index) / (clock.count - first_index))
     fallen = ragdoll_transforms(
         bodies,
         np.array(origins),
         np.array(frame_rotations),
-        translations[first:],
-        rotations[first:],
+        translations[first_index:],
+        rotations[first_index:],
     )
-    weights = _weights(codes, first, last, options)[first:]
+    weights = _weights(codes, first_index, last_index, options)[first_index:]
     blended = [translations.copy(), rotations.copy()]
-    blended[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
-    blended[1][first:] = so3.slerp(
-        rotations[first:],
-        so3.align_signs(fallen[1], rotations[first]),
+    blended[0][first_index:] += weights[:, None, None] * (
+        fallen[0] - translations[first_index:]
+    )
+    blended[1][first_index:] = so3.slerp(
+        rotations[first_index:],
+        so3.align_signs(fallen[1], rotations[first_index]),
         np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
     )
     motion = replace(
@@ -112,12 +117,12 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         translations=Channel.from_dense(blended[0]),
         rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
-    context.notices.extend(_notices(bodies, run, fallen, float(codes[first])))
+    context.notices.extend(_notices(bodies, run, fallen, float(codes[first_index])))
     return replace(take, motion=motion)
 
 
-def _later(collider: Collider, t: float) -> Collider:
-    """Return a collider with its clock shifted to start at a time [s]."""
+def _shifted_in_time(collider: Collider, t: float) -> Collider:
+    """Return a collider with its sample times shifted so that ``t`` [s] becomes 0."""
     poses = collider.poses
     if len(poses.sample_times) == 1:
         return collider
@@ -144,10 +149,10 @@ def _run(
         substeps=options.substeps,
         iterations=32,
     )
-    begun = simulation.initial()
-    motion = begun.motion.copy()
+    initial_state = simulation.initial()
+    motion = initial_state.motion.copy()
     motion[:, 7:13] = start
-    state: Reached[RigidState] = Reached(0, replace(begun, motion=motion))
+    state: Reached[RigidState] = Reached(0, replace(initial_state, motion=motion))
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
 
 
@@ -183,39 +188,46 @@ def _notices(
     fallen: tuple[FloatArray, FloatArray],
     begin: float,
 ) -> list[Fault]:
-    """Return warnings, with the limit that was exceeded most.
+    """Return the notices of a run, with the joint limit that was exceeded most.
 
-    ``fallen``: local transforms of all joints; ``begin``: a frame.
+    Args:
+        bodies: The ragdoll.
+        run: Its simulation.
+        fallen: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of all
+            joints in the fall.
+        begin: First frame of the fall.
     """
     rig = bodies.rig
     mass = float(bodies.bodies.masses.sum())
     message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
     message += f"fell from frame {begin:g} on"
-    worst, name, text = 0.0, "", ""
+    worst_excess, name, text = 0.0, "", ""
     coordinates = coordinates_from_local(rig, LocalTransforms(*fallen))
-    hung = bodies.joints[bodies.above >= 0].tolist()
+    jointed = bodies.joints[bodies.above >= 0].tolist()
     for j, coordinate in enumerate(coordinate_slices(rig)):
         limits, values = rig.joints[j].limits, coordinates[:, coordinate]
-        if j not in hung or limits is None:
+        if j not in jointed or limits is None:
             continue
         if isinstance(limits, RangeLimit):
             values = values[:, 0]
-        beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
+        overshoot = float(np.abs(limits.excess(values)).max(initial=0.0))
         slides = rig.joints[j].type is JointType.PRISMATIC
-        excess = beyond / (KEPT_SLIDE if slides else KEPT)
-        if excess > worst:
-            worst, name = excess, rig.joints[j].name
-            size = (
-                f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
+        excess = overshoot / (SLIDE_TOLERANCE if slides else ANGLE_TOLERANCE)
+        if excess > worst_excess:
+            worst_excess, name = excess, rig.joints[j].name
+            overshoot_text = (
+                f"{1000 * overshoot:.2g} mm"
+                if slides
+                else f"{math.degrees(overshoot):.2g}°"
             )
-            text = f"joint {name!r} exceeds its limits by {size}"
+            text = f"joint {name!r} exceeds its limits by {overshoot_text}"
     if text:
         message += f"; {text}, the most of all"
-    said = [Fault("SIM128", message, severity=Severity.NOTE)]
-    if worst > 1:
+    notices = [Fault("SIM128", message, severity=Severity.NOTE)]
+    if worst_excess > 1:
         hint = "use shorter steps, or a pose within the limits at `start`"
-        said.append(warning("SIM129", text, hint))
-    return said + [one for one in run.notices if one.code != "SIM126"]
+        notices.append(warning("SIM129", text, hint))
+    return notices + [one for one in run.notices if one.code != "SIM126"]
 
 
 def _check(options: RagdollOptions, name: str = "") -> None:

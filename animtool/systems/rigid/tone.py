@@ -16,50 +16,56 @@ from animtool.sim.colliders.on_joints import Capsules
 # the damping ratio of that spring.
 STIFFNESS_FRACTION, DAMPING_RATIO = 0.15, 0.35
 GRAVITY = 9.81  # [m/s²]
-# Radius of a finger over its mean bone length, and length of its last bone over the
-# previous one if no joint ends it.
-THICKNESS, TIP = 0.2, 0.8
-# A joint with this many chains of two or more joints is a hand, whatever its name.
-DIGITS = 3
+# Radius of a finger relative to its mean bone length; and length of its last bone
+# relative to the bone before it, if no end joint gives that length.
+FINGER_RADIUS, LAST_BONE = 0.2, 0.8
+# A joint with this many child chains of two or more joints is a hand, whatever the
+# names.
+HAND_CHAINS = 3
 _NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGNORECASE)
 
 
-def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsules:
-    """Return capsules, with added ones for fingers, attached to their hand.
+def with_finger_capsules(
+    rig: Rig, world: WorldTransforms, capsules: Capsules
+) -> Capsules:
+    """Return the capsules of a rig with those of its fingers added to the hands.
 
-    A hand is a joint with capsules, and none below it, from which fingers go out.
+    A hand is a joint that has capsules, has no descendants with capsules, and from
+    which fingers branch off.
 
     Args:
         rig: The rig.
-        world: Of its joints in one pose.
-        capsules: Of the rig.
+        world: World transforms of its joints in one pose ``(1, J, …)``.
+        capsules: The capsules of the rig.
     """
-    below: dict[int, list[int]] = {}
+    children: dict[int, list[int]] = {}
     for j, joint in enumerate(rig.joints):
-        below.setdefault(joint.parent, []).append(j)
-    owned = set(capsules.joints.tolist())
-    inner = {k for j in owned for k in rig.upwards(j)[1:]}
+        children.setdefault(joint.parent, []).append(j)
+    joints_with_capsules = set(capsules.joints.tolist())
+    ancestors = {k for j in joints_with_capsules for k in rig.upwards(j)[1:]}
     joints, ends, radii = [], [], []
-    for hand in sorted(owned - inner):
-        chains = [_chain(below, child) for child in below.get(hand, ())]
-        long = [chain for chain in chains if len(chain) > 1]
-        named = [c for c in long if _NAMES.search(rig.joints[c[0]].name)]
-        for chain in long if len(long) >= DIGITS else named:
+    for hand in sorted(joints_with_capsules - ancestors):
+        chains = [_chain(children, child) for child in children.get(hand, ())]
+        long_chains = [chain for chain in chains if len(chain) > 1]
+        finger_chains = [c for c in long_chains if _NAMES.search(rig.joints[c[0]].name)]
+        for chain in long_chains if len(long_chains) >= HAND_CHAINS else finger_chains:
             points = world.positions[0, chain]
             bones = np.diff(points, axis=0)
             lengths = np.linalg.norm(bones, axis=1)
             if not lengths.all():
                 continue
-            ended = rig.joints[chain[-1]].name.lower().endswith(("end", "tip", "nub"))
-            if not ended:
-                points = np.concatenate([points, points[-1:] + TIP * bones[-1:]])
-            back = np.linalg.inv(world.linear[0, hand])
-            local = (points - world.positions[0, hand]) @ back.T
-            size = np.cbrt(np.abs(np.linalg.det(back)))
+            has_end_joint = (
+                rig.joints[chain[-1]].name.lower().endswith(("end", "tip", "nub"))
+            )
+            if not has_end_joint:
+                points = np.concatenate([points, points[-1:] + LAST_BONE * bones[-1:]])
+            inverse_linear = np.linalg.inv(world.linear[0, hand])
+            local = (points - world.positions[0, hand]) @ inverse_linear.T
+            size = np.cbrt(np.abs(np.linalg.det(inverse_linear)))
             for a, b in pairwise(local):
                 joints.append(hand)
                 ends.append(np.stack([a, b]))
-                radii.append(THICKNESS * lengths.mean() * size)
+                radii.append(FINGER_RADIUS * lengths.mean() * size)
     if not joints:
         return capsules
     return Capsules(
@@ -69,34 +75,33 @@ def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsule
     )
 
 
-def _chain(below: dict[int, list[int]], joint: int) -> list[int]:
+def _chain(children: dict[int, list[int]], joint: int) -> list[int]:
     """Return a joint and its descendants, up to the first branch."""
     chain = [joint]
-    while len(below.get(chain[-1], ())) == 1:
-        chain.append(below[chain[-1]][0])
+    while len(children.get(chain[-1], ())) == 1:
+        chain.append(children[chain[-1]][0])
     return chain
 
 
-def passive(
+def passive_springs(
     above: IntArray, masses: FloatArray, centres: FloatArray, pivots: FloatArray
 ) -> FloatArray:
     """Return the stiffness [N m/rad] and damping [N m s/rad] of joints ``(N, 2)``.
 
-    Each goes with the weight of what hangs on it, and how far from the joint that is.
+    Both grow with the weight that hangs from the joint, and with its lever arm.
 
     Args:
-        above: Of each body the one that it hangs on, -1 for none ``(N,)``; bodies come
-            behind what they hang on.
-        masses: ``(N,)`` [kg].
-        centres: Of mass, in the world ``(N, 3)`` [m].
-        pivots: Where each is joined to the one above ``(N, 3)`` [m].
+        above: The parent body of each body ``(N,)``, -1 for none; parents come first.
+        masses: Masses ``(N,)`` [kg].
+        centres: Centres of mass in the world ``(N, 3)`` [m].
+        pivots: Positions of the joints to the parent bodies ``(N, 3)`` [m].
     """
-    weights, firsts = masses.copy(), masses[:, None] * centres
+    weights, weighted_centres = masses.copy(), masses[:, None] * centres
     for i in range(len(above) - 1, -1, -1):
         if above[i] >= 0:
             weights[above[i]] += weights[i]
-            firsts[above[i]] += firsts[i]
-    arms = np.linalg.norm(firsts / weights[:, None] - pivots, axis=1)
+            weighted_centres[above[i]] += weighted_centres[i]
+    arms = np.linalg.norm(weighted_centres / weights[:, None] - pivots, axis=1)
     stiffness = STIFFNESS_FRACTION * weights * GRAVITY * arms
     damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * weights) * arms
     return np.stack([stiffness, damping], axis=1)

@@ -60,11 +60,11 @@ def test_goals_draw_paths_lead_and_hawks_scatter(simulator: Simulator) -> None:
         flock({**BIRD, "flees": [{"species": "hawk", "weight": 9, "radius": 9}]}, hawk),
         FRAMES,
     )["it"]
-    separation_notices = [
+    spreads = [
         np.linalg.norm(rows - rows.mean(axis=0), axis=1).mean()
         for rows in (alone, fled[-1].points[:30])
     ]
-    assert separation_notices[1] > 1.5 * separation_notices[0]
+    assert spreads[1] > 1.5 * spreads[0]
     assert fled[-1].primvars["species"].tolist() == [0] * 30 + [1]
 
 

@@ -11,10 +11,10 @@ from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Sphere
 from animtool.systems.rigid.cores import (
     SolidProperties,
+    combine_solids,
     core_of,
-    filled,
+    enclosed_solid,
     solid_of,
-    together,
 )
 
 
@@ -52,7 +52,7 @@ def test_boxes_and_balls_and_filled_meshes() -> None:
     # A corner of a cube, off the origin: its centre is a quarter in.
     corner = np.array([[5.0, -2, 1], [6, -2, 1], [5, -1, 1], [5, -2, 2]])
     sides = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    found = filled(corner[sides])
+    found = enclosed_solid(corner[sides])
     assert found.volume == pytest.approx(1 / 6)
     assert_allclose(found.centre, [5.25, -1.75, 1.25])
     # By its integrals: x² is 1/60, x y is 1/120 about the corner.
@@ -67,7 +67,7 @@ def test_several_are_about_their_centre_of_mass() -> None:
     """Balls of 1 and 3 kg, 4 m apart: it is a metre from the heavy one."""
     light = SolidProperties(0.5, np.array([0.0, 0.0, 0.0]), 0.1 * np.eye(3))
     heavy = SolidProperties(1.0, np.array([0.0, 4.0, 0.0]), 0.2 * np.eye(3))
-    found = together([light, heavy], [2.0, 3.0])
+    found = combine_solids([light, heavy], [2.0, 3.0])
     assert found.volume == pytest.approx(4.0)
     assert_allclose(found.centre, [0, 3, 0])
     own = 2 * 0.1 + 3 * 0.2
@@ -75,13 +75,13 @@ def test_several_are_about_their_centre_of_mass() -> None:
     assert_allclose(found.inertia, np.diag([own + apart, own, own + apart]))
     # Off the axes: products of inertia have the other sign.
     aslant = SolidProperties(1.0, np.array([2.0, 4.0, 0.0]), 0.2 * np.eye(3))
-    found = together([light, aslant], [2.0, 1.0])
+    found = combine_solids([light, aslant], [2.0, 1.0])
     assert found.inertia[0, 1] == pytest.approx(-0.5 * 2 * 4)
 
 
 def test_a_solid_is_turned_about_its_frame() -> None:
     solid = SolidProperties(2.0, np.array([1.0, 0.0, 0.0]), np.diag([1.0, 2.0, 3.0]))
     turn = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), np.pi / 2)
-    found = solid.placed(np.array([0.0, 0.0, 5.0]), turn)
+    found = solid.transformed(np.array([0.0, 0.0, 5.0]), turn)
     assert_allclose(found.centre, [0, 1, 5], atol=1e-15)
     assert_allclose(found.inertia, np.diag([2.0, 1.0, 3.0]), atol=1e-12)

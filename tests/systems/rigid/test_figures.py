@@ -36,7 +36,7 @@ from animtool.systems.rigid.physics import (
 from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig, joints_of_rig
 from animtool.systems.rigid.ragdoll_motion import ragdoll_speeds
 from animtool.systems.rigid.take_pass import ragdoll
-from animtool.systems.rigid.tone import passive
+from animtool.systems.rigid.tone import passive_springs
 
 
 def turned(*vector: float) -> list[float]:
@@ -134,8 +134,8 @@ def run(folder: Path, times: list[float], **keys: Any) -> dict[str, Any]:
     for t in (0.0, 0.04, 0.19, 0.3):
         pulls += [
             forces.over(t, 1 / 60, motion),
-            forces.pushes_over(t, 1 / 60, motion),
-            forces.turning(t, 1 / 60, motion),
+            forces.push_wrenches(t, 1 / 60, motion),
+            forces.oscillation_rates(t, 1 / 60, motion),
             forces.accelerations(t, x, v),
             forces.slopes(t, x, v),
         ]
@@ -222,9 +222,9 @@ def test_pushes_of_others_are_felt_by_mass_and_inertia(tmp_path: Path) -> None:
     ways = so3.rotate(so3.exp(rng.normal(size=(3, 3))), np.array([0.0, 0.0, 1.0]))
     centres, ease = simulation.inertias(state)
     arms = np.cross(points - centres[owners], ways)
-    turning = np.einsum("ki,kij,kj->k", arms, ease[owners], arms)
+    oscillation_rates = np.einsum("ki,kij,kj->k", arms, ease[owners], arms)
     found = simulation.inverse_masses(state, owners, points, ways)
-    np.testing.assert_allclose(found, 1 / masses[owners, 0] + turning)
+    np.testing.assert_allclose(found, 1 / masses[owners, 0] + oscillation_rates)
     spins = np.einsum("kij,kj->ki", ease, state.motion[:, 10:13])
     speeds = simulation.speeds(state)
     np.testing.assert_allclose(speeds[:, 3:], spins, atol=1e-9)
@@ -340,7 +340,7 @@ def test_tone_of_three_that_hang_on_each_other() -> None:
     centres = np.array([[0.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]])
     pivots = np.array([[0.0, 0, 0], [0.5, 0, 0], [2.0, 0, 0]])
     before = masses.copy()
-    found = passive(np.array([-1, 0, 1]), masses, centres, pivots)
+    found = passive_springs(np.array([-1, 0, 1]), masses, centres, pivots)
     arms = np.array([11 / 6, 11 / 5 - 0.5, 1.0])
     weights = np.array([6.0, 5.0, 3.0])
     stiffness = 0.15 * 9.81 * weights * arms

@@ -14,14 +14,14 @@ from support.rigid import Rigid, box
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.joints import (
-    KINDS,
+    JOINT_KINDS,
     Joints,
     _drive,
     _limits,
     joint_loads,
-    placed,
-    turned_round,
-    within,
+    relative_frame,
+    swapped_parameters,
+    to_parent,
 )
 from animtool.systems.rigid.spec import RigidJointModel
 
@@ -57,20 +57,20 @@ def test_motors_turn_in_degrees_and_slide_in_metres() -> None:
 def test_what_is_turned_round_moves_the_other_way() -> None:
     drive = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), 0.7)
     rest = np.array([-0.2, 0.5, 0.3, 0.4, 0.25, *drive, 5.0, 2.0, 7.0, 1.5])
-    found = turned_round(rest)
+    found = swapped_parameters(rest)
     assert_allclose(found[:5], [-0.5, 0.2, 0.3, 0.4, -0.25])
     assert_allclose(found[5:9], so3.conjugate(drive))
     assert_allclose(found[9:], [5.0, 2.0, 7.0, -1.5])
-    assert_allclose(turned_round(found), rest)
+    assert_allclose(swapped_parameters(found), rest)
     # Without limits the least is above the most, and stays so.
     rest[:2] = 1.0, 0.0
-    assert_allclose(turned_round(rest)[:2], [1.0, 0.0])
+    assert_allclose(swapped_parameters(rest)[:2], [1.0, 0.0])
 
 
 def test_loads_are_forces_and_torques_by_what_the_joint_leaves_free() -> None:
     """What limits hold is along x: a force of a slide, else a torque."""
     names = ["prismatic", "pin"]
-    rows = np.array([[KINDS[name], -1, 0] for name in names])
+    rows = np.array([[JOINT_KINDS[name], -1, 0] for name in names])
     blank = np.zeros((2, 0))
     joints = Joints(rows, blank, [Poses()] * 2, breaks=np.full((2, 2), np.inf),
                     names=names, above=[-1, -1], notices=[],
@@ -86,9 +86,9 @@ def test_frames_are_seen_and_placed_back() -> None:
     turn = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), np.pi / 2)
     pose = np.array([1.0, 2.0, 3.0, *turn])
     frame = np.array([1.0, 5.0, 3.0, *so3.IDENTITY])
-    seen = within(pose, frame)
+    seen = relative_frame(pose, frame)
     assert_allclose(seen, [3, 0, 0, *so3.conjugate(turn)], atol=1e-12)
-    assert_allclose(placed(pose, seen), frame, atol=1e-12)
+    assert_allclose(to_parent(pose, seen), frame, atol=1e-12)
 
 
 def test_what_is_fixed_to_a_turned_frame_of_the_world_stays(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from support.rigid import FLOOR, Rigid, ball
 
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid import kind
-from animtool.systems.rigid.pieces import beyond, pieces_of, solid_of_mesh
+from animtool.systems.rigid.pieces import excess_volume, pieces_of, solid_of_mesh
 
 pytest.importorskip("coacd", reason="meshes are taken apart by coacd")
 
@@ -59,7 +59,7 @@ def test_pieces_fill_the_mesh() -> None:
     assert solid_of_mesh(mesh).volume == pytest.approx(3)
     made = pieces_of(mesh)
     assert len(made) == 2
-    assert abs(beyond(mesh, [core for _, core in made])) < 1e-3
+    assert abs(excess_volume(mesh, [core for _, core in made])) < 1e-3
     again = pieces_of(mesh)
     for (one, _), (other, _) in zip(made, again, strict=True):
         assert (np.asarray(one.points) == np.asarray(other.points)).all()
@@ -92,7 +92,7 @@ def test_a_cup_holds_a_ball(tmp_path: Path) -> None:
 def test_without_coacd_its_hull_is_met(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kind, "installed", lambda: False)
+    monkeypatch.setattr(kind, "is_available", lambda: False)
     held = ball(0.2, at=[0.05, 1.3, 0.02], density=100)
     found = Rigid(tmp_path, body(tmp_path, cup()), held, colliders=[FLOOR])
     assert found.to(1.0)[1, 1] == pytest.approx(1.2, abs=0.01)

@@ -92,16 +92,16 @@ def test_those_whose_forces_change_wake_and_the_others_sleep() -> None:
     spec = SimpleNamespace(sleep=SimpleNamespace(time=0.5))
     own: Any = SimpleNamespace(_spec=spec, _forces=forces)
     loads: Any = SimpleNamespace(forces="kept")
-    found = RigidSimulation._woken(own, motion, loads, 1.0, 0.1)
+    found = RigidSimulation._wake_sleepers(own, motion, loads, 1.0, 0.1)
     assert found[:, 13].tolist() == [0.1, 0.5, 0.0, 0.9]
     assert motion[2, 13] == 0.7
     assert asked[-1] == "varied"
     forces.vary = False
-    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1)[2, 13] == 0
+    assert RigidSimulation._wake_sleepers(own, motion, loads, 1.0, 0.1)[2, 13] == 0
     assert asked[-1] == "kept"
     changed[2] = False
-    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1) is motion
+    assert RigidSimulation._wake_sleepers(own, motion, loads, 1.0, 0.1) is motion
     motion[:, 13] = 0.1
     count = len(asked)
-    assert RigidSimulation._woken(own, motion, loads, 1.0, 0.1) is motion
+    assert RigidSimulation._wake_sleepers(own, motion, loads, 1.0, 0.1) is motion
     assert len(asked) == count

@@ -40,8 +40,8 @@ def test_particles_land_on_a_body_that_tumbles(tmp_path: Path) -> None:
     above = []
     for body, drops in zip(rows["yard"], rows["rain"], strict=True):
         own = so3.rotate(so3.conjugate(body.rotations), drops.points - body.points)
-        beyond = np.abs(own) - SIZE / 2
-        outside = beyond.max(axis=1, initial=-1.0)
+        excess_volume = np.abs(own) - SIZE / 2
+        outside = excess_volume.max(axis=1, initial=-1.0)
         assert (outside > 0.01 - 1e-4).all()
         above.append(int((outside < 0.02).sum()))
     assert above[-1] > 20

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sheet
-from animtool.systems.rigid.surroundings import StepColliders, _going
+from animtool.systems.rigid.surroundings import StepColliders, _rigid_collider
 
 SQUARE = np.array([[1.0, 2, 3], [2, 2, 3], [2, 2, 5], [1, 2, 5]])
 TURN = np.array([0.3, -0.2, 0.5])
@@ -38,7 +38,7 @@ def test_a_surface_goes_through_a_step_as_it_turned_and_moved() -> None:
     """Where it keeps its shape exactly; else as its middle does, and its mean turn."""
     for stretched in (0.0, 0.3):
         motion = Moved(stretched)
-        found = _going(Sheet(motion, radius=0.01), 0.5, 1.0)
+        found = _rigid_collider(Sheet(motion, radius=0.01), 0.5, 1.0)
         assert motion.forgotten == 0.5
         begin, after = motion.points(0.5), motion.points(1.0)
         (first, last) = (found.poses.at(t) for t in (0.5, 1.0))
@@ -51,7 +51,7 @@ def test_a_surface_goes_through_a_step_as_it_turned_and_moved() -> None:
 
 
 def test_a_surface_that_rests_is_a_collider_that_rests() -> None:
-    rests = _going(Sheet(Moved(), radius=0.01), 0.5, 0.5)
+    rests = _rigid_collider(Sheet(Moved(), radius=0.01), 0.5, 0.5)
     assert_allclose(rests.poses.at(0.0), rests.poses.at(9.0))
 
 
@@ -65,7 +65,7 @@ def test_bodies_run_into_surfaces_and_into_what_is_there_without_any() -> None:
         assert_allclose(found, wanted)
     sheet = Sheet(Moved(), radius=0.01)
     both = StepColliders(Colliders([floor], [sheet]))
-    wanted = Colliders([floor, _going(sheet, 0.5, 1.0)]).arrays(0.5, 1.0)
+    wanted = Colliders([floor, _rigid_collider(sheet, 0.5, 1.0)]).arrays(0.5, 1.0)
     for _ in range(2):  # what was made is known the second time
         for found, own in zip(both.arrays(0.5, 1.0), wanted, strict=True):
             assert_allclose(found, own)

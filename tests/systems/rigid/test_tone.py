@@ -27,8 +27,8 @@ from animtool.systems.rigid.tone import (
     DAMPING_RATIO,
     GRAVITY,
     STIFFNESS_FRACTION,
-    passive,
-    with_digits,
+    passive_springs,
+    with_finger_capsules,
 )
 
 BONE = 0.04
@@ -78,7 +78,7 @@ def fallen(rig: Rig, frames: int, **options: object) -> Take:
 def test_fingers_get_capsules_along_their_bones() -> None:
     rig = hand_rig()
     capsules = Capsules.of(rig)
-    made = with_digits(rig, world_of(rig), capsules)
+    made = with_finger_capsules(rig, world_of(rig), capsules)
     assert len(made) == len(capsules) + 9
     assert (made.joints[2:] == 1).all()
     assert_allclose(made.radii[2:], 0.2 * BONE)
@@ -93,7 +93,9 @@ def test_fingers_get_capsules_along_their_bones() -> None:
 def test_what_is_no_hand_gets_none(names: tuple[str, ...], count: int) -> None:
     rig = hand_rig(names)
     capsules = Capsules.of(rig)
-    assert len(with_digits(rig, world_of(rig), capsules)) == len(capsules) + count
+    assert (
+        len(with_finger_capsules(rig, world_of(rig), capsules)) == len(capsules) + count
+    )
 
 
 @pytest.mark.parametrize("fingers", [True, False])
@@ -117,7 +119,7 @@ def test_tone_goes_with_the_weight_that_hangs_on_a_joint() -> None:
     masses = np.array([10.0, 3.0, 1.0])
     centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [1.5, 0, 0]])
     pivots = np.array([[0.0, 0, 0], [0.25, 0, 0], [1.0, 0, 0]])
-    found = passive(above, masses, centres, pivots)
+    found = passive_springs(above, masses, centres, pivots)
     assert_allclose(found[2, 0], STIFFNESS_FRACTION * 1.0 * GRAVITY * 0.5)
     assert_allclose(found[1, 0], STIFFNESS_FRACTION * 4.0 * GRAVITY * (0.75 - 0.25))
     # Of a spring that turns 4 kg on an arm of half a metre, about a kg m².
