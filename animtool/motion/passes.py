@@ -18,6 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import similar
+from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -215,6 +216,16 @@ class PassContext:
             OptionError: The option names no take (SCN024).
         """
         return self.open(self.folder / required_take_path(path, option))
+
+
+rename_attributes(
+    PassContext,
+    early="prepended_frames",
+    keeps="writes_files",
+    said="reported_codes",
+    segments="simulate_segments",
+    around="build_colliders",
+)
 
 
 # By option: a function that raises `OptionError` if its value is invalid for every
