@@ -345,7 +345,7 @@ class _Faults:
         hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
         if hint is None or not hint.startswith("write "):
             return False
-        self.document.add("DOC022", tuple(outer), values_message(faults), hint)
+        self.document.add("DOC022", location, values_message(faults), hint)
         self._put_placeholder(tuple(outer))
         return True
 

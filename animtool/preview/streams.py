@@ -58,7 +58,7 @@ class Quantized:
 def json_numbers(values: FloatArray, digits: int = 6) -> list[Any]:
     """Return numbers for JSON, rounded, without negative zeros.
 
-    >>> plain(np.array([-0.0, 0.1234567891]))
+    >>> json_numbers(np.array([-0.0, 0.1234567891]))
     [0.0, 0.123457]
     """
     rounded = np.round(np.asarray(values, np.float64), digits) + 0.0

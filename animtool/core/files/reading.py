@@ -199,8 +199,8 @@ _SHELL = re.compile(r"\$(?!\{)(\w+)|%(\w+)%|^(~)/")
 def unexpanded_hint(text: str) -> str | None:
     """Return a hint for a path with a variable of a shell; None for others.
 
-    >>> unexpanded_hint("$SHOT/walk.bvh")
-    'variables of a shell are not replaced: write ${SHOT} and give it a value'
+    >>> unexpanded_hint("~/walk.bvh")
+    '~ is not replaced: write the folder'
     """
     match = _SHELL.search(text)
     if match is None:

@@ -67,7 +67,7 @@ class PosePaths:
         return self._skin_points[key]
 
 
-class Surroundings(NamedTuple):
+class AttachedSurroundings(NamedTuple):
     """What an attachment collides with at the end of a frame."""
 
     world: WorldTransforms  # joint transforms
@@ -206,16 +206,18 @@ class Actor:
         self._move_sheet((frame * self._span, self._time), begun)
         self.seconds += time.perf_counter() - began
 
-    def surroundings(self) -> Surroundings:
+    def surroundings(self) -> AttachedSurroundings:
         """Return what it collides with at the end of a frame."""
         solids = [*self._solids, *self._contacts.solids(self._time)]
         layers = [
             ClosedSurface(one.points(self._time), one.triangles(self._time))
             for one in self._layers
         ]
-        return Surroundings(self._world, self._time, solids, layers)
+        return AttachedSurroundings(self._world, self._time, solids, layers)
 
-    def measure(self, frame: float, points: FloatArray, at: Surroundings) -> None:
+    def measure(
+        self, frame: float, points: FloatArray, at: AttachedSurroundings
+    ) -> None:
         """Measure contact and strain of points ``(N, 3)`` [m] at a time code."""
         depths = self._contacts.depths(at.world, points, at.time)
         self.meter.measure(frame, points, self._sides, at.solids, depths, at.layers)

@@ -23,7 +23,7 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import (
     Actor,
     PosePaths,
-    Surroundings,
+    AttachedSurroundings,
     rigidly_moved,
     upwards,
 )
@@ -93,7 +93,7 @@ class _Rows:
     moved: list[FloatArray]
     targets: list[FloatArray]
     # Of a cycle, which is measured once its seam is blended.
-    surroundings: list[Surroundings] = field(default_factory=list)
+    surroundings: list[AttachedSurroundings] = field(default_factory=list)
 
 
 class AttachSimulation:

@@ -164,7 +164,7 @@ def test_a_range_beyond_the_take_is_cut_and_said_so() -> None:
     report = measure_tradeoffs(clip, options)
     assert report.tables[0].chosen.steps == 6
     assert [(one.code, one.path) for one in report.notices] == [("SCN013", str(clip))]
-    with pytest.raises(OptionError, match="SCN013"):
+    with pytest.raises(OptionError, match="CLI005"):
         measure_tradeoffs(clip, BakeOptions(frame_range=FrameRange(70, 90)))
 
 
