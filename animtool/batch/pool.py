@@ -127,9 +127,8 @@ class _Pool:
     builder: ItemBuilder  # builds the items
     items: Iterator[Item]  # items to build
     limits: Limits  # limits of each item
-    queue_next: (
-        bool  # whether to send the next item before the last outcome is received
-    )
+    # Whether to send the next item before the last outcome is received.
+    queue_next: bool
     left: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # those that live
     failed_starts: int = 0  # how many in a row ended before they could take an item

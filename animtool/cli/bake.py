@@ -162,13 +162,13 @@ def bake(
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
     """Refuse a missing source where -o exists, or that was meant as the output."""
-    last = sources[-1]
+    last_source = sources[-1]
     if len(sources) == 1 and output is not None:
-        refuse_swapped(last, output, "SOURCE and -o")
-    is_usd = last.suffix in {".usd", ".usda", ".usdc", ".usdz"}
-    forgotten = is_usd and sources[0].exists() and not last.exists()
-    if len(sources) == 2 and output is None and forgotten:
-        text = f"{last} does not exist; to write it, use -o {last}"
+        refuse_swapped(last_source, output, "SOURCE and -o")
+    is_usd = last_source.suffix in {".usd", ".usda", ".usdc", ".usdz"}
+    output_given = is_usd and sources[0].exists() and not last_source.exists()
+    if len(sources) == 2 and output is None and output_given:
+        text = f"{last_source} does not exist; to write it, use -o {last_source}"
         raise click.UsageError(text)
 
 
@@ -209,17 +209,17 @@ def _bake(
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
-    several = any(entry.location is not None for entry in outline.outputs) and (
+    has_several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
-    named = files[0] if several else outline.outputs[0].path
-    if skipped(console, "bake", params, named, lambda: outline.files):
+    shown_output = files[0] if has_several else outline.outputs[0].path
+    if skipped(console, "bake", params, shown_output, lambda: outline.files):
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
-    shown = console.progress(f"bake {label}", stdout=to_stdout)
-    with atomic_command(), shown as progress:
+    progress_bar = console.progress(f"bake {label}", stdout=to_stdout)
+    with atomic_command(), progress_bar as progress:
         reports = bake_outline(outline, progress=progress)
-    _print_reports(console, reports, scene, params, several=several)
+    _print_reports(console, reports, scene, params, several=has_several)
 
 
 def _print_reports(

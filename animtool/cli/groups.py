@@ -13,9 +13,9 @@ class LazyGroup(click.Group):
     """A click group that imports a command's module when it is called.
 
     Attributes:
-        table: By command name, its ``module:object`` and its one-line help.
-        sections: Names of the commands below each heading of the help.
-        other_names: What users of other tools type, and the command for it.
+        table: ``module:object`` and one-line help by command name.
+        sections: Command names by heading of the help.
+        other_names: Command by its name in other tools.
     """
 
     def __init__(
@@ -72,9 +72,9 @@ class LazyGroup(click.Group):
         if args and args[0] not in self.table and not args[0].startswith("-"):
             from difflib import get_close_matches
 
-            near = get_close_matches(args[0], self.table, 1)
-            meant = self.other_names.get(args[0]) or next(iter(near), "")
-            hint = f"; did you mean {meant!r}?" if meant else ""
+            close_matches = get_close_matches(args[0], self.table, 1)
+            suggestion = self.other_names.get(args[0]) or next(iter(close_matches), "")
+            hint = f"; did you mean {suggestion!r}?" if suggestion else ""
             hint = hint or f"; {ctx.command_path} --help lists the commands"
             ctx.fail(f"unknown command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)

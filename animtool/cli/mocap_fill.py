@@ -81,12 +81,14 @@ def fill(
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
-        loaded = load_template(template)
-        wearer, notices = open_rig(named_rig(loaded, rig, template))
-        subject = MarkerSubject(wearer, loaded, static)
-        filled, report = at_file(markers, lambda: run_fill(read, options, subject))
+        marker_template = load_template(template)
+        rig_path, notices = open_rig(named_rig(marker_template, rig, template))
+        subject = MarkerSubject(rig_path, marker_template, static)
+        filled_and_report, report = at_file(
+            markers, lambda: run_fill(read, options, subject)
+        )
         report.notices[:0] = notices
-        return filled, report
+        return filled_and_report, report
 
     sources = (markers,) if static is None else (markers, static)
     run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)

@@ -73,7 +73,7 @@ def loop_source(
         else:
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
-    notices = [*stream.notices, *cycle_notices(best, searched=options.find)]
+    notices = [*stream.notices, *cycle_notices(best, is_searched=options.find)]
     result = LoopResult(source, output, best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

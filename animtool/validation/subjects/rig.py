@@ -20,7 +20,7 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 class RigSubject(DocumentSubject):
     """A rig and its file."""
 
-    rig: Rig  # what it makes
+    rig: Rig  # the rig of the file
 
     def written(self, key: str) -> list[Any]:
         """Return a list of the file; empty if absent."""
@@ -30,8 +30,8 @@ class RigSubject(DocumentSubject):
     def at(self, key: str, name: str) -> Location:
         """Return the location of a list entry, by its name.
 
-        A joint that a mirror wrote is where the other side is; what comes from
-        another file is where that is named.
+        A mirrored joint is located at its source; entries of another file are located
+        where that file is named.
         """
         pointer = self._pointers.get((key, name))
         if pointer is not None:
@@ -59,7 +59,8 @@ class RigSubject(DocumentSubject):
     def rest(self) -> tuple[FloatArray, FloatArray]:
         """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
 
-        One step for all joints of a depth: rules on rigs do without the kernels.
+        Computes all joints of one depth at once, so that rules on rigs do not need the
+        kernels.
         """
         rig, depths = self.rig, np.zeros(len(self.rig.joints), np.int64)
         for i, joint in enumerate(rig.joints):
@@ -67,22 +68,22 @@ class RigSubject(DocumentSubject):
         positions, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
         for depth in range(1, int(depths.max(initial=0)) + 1):
             at_depth = np.flatnonzero(depths == depth)
-            above = rig.parents[at_depth]
-            turned = so3.rotate(rotations[above], positions[at_depth])
-            positions[at_depth] = positions[above] + turned
-            rotations[at_depth] = so3.multiply(rotations[above], rotations[at_depth])
+            parents = rig.parents[at_depth]
+            rotated_offsets = so3.rotate(rotations[parents], positions[at_depth])
+            positions[at_depth] = positions[parents] + rotated_offsets
+            rotations[at_depth] = so3.multiply(rotations[parents], rotations[at_depth])
         return positions, rotations
 
     @cached_property
     def size(self) -> float:
         """Diagonal of the bounds of joints and tips at rest [m]."""
         positions, rotations = self.rest
-        points = [positions]
+        point_sets = [positions]
         for i, joint in enumerate(self.rig.joints):
             if joint.tips:
                 tips = np.array(joint.tips)
-                points.append(positions[i] + so3.rotate(rotations[i], tips))
-        cloud = np.concatenate(points)
+                point_sets.append(positions[i] + so3.rotate(rotations[i], tips))
+        cloud = np.concatenate(point_sets)
         if not len(cloud):
             return 0.0
         return float(np.linalg.norm(cloud.max(axis=0) - cloud.min(axis=0)))
