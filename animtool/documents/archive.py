@@ -60,19 +60,19 @@ class ArrayFile(Protocol):
 class StoredArray:
     """Location, type and shape of an array in a file."""
 
-    shape: tuple[int, ...]  # of it
-    dtype: np.dtype[Any]  # of its values
-    order: Literal["C", "F"]  # how they follow each other, ``C`` or ``F``
-    begin: int  # where they do [bytes]
+    shape: tuple[int, ...]  # lengths of its dimensions
+    dtype: np.dtype[Any]
+    order: Literal["C", "F"]  # memory order: by rows (C) or by columns (F)
+    begin: int  # offset of the first value in the file [byte]
 
     @property
     def count(self) -> int:
-        """How many values there are."""
+        """Number of values."""
         return math.prod(self.shape)
 
     @property
     def size(self) -> int:
-        """Bytes that the values take."""
+        """Size of the values [byte]."""
         return self.count * self.dtype.itemsize
 
 
@@ -133,12 +133,12 @@ def _shape(text: str, where: str) -> tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-# The most that is read of an archive; a setting and a variable of the environment
-# say otherwise.
+# Default limit of the bytes read from an archive; a setting and an environment variable
+# override it.
 MAX_BYTES = 1_000_000_000
 ARRAY_LIMIT = "ANIMTOOL_MAX_ARRAY_MB"
-# Zeros shrink a thousandfold; arrays that are worked with are less than half zeros.
-# What stays small may be all zeros.
+# Largest compression ratio of arrays above SMALL_BYTES. Zeros compress a thousandfold,
+# but real arrays are less than half zeros.
 MAX_RATIO = 100
 SMALL_BYTES = 64_000_000
 # Limit of an archive's directory: some hundred thousand arrays.
@@ -146,8 +146,7 @@ MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
 _METHODS = (0, 8)  # stored and deflated
 _ENCRYPTED = 0x1
-# What Python's reader of archives raises about damaged ones. That there is no memory
-# left is none of it.
+# Exceptions that `zipfile` raises for damaged archives; MemoryError is none of them.
 _DAMAGE = (
     OSError,
     ValueError,
@@ -196,18 +195,18 @@ class Archive:
                 message = f"{path.name} is a single array, as numpy.save writes, not "
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
-            bounded = _Bounded(self._file)
+            bounded_file = _Bounded(self._file)
             from zipfile import ZipFile
 
-            self._zip = ZipFile(cast(Any, bounded))
-            bounded.limit = None
-            self._members, self._twice = self._listed()
+            self._zip = ZipFile(cast(Any, bounded_file))
+            bounded_file.limit = None
+            self._members, self._duplicates = self._read_directory()
         except BaseException:
             self._file.close()
             raise
-        self._heads: dict[str, StoredArray] = {}
-        self._read: dict[str, int] = {}
-        self._total = 0
+        self._headers: dict[str, StoredArray] = {}
+        self._sizes: dict[str, int] = {}
+        self._total_size = 0
 
     def close(self) -> None:
         """Close the file."""
@@ -218,27 +217,29 @@ class Archive:
         """Return whether an array exists."""
         return key in self._members
 
-    def head(self, key: str, kinds: str = "fiub") -> StoredArray:
+    def header(self, key: str, kinds: str = "fiub") -> StoredArray:
         """Return an array's header, its length checked."""
-        if key not in self._heads:
+        if key not in self._headers:
             info = self._member(key)
             where = f"{self._path.name}#{key}"
             with self._zip.open(info) as file:
-                head = read_head(file, where)
+                header = read_head(file, where)
             self._file.check()
-            if head.dtype.kind not in kinds:
-                raise ArrayError(f"{where} contains {head.dtype}, not numbers")
-            # A dimension of 0 hides impossible other ones.
-            most = max(info.file_size, SMALL_BYTES)
-            empty = not head.count and math.prod(max(n, 1) for n in head.shape) > most
-            if head.begin + head.size > info.file_size or empty:
-                raise ArrayError(f"{where} is shorter than its shape {head.shape}")
-            self._heads[key] = head
-        return self._heads[key]
+            if header.dtype.kind not in kinds:
+                raise ArrayError(f"{where} contains {header.dtype}, not numbers")
+            # A dimension of 0 makes the size 0, however large the other dimensions are.
+            limit = max(info.file_size, SMALL_BYTES)
+            empty = (
+                not header.count and math.prod(max(n, 1) for n in header.shape) > limit
+            )
+            if header.begin + header.size > info.file_size or empty:
+                raise ArrayError(f"{where} is shorter than its shape {header.shape}")
+            self._headers[key] = header
+        return self._headers[key]
 
     def values(self, key: str) -> npt.NDArray[Any]:
         """Return a read-only array of numbers."""
-        return self._values(key, self.head(key))
+        return self._values(key, self.header(key))
 
     @property
     def names(self) -> list[str]:
@@ -247,52 +248,54 @@ class Archive:
 
     def texts(self, key: str) -> list[str]:
         """Return the texts of a one-dimensional array."""
-        head = self.head(key, "fiubU")
-        if head.dtype.kind != "U" or len(head.shape) != 1:
+        header = self.header(key, "fiubU")
+        if header.dtype.kind != "U" or len(header.shape) != 1:
             raise ArrayError(f"{self._path.name}#{key} is not a list of texts")
-        return [str(text) for text in self._values(key, head)]
+        return [str(text) for text in self._values(key, header)]
 
     def text(self, key: str) -> str:
         """Return the text of a zero-dimensional array."""
-        head = self.head(key, "fiubU")
-        if head.dtype.kind != "U" or head.shape:
+        header = self.header(key, "fiubU")
+        if header.dtype.kind != "U" or header.shape:
             raise ArrayError(f"{self._path.name}#{key} is not text")
-        return str(self._values(key, head))
+        return str(self._values(key, header))
 
-    def _values(self, key: str, head: StoredArray) -> npt.NDArray[Any]:
+    def _values(self, key: str, header: StoredArray) -> npt.NDArray[Any]:
         info = self._member(key)
-        # Computation is in float64, whatever is stored.
-        self._check_size(key, info, max(info.file_size, 8 * head.count))
+        # Values are converted to float64 for computation, whatever type is stored.
+        self._check_size(key, info, max(info.file_size, 8 * header.count))
         with self._zip.open(info) as file:
-            file.read(head.begin)
-            data = file.read(info.file_size - head.begin)
+            file.read(header.begin)
+            data = file.read(info.file_size - header.begin)
         self._file.check()
-        if len(data) < head.size:
+        if len(data) < header.size:
             raise ArrayError(f"{self._path.name}#{key} is truncated")
-        if not head.count:
-            return np.zeros(head.shape, head.dtype)
-        flat = np.frombuffer(data, head.dtype, head.count)
-        return np.require(flat.reshape(head.shape, order=head.order), requirements="A")
+        if not header.count:
+            return np.zeros(header.shape, header.dtype)
+        flat = np.frombuffer(data, header.dtype, header.count)
+        return np.require(
+            flat.reshape(header.shape, order=header.order), requirements="A"
+        )
 
-    def _listed(self) -> tuple[dict[str, ZipInfo], set[str]]:
+    def _read_directory(self) -> tuple[dict[str, ZipInfo], set[str]]:
         """Return the arrays by name, and duplicate names."""
         members: dict[str, ZipInfo] = {}
-        twice = set()
+        duplicates = set()
         for info in self._zip.infolist():
             if info.filename.endswith(".npy"):
                 key = info.filename.removesuffix(".npy")
                 if key in members:
-                    twice.add(key)
+                    duplicates.add(key)
                 members[key] = info
-        return members, twice
+        return members, duplicates
 
     def _member(self, key: str) -> ZipInfo:
         name, info = self._path.name, self._members.get(key)
         if info is None:
-            names = [known[:40] for known in list(self._members)[:MAX_SHOWN]]
+            names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN]]
             shown = ", ".join(names) or "nothing"
             raise ArrayError(f"{name} has no array {key!r}; its arrays are {shown}")
-        if key in self._twice:
+        if key in self._duplicates:
             raise ArrayError(f"{name} contains {key!r} twice")
         if info.flag_bits & _ENCRYPTED:
             raise ArrayError(f"{name}#{key} is encrypted")
@@ -303,32 +306,32 @@ class Archive:
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Refuse an array larger than the memory limit."""
-        others = self._total - self._read.get(key, 0)
-        dense = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
-        if others + size > MAX_BYTES or not dense:
-            stated = _stated_limit(self._path)
-            if stated is None or others + size > stated:
-                raise self._too_large(key, others + size, stated, dense)
-        self._read[key], self._total = size, others + size
+        other_arrays = self._total_size - self._sizes.get(key, 0)
+        plausible = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
+        if other_arrays + size > MAX_BYTES or not plausible:
+            configured = _configured_limit(self._path)
+            if configured is None or other_arrays + size > configured:
+                raise self._too_large(key, other_arrays + size, configured, plausible)
+        self._sizes[key], self._total_size = size, other_arrays + size
 
     def _too_large(
-        self, key: str, size: int, stated: int | None, dense: bool
+        self, key: str, size: int, configured: int | None, plausible: bool
     ) -> ArrayError:
-        needed = math.ceil(size / 1e6)
-        message = f"{self._path.name}#{key} takes {needed} MB of memory"
-        if stated is None and not dense:
+        needed_mb = math.ceil(size / 1e6)
+        message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
+        if configured is None and not plausible:
             message += f", more than {MAX_RATIO} times what it takes in the file"
         else:
-            limit = MAX_BYTES if stated is None else stated
+            limit = MAX_BYTES if configured is None else configured
             message += f" with what was read before, and {limit // 1_000_000} are "
             message += "allowed"
         return ArrayError(
-            f"{message}; max_array_mb = {needed} in animtool.toml, or "
-            f"{ARRAY_LIMIT}={needed}, allows it"
+            f"{message}; max_array_mb = {needed_mb} in animtool.toml, or "
+            f"{ARRAY_LIMIT}={needed_mb}, allows it"
         )
 
 
-def _stated_limit(path: Path) -> int | None:
+def _configured_limit(path: Path) -> int | None:
     """Return the configured size limit of archives [byte]; None for no limit.
 
     Raises:
@@ -339,8 +342,8 @@ def _stated_limit(path: Path) -> int | None:
         if not (text.isascii() and text.isdecimal() and len(text) < 10):
             raise ArrayError(f"{ARRAY_LIMIT} is {text[:40]!r}, not a number of MB")
         return int(text) * 1_000_000
-    stated = find_config(path).max_array_mb
-    return None if stated is None else stated * 1_000_000
+    configured = find_config(path).max_array_mb
+    return None if configured is None else configured * 1_000_000
 
 
 class _Bounded:

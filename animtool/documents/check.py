@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 else:
     ModelMetaclass = type(BaseModel)
 
-# Faulty values to replace before checking stops.
-MAX_MENDED = 200
+# Faulty values to replace by placeholders before validation stops.
+MAX_REPLACED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
-Located = list[tuple[Location, Fault]]  # faults with their locations in a value
+LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
 class _KeyedModels(ModelMetaclass):
@@ -57,8 +57,10 @@ class _KeyedModels(ModelMetaclass):
 
 def model_field(key: Key, default: Any = MISSING) -> Any:
     """Return the field of a key in a model of a file."""
-    stated = {} if default is MISSING else {"default": default}
-    return pydantic.Field(description=key.description, examples=[key.example], **stated)
+    field_options = {} if default is MISSING else {"default": default}
+    return pydantic.Field(
+        description=key.description, examples=[key.example], **field_options
+    )
 
 
 class FileModel(BaseModel, metaclass=_KeyedModels):
@@ -96,25 +98,27 @@ def validated(document: Document, model: type[Model]) -> Model:
         except ValidationError as error:
             if value is document.value:
                 value = copy.deepcopy(value)
-            _Faults(document, model, value).mend(error)
+            _Faults(document, model, value).replace_faulty(error)
 
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return location and message of each fault in a value outside of a model."""
-    merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
-    inner = {
-        location[:depth] for location, _ in merged for depth in range(len(location))
+    by_location = _by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
+    ancestors = {
+        location[:depth]
+        for location, _ in by_location
+        for depth in range(len(location))
     }
     return [
-        (location, "; or ".join(dict.fromkeys(map(_words, faults))))
-        for (location, _), faults in merged.items()
-        if location not in inner
+        (location, "; or ".join(dict.fromkeys(map(_fault_message, faults))))
+        for (location, _), faults in by_location.items()
+        if location not in ancestors
     ]
 
 
 def unknown_options(
     options: Mapping[str, Any], names: Collection[str], owner: str
-) -> Located:
+) -> LocatedFaults:
     """Return a fault for each option that its owner does not have."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
@@ -126,15 +130,15 @@ def unknown_options(
 
 def record_of_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
-) -> tuple[Record | None, Located]:
+) -> tuple[Record | None, LocatedFaults]:
     """Return options as a record, with their faults; None where a value is wrong."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
-    known = {key: value for key, value in options.items() if key in names}
+    known_options = {key: value for key, value in options.items() if key in names}
     try:
-        return TypeAdapter(kind).validate_python(known), faults
+        return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
-        wrong = wrong_values(known, error)
+        wrong = wrong_values(known_options, error)
     return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
 
 
@@ -144,29 +148,29 @@ def renamed_options(
     """Return options with old names replaced by new ones; warn of each.
 
     Args:
-        document: The file that has them.
-        at: Their location.
-        options: By name.
+        document: The file that contains them.
+        at: Their location in the file.
+        options: Values by name.
         kind: Kind of the document.
     """
-    renamed: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for key, value in options.items():
         name = new_key(kind, (*at, key), value)
         if name is None or name in options:
-            renamed[key] = value
+            result[key] = value
             continue
-        renamed[name] = value
+        result[name] = value
         _note_renamed(document, (*at, key), name)
-    return renamed
+    return result
 
 
 def _note_renamed(document: Document, location: Location, name: str) -> None:
     """Warn of a renamed key (DOC102)."""
-    *around, key = location
-    document.spellings[*around, name] = str(key)
+    *parent, key = location
+    document.spellings[*parent, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
     hint = f"animtool migrate FILE {flag('overwrite')} renames it"
-    document.warn("DOC102", (*around, name), message, hint)
+    document.warn("DOC102", (*parent, name), message, hint)
 
 
 @dataclass(slots=True)
@@ -177,13 +181,17 @@ class _Faults:
     model: type[BaseModel]  # model of the value
     value: Any  # the document's value, with placeholders
 
-    def mend(self, error: ValidationError) -> None:
+    def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a validation attempt and replace the faulty values."""
         errors = error.errors(include_url=False)
-        merged = _by_location(self.value, errors[:MAX_MENDED])
-        inner = {spot[:depth] for spot, _ in merged for depth in range(len(spot))}
+        by_location = _by_location(self.value, errors[:MAX_REPLACED])
+        ancestors = {
+            location[:depth]
+            for location, _ in by_location
+            for depth in range(len(location))
+        }
         by_kind: dict[str, list[tuple[Location, str]]] = {}
-        for key, faults in merged.items():
+        for key, faults in by_location.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
         # In this order: a misspelt key is not missing too.
         for location, _ in by_kind.pop("extra_forbidden", ()):
@@ -191,67 +199,68 @@ class _Faults:
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
-            # Of a union, the member whose faults lie deepest was meant.
-            if key[0] not in inner:
-                self._wrong_value(key[0], merged[key])
-        if len(errors) > MAX_MENDED:
+            # In a union, the author meant the member with the most deeply nested
+            # faults.
+            if key[0] not in ancestors:
+                self._wrong_value(key[0], by_location[key])
+        if len(errors) > MAX_REPLACED:
             self.document.check()
 
     def _unknown_key(self, location: Location) -> None:
-        *outer, key = location
-        around = tuple(outer)
-        names = fields_at(self.model, self.value, around)
+        *steps, key = location
+        mapping = tuple(steps)
+        names = fields_at(self.model, self.value, mapping)
         node = self.value
-        for step in around:
+        for step in mapping:
             node = node[step]
-        left = node.pop(key)
+        value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
-        renamed = new_key(kind, location, left)
+        renamed = new_key(kind, location, value)
         if renamed in names and renamed not in node:
-            node[renamed] = left
+            node[renamed] = value
             _note_renamed(self.document, location, renamed)
             return
-        if self._of_another_kind(location):
+        if self._depends_on_kind(location):
             return
         message = f"unknown key {excerpt(str(key))}"
-        plain = str(key).replace("_", "").lower()
-        meant = next((k for k in OTHER_KEYS.get(plain, ()) if k in names), None)
-        hint = f"the key is {meant!r}" if meant else nearest(str(key), names)
+        normalized = str(key).replace("_", "").lower()
+        intended = next((k for k in OTHER_KEYS.get(normalized, ()) if k in names), None)
+        hint = f"the key is {intended!r}" if intended else nearest(str(key), names)
         self.document.add("DOC020", location, message, hint, at_key=True)
-        meant = meant or similar(str(key), names)
-        if meant and meant not in node:
+        intended = intended or similar(str(key), names)
+        if intended and intended not in node:
             # Its names may be referenced, but whether it was meant is unknown.
-            node[meant] = left
-            self.document.spellings[*around, meant] = str(key)
-            self.document.guesses.add((*around, meant))
+            node[intended] = value
+            self.document.spellings[*mapping, intended] = str(key)
+            self.document.guesses.add((*mapping, intended))
 
-    def _missing_key(self, around: Location, key: str) -> None:
-        location = (*around, key)
+    def _missing_key(self, mapping: Location, key: str) -> None:
+        location = (*mapping, key)
         if location in self.document.spellings:
             return
-        if not self._of_another_kind(location):
-            self.document.add("DOC021", around, f"key {key!r} is missing")
+        if not self._depends_on_kind(location):
+            self.document.add("DOC021", mapping, f"key {key!r} is missing")
         self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         sizes = [fault for fault in faults if fault["type"] in _SIZES]
-        texts = dict.fromkeys(_words(fault) for fault in sizes or faults)
+        texts = dict.fromkeys(_fault_message(fault) for fault in sizes or faults)
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
-            written = similar(tag, map(str, faults[0]["input"]))
-            if written is not None:
+            misspelt = similar(tag, map(str, faults[0]["input"]))
+            if misspelt is not None:
                 # A misspelt key is not missing too.
-                self._unknown_key((*location, written))
+                self._unknown_key((*location, misspelt))
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
-        if not self._of_another_kind(location):
+        if not self._depends_on_kind(location):
             hint = (
                 _entry_hint(location, faults[0])
                 or _choice_hint(faults)
                 or self._form_hint(location, faults)
             )
-            self.document.add("DOC022", location, _either(texts), hint)
+            self.document.add("DOC022", location, _join_messages(texts), hint)
         self._put_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
@@ -263,18 +272,18 @@ class _Faults:
         if axis is not None and expected == {_KINDS["list_type"]}:
             numbers = flow_value([round(number) for number in axis])
             return f"write three numbers: {faults[0]['input']} is {numbers}"
-        listed = expected & _STRUCTURES == {_KINDS["list_type"]}
-        return form_hint(self.model, self.value, location, listed=listed)
+        expects_list = expected & _STRUCTURES == {_KINDS["list_type"]}
+        return form_hint(self.model, self.value, location, expects_list=expects_list)
 
-    def _of_another_kind(self, location: Location) -> bool:
-        """Return whether only some kinds have a key while the kind is unknown."""
+    def _depends_on_kind(self, location: Location) -> bool:
+        """Return whether a key exists in only some kinds, and the kind is faulty."""
         for depth, key in enumerate(location):
-            around = location[:depth]
+            mapping = location[:depth]
             unknown = self.document.doubts | self.document.guesses
-            if (*around, "type") in unknown and key != "type":
-                kinds = models_of(annotation_at(self.model, self.value, around))
-                having = [kind for kind in kinds if key in fields_of(kind)]
-                if having and len(having) < len(kinds):
+            if (*mapping, "type") in unknown and key != "type":
+                kinds = models_of(annotation_at(self.model, self.value, mapping))
+                kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
+                if kinds_with_key and len(kinds_with_key) < len(kinds):
                     return True
         return False
 
@@ -293,11 +302,11 @@ def _by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Group faults by location and missing key."""
-    merged: dict[tuple[Location, str], list[Any]] = {}
+    groups: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
-        missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        merged.setdefault((_within(value, fault), missing), []).append(fault)
-    return merged
+        missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
+        groups.setdefault((_within(value, fault), missing_key), []).append(fault)
+    return groups
 
 
 def _within(value: Any, fault: Any) -> Location:
@@ -316,35 +325,31 @@ def _missing_message(last: int | str, value: Any) -> str:
     """Return a message for a missing key or list item."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
+    return f"{counted(len(value), 'item')} where {_count_is(last + 1)} needed"
 
 
-def _either(texts: Iterable[str]) -> str:
+def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages of a union's members into one."""
-    first, *others = texts
+    first, *more = texts
     start, negation, _ = first.partition(" is not ")
-    if (
-        others
-        and negation
-        and all(text.startswith(start + negation) for text in others)
-    ):
-        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
+    if more and negation and all(text.startswith(start + negation) for text in more):
+        kinds = [text.removeprefix(start + negation) for text in (first, *more)]
         return f"{start} is neither {' nor '.join(kinds)}"
-    return "; or ".join((first, *others))
+    return "; or ".join((first, *more))
 
 
 # Faults of values outside an enumeration.
 _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
 
-def _words(fault: Any) -> str:
+def _fault_message(fault: Any) -> str:
     """Return the message of a fault, with the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
     shown = excerpt(value) if isinstance(value, str) else _shown(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(value, str) else "item"
-        return f"{counted(len(value), noun)} where {_are(length)} needed"
+        return f"{counted(len(value), noun)} where {_count_is(length)} needed"
     if kind == "missing":
         return _missing_message(fault["loc"][-1], value)
     if kind == "union_tag_not_found":
@@ -382,12 +387,12 @@ def _choice_hint(faults: list[Any]) -> str | None:
         allowed = context.get("expected", context.get("expected_tags"))
         if fault["type"] in _CHOICES and isinstance(value, str):
             names = re.findall(r"'([^']*)'", str(allowed))
-            other = OTHER_VALUES.get(value.lower())
-            if other in names:
-                return f"{value!r} is called {other!r} here"
-            meant = similar(value, names)
-            if meant is not None:
-                return f"did you mean {meant!r}?"
+            our_name = OTHER_VALUES.get(value.lower())
+            if our_name in names:
+                return f"{value!r} is called {our_name!r} here"
+            similar_name = similar(value, names)
+            if similar_name is not None:
+                return f"did you mean {similar_name!r}?"
     return None
 
 
@@ -401,7 +406,7 @@ def _entry_hint(location: Location, fault: Any) -> str | None:
     return f"write '{value}: {{}}'"
 
 
-def _are(count: int) -> str:
+def _count_is(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
@@ -430,7 +435,7 @@ _KINDS = {
 }
 
 
-# Faults of lists that are of the right type: what else a union takes was not meant.
+# Length faults of lists of the right type; the other members of a union were not meant.
 _SIZES = {"too_short", "too_long"}
 # Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}

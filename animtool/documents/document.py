@@ -27,19 +27,19 @@ class Document:
 
     path: Path  # as the user named it
     value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
-    # 1-based line and column of every node, keys included, in the order of the file,
-    # and by their numbers in these what is written without quotes.
+    # Returns the 1-based line and column of every node, keys included, in file order,
+    # and the source text of unquoted scalars.
     marks: Callable[[], Marks] = field(repr=False)
     # Faults recorded by `add`.
     faults: list[Fault] = field(default_factory=list)
     # Notices recorded by `note` and `warn`.
     notices: list[Fault] = field(default_factory=list)
-    # Where a value is faulty and something else stands in for it, so that the rest can
-    # be checked.
+    # Locations of faulty values that a placeholder replaces so that validation can
+    # continue.
     doubts: set[Location] = field(default_factory=set)
     # Values whose key was guessed from a misspelling.
     guesses: set[Location] = field(default_factory=set)
-    # Keys of lists with more entries in another, unreadable file.
+    # Keys of lists whose remaining entries are in another, unreadable file.
     partial: set[str] = field(default_factory=set)
     # The written key of each renamed value.
     spellings: dict[Location, str] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class Document:
         return self._marked().positions[self._index(location)]
 
     def key_position(self, location: Location) -> tuple[int, int]:
-        """Return line and column of a key, which stands before its value."""
+        """Return line and column of a key, which precedes its value."""
         index = self._index(location)
         is_key = index > self._index(location[:-1])
         return self._marked().positions[index - is_key]
@@ -70,7 +70,7 @@ class Document:
     def _index(self, location: Location) -> int:
         """Return the index in `Marks.positions` of a value or its nearest ancestor."""
         if not self._starts:
-            self._number(self.value, 0)
+            self._index_nodes(self.value, 0)
         node: Any = self.value
         index = 0
         for step in self._as_written(location):
@@ -79,17 +79,17 @@ class Document:
                 node, index = node[step], start
         return index
 
-    def _number(self, node: Any, index: int) -> int:
+    def _index_nodes(self, node: Any, index: int) -> int:
         """Index the values in a node by position; return the next index."""
         index += 1
         if isinstance(node, dict):
             for key, value in node.items():
                 self._starts[id(node), key] = index + 1
-                index = self._number(value, index + 1)
+                index = self._index_nodes(value, index + 1)
         elif isinstance(node, list):
             for i, value in enumerate(node):
                 self._starts[id(node), i] = index
-                index = self._number(value, index)
+                index = self._index_nodes(value, index)
         return index
 
     def _as_written(self, location: Location) -> Iterator[str | int]:
@@ -99,7 +99,7 @@ class Document:
     def is_placeholder(self, location: Location) -> bool:
         """Return whether a value or an ancestor is a placeholder.
 
-        It replaced a faulty value, or its key was guessed.
+        That is, it replaced a faulty value, or its key was guessed from a misspelling.
         """
         unknown = self.doubts | self.guesses
         return bool(unknown) and any(
@@ -109,11 +109,11 @@ class Document:
     def has_unnamed(self, key: str, *parts: str) -> bool:
         """Return whether a list has an entry whose name is unknown.
 
-        References to that entry cannot be told from broken ones.
+        A reference to that entry looks like a broken one.
 
         Args:
-            key: Of the list.
-            parts: Keys of an entry's names; none is ``name``.
+            key: Key of the list.
+            parts: Keys of an entry's name parts; ``name`` if omitted.
         """
         names = parts or ("name",)
         return key in self.partial or any(
@@ -127,17 +127,17 @@ class Document:
         """Yield the entries of a list that are not in ascending order.
 
         Args:
-            location: Of the list.
-            values: Of its entries.
-            key: Under which an entry has its value; placeholders are left out.
+            location: Location of the list.
+            values: One value per entry.
+            key: Key of the value in an entry; placeholders are skipped.
         """
-        last: int | None = None
+        previous: int | None = None
         for i, value in enumerate(values):
             if self.is_placeholder((*location, i, key)):
                 continue
-            if last is not None and not value > values[last]:
-                yield i, last
-            last = i
+            if previous is not None and not value > values[previous]:
+                yield i, previous
+            previous = i
 
     def add(
         self,
@@ -198,8 +198,8 @@ class Document:
     def check(self) -> None:
         """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
-            ordered = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
-            raise FormatError(_cut(ordered))
+            in_file_order = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
+            raise FormatError(_first_faults(in_file_order))
 
 
 def spelled(location: Location) -> str:
@@ -229,7 +229,7 @@ def read_document(path: Path) -> Document:
     """Read a YAML or JSON file.
 
     Raises:
-        FormatError: It cannot be read, is not YAML, holds an anchor, alias or tag, a
+        FormatError: It cannot be read, is not YAML, contains an anchor, alias or tag, a
             duplicate key, or is not a mapping.
     """
     return document_of(read_text(path), path)
@@ -239,17 +239,17 @@ def document_of(text: str, path: Path) -> Document:
     """Parse text the way `read_document` parses a file.
 
     Args:
-        text: YAML.
-        path: Where it is from, for messages and references.
+        text: YAML or JSON.
+        path: Path of the file, for messages and references.
 
     Raises:
-        FormatError: It is not YAML, holds an anchor, alias or tag, a duplicate
+        FormatError: It is not YAML, contains an anchor, alias or tag, a duplicate
             key, or is not a mapping.
     """
     try:
         value, marks = read_values(text, path)
     except FormatError as error:
-        raise FormatError(_cut(error.faults)) from error
+        raise FormatError(_first_faults(error.faults)) from error
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
         hint = f"start it with a line such as '{kind_named(path)}: animtool/1'"
@@ -258,10 +258,10 @@ def document_of(text: str, path: Path) -> Document:
     return Document(path, value, marks)
 
 
-def kind_named(path: Path, other: str = "rig") -> str:
+def kind_named(path: Path, default: str = "rig") -> str:
     """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
-    return kinds[-1] if kinds else other
+    return kinds[-1] if kinds else default
 
 
 def read_text(path: Path) -> str:
@@ -286,11 +286,11 @@ def read_text(path: Path) -> str:
         raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
 
 
-def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
+def _first_faults(faults: Sequence[Fault]) -> Sequence[Fault]:
     """Return the first faults and one that counts the others."""
     if len(faults) <= MAX_FAULTS:
         return faults
-    rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"
+    omitted = f"{len(faults) - MAX_FAULTS} more faults are not shown"
     if len(faults) >= MAX_COLLECTED:
-        rest = f"{rest}, and the rest was not checked"
-    return [*faults[:MAX_FAULTS], Fault("DOC011", rest, faults[0].path)]
+        omitted = f"{omitted}, and the rest was not checked"
+    return [*faults[:MAX_FAULTS], Fault("DOC011", omitted, faults[0].path)]

@@ -22,7 +22,8 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.yaml_values import compose
 
-# Escapes and line ends that YAML and JSON interpret differently, all of one length.
+# Escapes and line ends that YAML and JSON interpret differently, each one code unit or
+# one escape long.
 _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 
 
@@ -57,7 +58,7 @@ class Add:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Remove a list entry or key; the only Remove of its list or mapping."""
+    """Remove a list entry or key; at most one Remove per list or mapping."""
 
     location: Location
 
@@ -66,19 +67,19 @@ Edit = Replace | Rename | Add | Remove
 
 
 def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
-    """Apply edits to the text of a file; locations refer to that text.
+    """Apply edits to the text of a file; locations refer to the original text.
 
     Args:
-        text: As read, without a byte order mark.
-        path: Whose text it is: JSON is written as such.
-        edits: At most one a location.
+        text: The file's text without a byte order mark.
+        path: Path of the file; the suffix selects JSON or YAML.
+        edits: At most one per location.
 
     Raises:
         EditError: An edit does not apply, or the new text would not parse as the old
             one with the edits.
     """
     edits = list(edits)
-    page = _Page.of(text, json=path.suffix == ".json")
+    page = _SourceText.of(text, json=path.suffix == ".json")
     splices = sorted((page.splice(edit) for edit in edits), key=lambda s: s[0])
     after = text
     for start, end, new in reversed(splices):
@@ -86,14 +87,14 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
-    # Accepted only if it parses to the expected values.
-    if _reads_as(after, path, value):
+    # The edit is accepted only if the new text parses to the expected values.
+    if _parses_to(after, path, value):
         return after
     locations = ", ".join(spelled(edit.location) for edit in edits)
     raise EditError(f"the layout around {locations} cannot be preserved")
 
 
-def _reads_as(text: str, path: Path, value: Any) -> bool:
+def _parses_to(text: str, path: Path, value: Any) -> bool:
     """Return whether a text parses to some values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
@@ -103,9 +104,9 @@ def _reads_as(text: str, path: Path, value: Any) -> bool:
 
 def _apply(value: Any, edit: Edit) -> None:
     """Apply an edit to parsed values."""
-    outer = edit.location if isinstance(edit, Add) else edit.location[:-1]
+    parent = edit.location if isinstance(edit, Add) else edit.location[:-1]
     node = value
-    for step in outer:
+    for step in parent:
         node = node[step]
     match edit:
         case Add():
@@ -122,18 +123,20 @@ Splice = tuple[int, int, str]
 
 
 @dataclass(frozen=True, slots=True)
-class _Page:
+class _SourceText:
     """A text and its YAML nodes."""
 
-    text: str  # of the file
+    text: str  # content of the file
     root: Any  # its outermost node
-    json: bool  # whether it is JSON
-    newline: str  # how its lines end
+    json: bool  # whether the text is JSON
+    newline: str  # line separator
 
     @classmethod
-    def of(cls, text: str, *, json: bool) -> _Page:
-        safe = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
-        root = compose(safe)
+    def of(cls, text: str, *, json: bool) -> _SourceText:
+        yaml_text = (
+            _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
+        )
+        root = compose(yaml_text)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice(self, edit: Edit) -> Splice:
@@ -158,12 +161,12 @@ class _Page:
                 node = self._pair(location[:depth], step)[1]
         return node
 
-    def _pair(self, outer: Location, key: str) -> tuple[Any, Any]:
+    def _pair(self, parent: Location, key: str) -> tuple[Any, Any]:
         """Return a key of a mapping and its value."""
-        for name, value in self._node(outer).value:
+        for name, value in self._node(parent).value:
             if name.value == key:
                 return name, value
-        raise EditError(f"{spelled((*outer, key))} does not exist")
+        raise EditError(f"{spelled((*parent, key))} does not exist")
 
     def _written(self, node: Any, value: str) -> Splice:
         """Write a text in the quote style of the value that it replaces."""
@@ -172,8 +175,8 @@ class _Page:
         if style == '"':
             new = json.dumps(value, ensure_ascii=False) if self.json else _quoted(value)
         elif style == "'" and value.isprintable():
-            doubled = value.replace("'", "''")
-            new = f"'{doubled}'"
+            escaped = value.replace("'", "''")
+            new = f"'{escaped}'"
         return node.start_mark.index, node.end_mark.index, new
 
     def _added(self, node: Any, key: str, value: Any) -> Splice:
@@ -188,10 +191,10 @@ class _Page:
         if node.flow_style:
             return end, end, f", {entry}"
         indent = " " * node.value[0][0].start_mark.column
-        behind = self._line_after(end)
-        if self.text[behind - 1] == "\n":
-            return behind, behind, f"{indent}{entry}{self.newline}"
-        return behind, behind, f"{self.newline}{indent}{entry}"
+        next_line = self._line_after(end)
+        if self.text[next_line - 1] == "\n":
+            return next_line, next_line, f"{indent}{entry}{self.newline}"
+        return next_line, next_line, f"{self.newline}{indent}{entry}"
 
     def _removed(self, node: Any, step: str | int) -> Splice:
         spans = list(_entries(node))
@@ -250,12 +253,12 @@ def _flow(value: Any) -> str:
 def _unquoted(value: str) -> str:
     """Return a text unquoted if it parses back to itself, with its brackets."""
     try:
-        read = document_of(f"a: [{value}]", Path("a.yaml")).value
+        parsed = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:
         return plain_text(value)
-    return value if read == {"a": [value]} else plain_text(value)
+    return value if parsed == {"a": [value]} else plain_text(value)
 
 
 def _quoted(value: str) -> str:
-    written = plain_text(value)
-    return written if written.startswith('"') else f'"{written}"'
+    quoted = plain_text(value)
+    return quoted if quoted.startswith('"') else f'"{quoted}"'

@@ -32,17 +32,17 @@ from animtool.core.options import (
 from animtool.documents.check import FileModel, model_field
 from animtool.documents.other_words import AXES
 
-# The largest number in a file, in its own unit. The square of one is held by float32,
-# which USD has, in any unit; the product of sixteen by float64.
+# Largest magnitude of a number in a file, in its own unit. Its square fits into
+# float32, which USD uses, in any unit; a product of sixteen fits into float64.
 MAX_NUMBER = 1e18
-# The smallest number above 0 where a key must be above 0. float32 rounds it to no zero;
-# the product of eight is held by float64.
+# Smallest positive number in a file where a key must be above 0. float32 does not round
+# it to zero; a product of eight fits into float64.
 MIN_POSITIVE = 1e-36
-# A year at 30 frames a second; time codes there are still apart by 1e-7.
+# A year at 30 frames a second; float64 time codes there still differ by 1e-7.
 MAX_FRAME = 1e9
 # Integers up to here are exact in float64.
 MAX_INTEGER = 2**53
-# Integers among options; seeds have 64 bits.
+# Largest integer option; seeds have 64 bits.
 MAX_SEED = 2**64
 
 Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
@@ -53,14 +53,14 @@ Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
 # Number of a system's bodies.
 Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
-# On one line: control characters are in no text that is read. No path is longer.
+# A single line; no control characters, and no longer than the longest path.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[Real], Len(2, 2)]
 Vector = Annotated[list[Real], Len(3, 3)]
 
 
 def _direction(value: Any) -> Any:
-    """Return the vector of the name of an axis; other values as they are."""
+    """Convert the name of an axis to its vector; return other values unchanged."""
     return AXES.get(value.upper(), value) if isinstance(value, str) else value
 
 
@@ -89,11 +89,11 @@ def check_numbers(value: Any) -> Any:
     ValueError: drag.linear is 1e+39, not a finite number up to 1e+18
     """
     for keys, number in _numbers(value, ()):
-        most = MAX_NUMBER if isinstance(number, float) else MAX_SEED
-        if not -most <= number <= most:
+        limit = MAX_NUMBER if isinstance(number, float) else MAX_SEED
+        if not -limit <= number <= limit:
             name = ".".join(keys)
             shown = f"{number:g}" if isinstance(number, float) else _digits(number)
-            allowed = f"a finite number up to {most:g}"
+            allowed = f"a finite number up to {limit:g}"
             raise ValueError(f"{name} is {shown}, not {allowed}")
     return value
 
@@ -118,7 +118,7 @@ def _numbers(
 
 
 class IgnoreModel(FileModel):
-    """A finding of `animtool validate` that is accepted."""
+    """An accepted finding of `animtool validate`."""
 
     code: str = Field(
         min_length=1, description="Code of the finding.", examples=["RIG201"]
@@ -147,7 +147,7 @@ _TYPES: dict[Any, Any] = {
     Sequence[tuple[float, int]]: list[Pair],
 }
 # Type of a key by kind of option; None is the default of optional ones.
-_WRITTEN: dict[OptionKind, Any] = {
+_FILE_TYPES: dict[OptionKind, Any] = {
     "switch": bool,
     "answer": bool | None,
     "text": str | None,
@@ -198,14 +198,14 @@ def with_fields(
         }
         at = list(declared).index(before) if before else len(declared)
         keys = keys_of(record, file_kind)
-        added = {}
+        new_fields = {}
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                added[key] = _definition(record, name, keys[name], ranges)
+                new_fields[key] = _definition(record, name, keys[name], ranges)
         definitions = [
             *list(declared.items())[:at],
-            *added.items(),
+            *new_fields.items(),
             *list(declared.items())[at:],
         ]
         if order:
@@ -229,18 +229,18 @@ def with_fields(
 RecordT = TypeVar("RecordT")
 
 
-def record_of(record: type[RecordT], model: FileModel, **others: Any) -> RecordT:
-    """Return a record from a model's fields of the same names, and other arguments."""
-    kind, arguments = cast(Any, record), others
+def record_of(record: type[RecordT], model: FileModel, **extra: Any) -> RecordT:
+    """Return a record from the same-named fields of a model, and extra arguments."""
+    kind, arguments = cast(Any, record), extra
     keys = keys_of(kind)
-    for each in fields(kind):
-        if each.name in others or each.name not in type(model).model_fields:
+    for field_ in fields(kind):
+        if field_.name in extra or field_.name not in type(model).model_fields:
             continue
-        value = getattr(model, each.name)
-        if value is None and _is_infinite(each.default):
+        value = getattr(model, field_.name)
+        if value is None and _is_infinite(field_.default):
             continue
-        read = keys[each.name].read if each.name in keys else None
-        arguments[each.name] = value if read is None else read(value)
+        convert = keys[field_.name].read if field_.name in keys else None
+        arguments[field_.name] = value if convert is None else convert(value)
     return record(**arguments)
 
 
@@ -259,19 +259,23 @@ def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     option = options_of(record).get(name)
     if option is not None:
         kind = option.kind
-        type_ = Literal[key.choices] | None if kind == "choice" else _WRITTEN[kind]
+        type_ = Literal[key.choices] | None if kind == "choice" else _FILE_TYPES[kind]
         return type_, _DEFAULTS.get(kind)
     hint = get_type_hints(record, include_extras=True)[name]
-    type_, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    type_, *constraints = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
-    (default,) = (each.default for each in fields(record) if each.name == name)
+    (default,) = (field_.default for field_ in fields(record) if field_.name == name)
     if _is_infinite(default):
         type_, default = type_ | None, None
     elif default == ():
         default = []
-    for note in notes:
-        if isinstance(note, Range) and ranges == "schema":
-            type_ = Annotated[type_, (Ge if note.reached else Gt)(note.least)]
-        elif isinstance(note, Le) or (isinstance(note, Range) and ranges == "model"):
-            type_ = Annotated[type_, note]
+    for constraint in constraints:
+        if isinstance(constraint, Range) and ranges == "schema":
+            type_ = Annotated[
+                type_, (Ge if constraint.reached else Gt)(constraint.least)
+            ]
+        elif isinstance(constraint, Le) or (
+            isinstance(constraint, Range) and ranges == "model"
+        ):
+            type_ = Annotated[type_, constraint]
     return type_, default

@@ -20,9 +20,9 @@ from animtool.documents.placeholders import (
 from animtool.documents.yaml_text import flow_text
 
 # Longer examples do not fit on one line.
-MAX_FORM = 100
+MAX_EXAMPLE = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
-_TWO = 2
+_RANGE_LENGTH = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +33,15 @@ class Forms:
 
 
 def form_hint(
-    model: type[BaseModel], value: Any, location: Location, *, listed: bool
+    model: type[BaseModel], value: Any, location: Location, *, expects_list: bool
 ) -> str | None:
     """Return a hint that shows how to write a key; None if its example is too long.
 
     Args:
         model: Model of the document.
-        value: The document.
-        location: Of the value.
-        listed: Whether a list is expected.
+        value: Content of the document.
+        location: Location of the faulty value.
+        expects_list: Whether a list is expected.
     """
     match = field_at(model, value, location)
     if match is None:
@@ -51,74 +51,81 @@ def form_hint(
     for step in location:
         entry = entry[step]
     examples = info.examples or [None]
-    example, rest = examples[0], location[depth:]
-    if listed and isinstance(entry, dict) and not rest and not _meant(entry, example):
+    example, inner_steps = examples[0], location[depth:]
+    if (
+        expects_list
+        and isinstance(entry, dict)
+        and not inner_steps
+        and not _converted(entry, example)
+    ):
         example = [entry]
     forms = _forms(annotation_of(info))
-    name = rest[0] if rest else entry
+    name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
     elif isinstance(entry, str) and _takes_file(annotation_of(info)):
-        # For a list, its entry.
-        several = rest or not models_of(annotation_of(info))
+        # In a list, show the form of one entry.
+        several = inner_steps or not models_of(annotation_of(info))
         example = [{"file": entry}] if several else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if rest else _meant(entry, example)
+    meant = None if inner_steps else _converted(entry, example)
     if meant is not None:
         return f"write {flow_text(key, meant)}"
     text = flow_text(key, example)
-    word = "write" if _holds(example, entry) else "for example"
-    return f"{word} {text}" if len(text) <= MAX_FORM else None
+    word = "write" if _contains(example, entry) else "for example"
+    return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
 
 
-# Names of the ends of a range in other tools, the lower one first.
+# Keys that other tools use for the ends of a range, the lower end first.
 _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last", "end")
 
 
-def _meant(value: Any, example: Any) -> list[Any] | None:
+def _converted(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple):
         return None
     ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
-    if ends is not None and len(example) == _TWO:
-        return [float(one) if "." in one else int(one) for one in ends.groups()]
-    if isinstance(value, dict) and len(example) == _TWO:
-        named = [value.get(key) for key in _ENDS if key in value]
-        return named if len(named) == len(value) == _TWO else None
+    if ends is not None and len(example) == _RANGE_LENGTH:
+        return [
+            float(number) if "." in number else int(number) for number in ends.groups()
+        ]
+    if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
+        bounds = [value.get(key) for key in _ENDS if key in value]
+        return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
     if isinstance(value, int | float) and not isinstance(value, bool):
-        # A size along the one axis that the example has: gravity of 9.81 is downwards.
-        along = [i for i, one in enumerate(example) if one]
-        if len(example) > _TWO and len(along) == 1:
-            side = -1 if example[along[0]] < 0 < value else 1
-            return [side * value if i in along else 0 for i in range(len(example))]
+        # A magnitude along the only axis of the example: gravity of 9.81 points down.
+        axes = [i for i, number in enumerate(example) if number]
+        if len(example) > _RANGE_LENGTH and len(axes) == 1:
+            sign = -1 if example[axes[0]] < 0 < value else 1
+            return [sign * value if i in axes else 0 for i in range(len(example))]
     if isinstance(value, list) and example and isinstance(example[0], list):
         return [value] if len(value) == len(example[0]) else None
     return None
 
 
-def _holds(example: Any, value: Any) -> bool:
+def _contains(example: Any, value: Any) -> bool:
     """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(_holds(one, value) for one in (*example, *example.values()))
+        return any(_contains(item, value) for item in (*example, *example.values()))
     if isinstance(example, list | tuple):
-        return any(_holds(one, value) for one in example)
+        return any(_contains(item, value) for item in example)
     return bool(example == value)
 
 
 def _forms(annotation: Any) -> Forms | None:
     """Return the `Forms` annotation of a type or of a union's member."""
-    for note in getattr(annotation, "__metadata__", ()):
-        if isinstance(note, Forms):
-            return note
-    inner = (_forms(one) for one in get_args(annotation))
-    return next((one for one in inner if one is not None), None)
+    for constraint in getattr(annotation, "__metadata__", ()):
+        if isinstance(constraint, Forms):
+            return constraint
+    member_forms = (_forms(member) for member in get_args(annotation))
+    return next((member for member in member_forms if member is not None), None)
 
 
 def _takes_file(annotation: Any) -> bool:
     """Return whether a type's mapping has a `file` key."""
     models = models_of(annotation)
     if models:
-        return any("file" in fields_of(one) for one in models)
+        return any("file" in fields_of(model) for model in models)
     return get_origin(annotation) is list and _takes_file(get_args(annotation)[0])

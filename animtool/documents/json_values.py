@@ -6,9 +6,9 @@ import json
 import re
 from typing import Any, NoReturn
 
-# What YAML refuses, or reads in its own way: letters that are none, escapes of control
-# characters, halves of pairs, and longer numbers than Python takes.
-_OTHERWISE = re.compile(
+# Text that YAML refuses or interprets differently: surrogates, escapes of control
+# characters, and numbers longer than Python converts.
+_AMBIGUOUS = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ue000-\uffff]"
     r"|\\[bfnrt]|\\u00(?:[01]|7[fF]|[89])|\\u202[89]|\\u[dDeEfF]|[0-9]{100}"
 )
@@ -18,20 +18,20 @@ class _NotPlainJsonError(ValueError):
     """JSON that YAML would parse differently."""
 
 
-def plain_json(text: str, deepest: int, longest_key: int) -> Any:
+def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
     """Parse a JSON mapping; None if the YAML parser must be used.
 
     Args:
-        text: Of a file.
-        deepest: Maximum nesting of lists and mappings.
-        longest_key: Maximum length of a key [characters].
+        text: Content of a file.
+        max_depth: Maximum nesting of lists and mappings.
+        max_key_length: Maximum length of a key [characters].
 
     >>> plain_json('{"t": 1.5, "v": [1, 2]}', 50, 1000)
     {'t': 1.5, 'v': [1, 2]}
     >>> plain_json('{"t": 1, "t": 2}', 50, 1000) is None
     True
     """
-    if _OTHERWISE.search(text):
+    if _AMBIGUOUS.search(text):
         return None
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def plain_json(text: str, deepest: int, longest_key: int) -> Any:
         if len(values) != len(pairs):
             raise _NotPlainJsonError
         for key in values:
-            if len(key) > longest_key:
+            if len(key) > max_key_length:
                 raise _NotPlainJsonError
         return values
 
@@ -47,7 +47,7 @@ def plain_json(text: str, deepest: int, longest_key: int) -> Any:
         value = json.loads(text, object_pairs_hook=mapping, parse_constant=_refuse)
     except (ValueError, RecursionError):
         return None
-    return value if isinstance(value, dict) and _depth(value) <= deepest else None
+    return value if isinstance(value, dict) and _depth(value) <= max_depth else None
 
 
 def _refuse(name: str) -> NoReturn:

@@ -43,14 +43,14 @@ from animtool.documents.yaml_text import comments_in, json_text, yaml_text
 class Migration:
     """A file and its text in the newest version."""
 
-    path: Path  # the file
+    path: Path
     kind: str  # ``rig``, ``clip`` or ``scene``
-    version: int  # version that it is written in
-    newest: int  # version that it becomes
-    before: str  # its text
-    after: str  # its new text; the same where it is of the newest version
-    notices: tuple[Fault, ...] = ()  # comments that are lost
-    written: bool = False  # whether the file is replaced
+    version: int  # current version of the file
+    newest: int  # version after the migration
+    before: str  # current text
+    after: str  # text in the newest version
+    notices: tuple[Fault, ...] = ()  # comments that the migration removes
+    written: bool = False  # whether the file was replaced
     json_keys: ClassVar[str] = (
         "path kind from=version to=newest needed written difference notices"
     )
@@ -95,32 +95,47 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
     path = Path(path)
     document, before = read_document(path), read_text(path)
     kind, version = version_of(document, table)
-    last = newest(table[kind])
-    if version == last:
-        return _with_new_keys(Migration(path, kind, version, last, before, before))
+    newest_version = newest(table[kind])
+    if version == newest_version:
+        return _with_new_keys(
+            Migration(path, kind, version, newest_version, before, before)
+        )
     old = document.value
     new = copy.deepcopy(old)
-    for step in range(version, last):
+    for step in range(version, newest_version):
         new = table[kind][step](new)
-    new[kind] = f"animtool/{last}"
+    new[kind] = f"animtool/{newest_version}"
     if {**new, kind: old[kind]} == old:
-        after = _renamed(document, before, kind, f"animtool/{last}")
-        return Migration(path, kind, version, last, before, after)
-    # The kind is the first word of a file, whatever the steps did.
-    ordered = {kind: new.pop(kind), **new}
+        after = _renamed(document, before, kind, f"animtool/{newest_version}")
+        return Migration(path, kind, version, newest_version, before, after)
+    # The kind comes first in a file, in whatever order the steps left the keys.
+    kind_first = {kind: new.pop(kind), **new}
     if path.suffix == ".json":
-        return Migration(path, kind, version, last, before, json_text(ordered))
-    lost = comments_in(before)
+        return Migration(
+            path, kind, version, newest_version, before, json_text(kind_first)
+        )
+    comment_lines = comments_in(before)
     notices = []
-    if lost:
-        count = "a comment is" if len(lost) == 1 else f"{len(lost)} comments are"
+    if comment_lines:
+        count = (
+            "a comment is"
+            if len(comment_lines) == 1
+            else f"{len(comment_lines)} comments are"
+        )
         message = f"{count} lost: the file is rewritten"
         hint = "copy important ones from the old file"
         notices.append(
-            Fault("DOC101", message, str(path), tuple(lost), hint, Severity.WARNING)
+            Fault(
+                "DOC101",
+                message,
+                str(path),
+                tuple(comment_lines),
+                hint,
+                Severity.WARNING,
+            )
         )
-    after = yaml_text(ordered)
-    return Migration(path, kind, version, last, before, after, tuple(notices))
+    after = yaml_text(kind_first)
+    return Migration(path, kind, version, newest_version, before, after, tuple(notices))
 
 
 def _with_new_keys(plan: Migration) -> Migration:
@@ -166,10 +181,10 @@ def migrate(
     """
     plans = _plans(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
-    # A file and links to it count once.
+    # A file and links to it are migrated once.
     by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    needed = list(reversed(by_path.values()))
-    if check or not needed:
+    outdated = list(reversed(by_path.values()))
+    if check or not outdated:
         return plans
     if not overwrite:
         hint = (
@@ -178,11 +193,11 @@ def migrate(
         )
         message = "would be replaced"
         raise OptionError(
-            [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]
+            [Fault("OUT001", message, str(plan.path), (), hint) for plan in outdated]
         )
-    check_outputs([plan.path for plan in needed], [], overwrite=True)
+    check_outputs([plan.path for plan in outdated], [], overwrite=True)
     with atomic_outputs():
-        for plan in needed:
+        for plan in outdated:
             write_parts(plan.path, [plan.after.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]
 
@@ -200,11 +215,11 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
     return plans
 
 
-def _renamed(document: Document, text: str, kind: str, new: str) -> str:
+def _renamed(document: Document, text: str, kind: str, version: str) -> str:
     """Return a text with only its version changed."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
     head, tail = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
-    old: Any = document.value[kind]
-    lines[line - 1] = head + tail.replace(old, new, 1)
+    old_version: Any = document.value[kind]
+    lines[line - 1] = head + tail.replace(old_version, version, 1)
     return "".join(lines)

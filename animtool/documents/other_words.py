@@ -8,7 +8,7 @@ AXES = {
     for k, name in enumerate("XYZ")
     for sign in ("", "-")
 }
-# Names in other tools of our values and keys.
+# Values by the names that other tools use for them.
 OTHER_VALUES = {
     "hinge": "pin",
     "revolute": "pin",
@@ -45,7 +45,7 @@ OTHER_VALUES = {
     "y-up": "Y",
     "z-up": "Z",
 }
-# In lower case, without underscores.
+# Keys by the names that other tools use for them, in lower case without underscores.
 OTHER_KEYS = {
     "rotateorder": ("euler", "channels"),
     "rotationorder": ("euler", "channels"),

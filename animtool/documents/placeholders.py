@@ -40,8 +40,10 @@ def field_at(
     node, nearest = value, None
     for depth, step in enumerate(location, 1):
         kinds = models_of(annotation, node)
-        named = (fields_of(kind).get(str(step)) for kind in kinds)
-        field = next((one for one in named if one is not None), None)
+        candidates = (fields_of(kind).get(str(step)) for kind in kinds)
+        field = next(
+            (candidate for candidate in candidates if candidate is not None), None
+        )
         nearest = nearest if field is None else (depth, field)
         annotation = _inside(annotation, node, step)
         try:
@@ -61,15 +63,15 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
-    """Return the models of a type; of a tagged union, the one that the value names."""
+    """Return the models of a type; for a tagged union, the one the value names."""
     kinds = (
-        get_args(one)[0] if get_origin(one) is Annotated else one
-        for one in _alternatives(annotation)
+        get_args(member)[0] if get_origin(member) is Annotated else member
+        for member in _alternatives(annotation)
     )
     models = [
         kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)
     ]
-    return [one for one in models if _named(one, node)] or models
+    return [member for member in models if _selects_model(member, node)] or models
 
 
 def placeholder_of(annotation: Any) -> Any:
@@ -78,25 +80,27 @@ def placeholder_of(annotation: Any) -> Any:
     >>> placeholder_of(float | None), placeholder_of(Literal["m", "cm"])
     (1.0, 'm')
     """
-    shortest, most = 0, 1.0
+    shortest, number = 0, 1.0
     if get_origin(annotation) is Annotated:
-        annotation, *notes = get_args(annotation)
-        shortest = max([getattr(note, "min_length", None) or 0 for note in notes])
-        bounds = [getattr(note, "le", None) for note in notes]
-        most = min([1.0, *(bound for bound in bounds if bound is not None)])
+        annotation, *constraints = get_args(annotation)
+        shortest = max(
+            [getattr(constraint, "min_length", None) or 0 for constraint in constraints]
+        )
+        bounds = [getattr(constraint, "le", None) for constraint in constraints]
+        number = min([1.0, *(bound for bound in bounds if bound is not None)])
     models = models_of(annotation)
     if models:
         return _empty(min(models, key=lambda model: len(model.model_fields)))
-    plain = _alternatives(annotation)[0]
-    if get_origin(plain) is Annotated:
-        return placeholder_of(plain)
-    if get_origin(plain) is Literal:
-        return get_args(plain)[0]
-    if get_origin(plain) is list:
-        return [placeholder_of(get_args(plain)[0])] * shortest
-    if get_origin(plain) is dict:
-        return {UNKNOWN: placeholder_of(get_args(plain)[1])} if shortest else {}
-    return {str: UNKNOWN, float: most, int: 1, bool: False}.get(plain)
+    first_type = _alternatives(annotation)[0]
+    if get_origin(first_type) is Annotated:
+        return placeholder_of(first_type)
+    if get_origin(first_type) is Literal:
+        return get_args(first_type)[0]
+    if get_origin(first_type) is list:
+        return [placeholder_of(get_args(first_type)[0])] * shortest
+    if get_origin(first_type) is dict:
+        return {UNKNOWN: placeholder_of(get_args(first_type)[1])} if shortest else {}
+    return {str: UNKNOWN, float: number, int: 1, bool: False}.get(first_type)
 
 
 def takes_no_text(annotation: Any) -> bool:
@@ -106,18 +110,18 @@ def takes_no_text(annotation: Any) -> bool:
     (True, False)
     """
     kinds = [
-        get_args(one)[0] if get_origin(one) is Annotated else one
-        for one in _alternatives(annotation)
+        get_args(member)[0] if get_origin(member) is Annotated else member
+        for member in _alternatives(annotation)
     ]
     return all(kind in {float, int, bool} for kind in kinds)
 
 
 def replaced(value: Any, location: Location, new: Any) -> None:
     """Return a copy with a value replaced at a location."""
-    *outer, last = location
-    for step in outer:
+    *parents, last_step = location
+    for step in parents:
         value = value[step]
-    value[last] = new
+    value[last_step] = new
 
 
 def _empty(model: type[BaseModel]) -> dict[str, Any]:
@@ -133,7 +137,7 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
-def _named(model: type[BaseModel], node: Any) -> bool:
+def _selects_model(model: type[BaseModel], node: Any) -> bool:
     """Return whether a mapping's discriminator names a model."""
     kinds = model.model_fields.get("type")
     if kinds is None or not isinstance(node, dict):
@@ -147,22 +151,26 @@ def _inside(annotation: Any, node: Any, step: str | int) -> Any:
         field = fields_of(model).get(str(step))
         if field is not None:
             return annotation_of(field)
-    for one in _alternatives(annotation):
-        if get_origin(one) is Annotated:
-            one = get_args(one)[0]  # noqa: PLW2901
-        if get_origin(one) is list and isinstance(step, int):
-            return get_args(one)[0]
-        if get_origin(one) is dict and isinstance(step, str):
-            return get_args(one)[1]
+    for member in _alternatives(annotation):
+        if get_origin(member) is Annotated:
+            member = get_args(member)[0]  # noqa: PLW2901
+        if get_origin(member) is list and isinstance(step, int):
+            return get_args(member)[0]
+        if get_origin(member) is dict and isinstance(step, str):
+            return get_args(member)[1]
     return None
 
 
 def _alternatives(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
-    inner = annotation
-    if get_origin(inner) is Annotated:
-        inner = get_args(inner)[0]
-    if get_origin(inner) in {Union, UnionType}:
-        alternatives = [one for part in get_args(inner) for one in _alternatives(part)]
-        return [one for one in alternatives if one is not NoneType]
+    unwrapped = annotation
+    if get_origin(unwrapped) is Annotated:
+        unwrapped = get_args(unwrapped)[0]
+    if get_origin(unwrapped) in {Union, UnionType}:
+        alternatives = [
+            member
+            for argument in get_args(unwrapped)
+            for member in _alternatives(argument)
+        ]
+        return [member for member in alternatives if member is not NoneType]
     return [annotation]

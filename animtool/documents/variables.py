@@ -39,9 +39,9 @@ _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 class SceneValues:
     """Values of a scene's variables that another file sets."""
 
-    # By name; they override the scene's.
+    # Values by variable name; they override the scene's.
     values: Mapping[str, str] = field(default_factory=dict)
-    # Those that are a part of one name, where they name a file to write.
+    # Variables that must be a single path component in output names.
     parts: frozenset[str] = frozenset()
 
 
@@ -49,10 +49,10 @@ class SceneValues:
 class Variables:
     """The variables of a document."""
 
-    names: frozenset[str] = frozenset()  # of those that it uses or gives a value
-    # Of those that it gives a value and no text uses.
+    names: frozenset[str] = frozenset()  # variables it uses or defines
+    # Variables with a value that no text uses.
     idle: frozenset[str] = frozenset()
-    # Of those whose values decide more than the key ``output``.
+    # Variables that affect more than the key ``output``.
     effective: frozenset[str] = frozenset()
 
 
@@ -64,18 +64,17 @@ def resolve_variables(
 ) -> Variables:
     """Substitute variables in the values of a document; keys are not changed.
 
-    Unquoted text is parsed again after substitution, so that it
-    may become a number; so is a quoted variable where text is not allowed. A default
-    may use variables defined above it and those passed in. Faults: an unknown name
-    (SCN030), a malformed ``${``, an invalid name
-    (SCN032), or a value that is unsafe in an output's name (OUT006).
-    A placeholder replaces the value there.
+    Unquoted text is parsed again after substitution, so it may become a number; so is
+    a quoted variable where text is not allowed. A default may use variables defined
+    above it and those passed in. A placeholder replaces each faulty value. Faults: an
+    unknown name (SCN030), a malformed ``${``, an invalid name (SCN032), or a value that
+    is unsafe in an output's name (OUT006).
 
     Args:
         document: The document, changed in place.
         model: Model of the document.
         variables: Values by name; they override the document's.
-        parts: Names of variables that must be one part of an output's name,
+        parts: Names of variables that must be a single component of an output path,
             without a slash.
     """
     resolver = _Resolver(document, model, dict(variables), parts=set(parts))
@@ -90,8 +89,8 @@ def resolve_variables(
 
 # JSON Schema of a variable: text that becomes another type.
 _TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
-# Schema keywords of a value's type, not of its meaning.
-_FACTS = frozenset(
+# Schema keywords that describe a value's type, not its meaning.
+_TYPE_KEYWORDS = frozenset(
     {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
 )
 
@@ -108,8 +107,10 @@ def with_variables(schema: Any) -> Any:
         return schema
     extended = {key: _inside(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _is_other(schema):
-        facts = {key: extended.pop(key) for key in list(extended) if key in _FACTS}
-        extended["anyOf"] = [facts, _TEXT]
+        type_keywords = {
+            key: extended.pop(key) for key in list(extended) if key in _TYPE_KEYWORDS
+        }
+        extended["anyOf"] = [type_keywords, _TEXT]
     return extended
 
 
@@ -139,19 +140,19 @@ def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
 
 @dataclass(slots=True)
 class _Resolver:
-    """Puts values into texts."""
+    """Substitutes variables in the texts of a document."""
 
     document: Document  # changed in place
-    model: type[BaseModel]  # what it should be
-    values: dict[str, str]  # of the variables that are known
-    # Names of those that the document gives a value.
+    model: type[BaseModel]  # expected model
+    values: dict[str, str]  # known variables and their values
+    # Variables with a value in the document.
     stated: set[str] = field(default_factory=set)
-    # Names of those that texts use, by key of the document; in values of variables by
-    # name of the variable too.
+    # Variables used by texts, by key of the document; inside the values of variables
+    # also by the variable's name.
     uses: dict[Location, set[str]] = field(default_factory=dict)
-    # Names of those whose own value is faulty.
+    # Variables with a faulty value.
     faulty: set[str] = field(default_factory=set)
-    # Names of those whose values, or what these are made of, other files state.
+    # Variables whose value another file sets, directly or through other variables.
     parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
@@ -178,17 +179,17 @@ class _Resolver:
 
     def effective(self) -> frozenset[str]:
         """Return the variables that affect more than the output's name."""
-        left = {
+        output_only = {
             name
             for key, names in self.uses.items()
             if key[0] not in {DEFAULTS, OUTPUT}
             for name in names
         }
         used: set[str] = set()
-        while left:
-            name = left.pop()
+        while output_only:
+            name = output_only.pop()
             used.add(name)
-            left |= self.uses.get((DEFAULTS, name), set()) - used
+            output_only |= self.uses.get((DEFAULTS, name), set()) - used
         return frozenset(used)
 
     def put(self, location: Location, text: str) -> None:
@@ -211,14 +212,16 @@ class _Resolver:
 
     def named(self, location: Location, text: str, spelling: str) -> str | None:
         """Return an output's name; None and a fault if it is unsafe."""
-        for piece in text.split("/"):
-            used = {match["name"] for match in _USE.finditer(piece) if match["name"]}
+        for component in text.split("/"):
+            used = {
+                match["name"] for match in _USE.finditer(component) if match["name"]
+            }
             if not used & self.parts:
                 continue
-            name = self.resolved(location, piece) or ""
+            name = self.resolved(location, component) or ""
             problem = name_problem(name)
             if problem is not None:
-                message = f"{excerpt(piece)} is {excerpt(name)}, which {problem}"
+                message = f"{excerpt(component)} is {excerpt(name)}, which {problem}"
                 hint = "a value from another file can be part of one file name only"
                 self.document.add("OUT006", location, message, hint)
                 return None
@@ -239,19 +242,19 @@ class _Resolver:
 
     def resolved(self, location: Location, text: str) -> str | None:
         """Return a text with its variables substituted; None on a fault."""
-        parts: list[str] = []
+        pieces: list[str] = []
         complete, end, length = True, 0, 0
         for use in _USE.finditer(text):
-            part = self._value(location, use)
-            length += len(part or "")
+            piece = self._value(location, use)
+            length += len(piece or "")
             if length > LONGEST:
                 message = f"variables expand to more than {LONGEST} characters"
                 self.document.add("DOC025", location, message)
                 return None
-            complete &= part is not None
-            parts += [text[end : use.start()], part or ""]
+            complete &= piece is not None
+            pieces += [text[end : use.start()], piece or ""]
             end = use.end()
-        return "".join([*parts, text[end:]]) if complete else None
+        return "".join([*pieces, text[end:]]) if complete else None
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return the value of a variable; None and a fault if it is unknown."""

@@ -15,10 +15,10 @@ from animtool.documents.document import Document, Location, kind_named
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
-# By kind and the version that a step leads on from.
+# Migration steps by kind and source version.
 STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in KINDS}
-# Keys that have a new name in the same version, by kind and location: None is any entry
-# of a list. The old one is still read.
+# Keys renamed within a version, by kind and location; None is any entry of a list. The
+# old name is still read.
 RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     "scene": {
         ("beside",): "props",
@@ -32,7 +32,7 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
 _OF_TYPE: dict[tuple[str | None, ...], type] = {
     ("passes", None, "simulate", "colliders"): bool,
 }
-# What is done with a file that is taken for a clip, by what it is.
+# Hints for files passed instead of a clip, by their kind.
 _INSTEAD = {
     "rig": ": a clip holds motion for it; animtool validate checks it, animtool "
     "convert writes it as USD",
@@ -66,16 +66,16 @@ def new_key(kind: str, location: Location, value: object) -> str | None:
 
 
 def renamed_keys(
-    kind: str, value: Any, around: Location = ()
+    kind: str, value: Any, parent: Location = ()
 ) -> Iterator[tuple[Location, str]]:
     """Yield location and new name of each renamed key."""
     pairs = enumerate(value) if isinstance(value, list) else ()
-    for step, inner in value.items() if isinstance(value, dict) else pairs:
-        location = (*around, step)
-        name = new_key(kind, location, inner)
+    for step, child in value.items() if isinstance(value, dict) else pairs:
+        location = (*parent, step)
+        name = new_key(kind, location, child)
         if name is not None and name not in value:
             yield location, name
-        yield from renamed_keys(kind, inner, location)
+        yield from renamed_keys(kind, child, location)
 
 
 def version_of(
@@ -92,36 +92,44 @@ def version_of(
         FormatError: It has another kind (DOC009), or an unknown version
             (DOC012).
     """
-    named = [name for name in KINDS if name in document.value]
-    named_kind = kind or next((name for name in named if name in table), "")
-    if named_kind not in named or _of_another_kind(document, named_kind, named[0]):
+    kinds_in_file = [name for name in KINDS if name in document.value]
+    named_kind = kind or next((name for name in kinds_in_file if name in table), "")
+    if named_kind not in kinds_in_file or _of_another_kind(
+        document, named_kind, kinds_in_file[0]
+    ):
         other = other_format("DOC009", document.path, DOCUMENT)
         if other is not None:
             raise FormatError(other)
         message = "the first line is missing"
-        first = kind_named(document.path, kind or "rig")
-        hint = f"write `{first}: animtool/1` above line 1"
-        if named:
+        expected = kind_named(document.path, kind or "rig")
+        hint = f"write `{expected}: animtool/1` above line 1"
+        if kinds_in_file:
             message = f"is not a {kind or ' or '.join(table)} file"
-            hint = f"it looks like a {named[0]} file"
-            hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
+            hint = f"it looks like a {kinds_in_file[0]} file"
+            hint += _INSTEAD.get(kinds_in_file[0], "") if kind == "clip" else ""
         document.add("DOC009", (), message, hint)
         document.check()
-    last, stated = newest(table[named_kind]), document.value[named_kind]
-    number = _VERSION.fullmatch(stated) if isinstance(stated, str) else None
-    version = int(number[1]) if number else last + 1
-    if version <= last and all(n in table[named_kind] for n in range(version, last)):
+    newest_version, file_version = newest(table[named_kind]), document.value[named_kind]
+    number = _VERSION.fullmatch(file_version) if isinstance(file_version, str) else None
+    version = int(number[1]) if number else newest_version + 1
+    if version <= newest_version and all(
+        n in table[named_kind] for n in range(version, newest_version)
+    ):
         return named_kind, version
-    if isinstance(stated, str) and stated.startswith("animtool/"):
-        message = f"unknown version {stated}"
-        newer = number is not None and version > last
-        hint = "use a newer animtool" if newer else f"allowed: animtool/{last}"
+    if isinstance(file_version, str) and file_version.startswith("animtool/"):
+        message = f"unknown version {file_version}"
+        newer = number is not None and version > newest_version
+        hint = (
+            "use a newer animtool" if newer else f"allowed: animtool/{newest_version}"
+        )
         document.add("DOC012", (named_kind,), message, hint)
     else:
-        message = f"{named_kind} is {excerpt(str(stated))}"
-        document.add("DOC009", (named_kind,), message, f"allowed: animtool/{last}")
+        message = f"{named_kind} is {excerpt(str(file_version))}"
+        document.add(
+            "DOC009", (named_kind,), message, f"allowed: animtool/{newest_version}"
+        )
     document.check()
-    raise AssertionError(stated)
+    raise AssertionError(file_version)
 
 
 def _of_another_kind(document: Document, kind: str, first: str) -> bool:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-# What the scanner of libyaml says, and what the author of a file can do about it. The
-# first that occurs in its message counts.
-_CLOSED = {
+# Messages of libyaml's scanner, and how to fix the file. The first match counts.
+_SCANNER_FAULTS = {
     "expected ',' or ']'": ("a list in [ ] is not closed", "add a comma or ]"),
     "expected ',' or '}'": ("keys in { } are not closed", "add a comma or }"),
     "scanning a quoted scalar": ("a quote is not closed", "close it on the same line"),
@@ -40,7 +39,7 @@ class YamlFault(NamedTuple):
 
     message: str
     hint: str | None
-    line: int  # from 1 on
+    line: int  # 1-based
     column: int
 
 
@@ -48,17 +47,19 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     r"""Return the syntax fault of a text.
 
     Args:
-        text: The text.
+        text: Content of the file.
         problem: Message of the YAML scanner.
-        line: Its line, from 1.
-        column: Its column, from 1.
+        line: 1-based line of the fault.
+        column: 1-based column of the fault.
 
-    >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
+    >>> yaml_fault("a: 1
+      b: 2
+    ", "mapping values are not allowed", 2, 4)[:2]
     ('line 2 is indented further than line 1', 'start it in column 1')
     """
     lines = text.splitlines() or [""]
-    here = lines[min(line, len(lines)) - 1]
-    # A tab before the scanner's position, which is often a line later.
+    line_text = lines[min(line, len(lines)) - 1]
+    # A tab at or before the scanner's position, which is often one line late.
     for number in (line, line - 1):
         source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]
@@ -66,17 +67,20 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
     above = _above(lines, line)
-    bare = _bare_key(lines[above - 1]) if above else None
-    if bare is not None and (
+    keyless = _bare_key(lines[above - 1]) if above else None
+    if keyless is not None and (
         "could not find expected ':'" in problem
-        or ("mapping values" in problem and _indent(here) > _indent(lines[above - 1]))
+        or (
+            "mapping values" in problem
+            and _indent(line_text) > _indent(lines[above - 1])
+        )
     ):
-        column = lines[above - 1].index(bare) + 1
-        name, _, rest = bare.partition(" ")
-        hint = f"write '{name}: {rest.strip() or 'value'}'"
+        column = lines[above - 1].index(keyless) + 1
+        name, _, value_text = keyless.partition(" ")
+        hint = f"write '{name}: {value_text.strip() or 'value'}'"
         return YamlFault("a key has no colon", hint, above, column)
     if "mapping values are not allowed" in problem:
-        if above and _indent(here) > _indent(lines[above - 1]):
+        if above and _indent(line_text) > _indent(lines[above - 1]):
             message = f"line {line} is indented further than line {above}"
             hint = f"start it in column {_indent(lines[above - 1]) + 1}"
             return YamlFault(message, hint, line, column)
@@ -84,31 +88,33 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _misaligned(lines, line, column)
-    known = next((fault for words, fault in _CLOSED.items() if words in problem), None)
-    message, advice = known or (f"invalid YAML: {problem}", None)
+    closed_fault = next(
+        (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
+    )
+    message, advice = closed_fault or (f"invalid YAML: {problem}", None)
     return YamlFault(message, advice, line, column)
 
 
 def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
     """Return the fault of a line whose indentation matches no line above it."""
-    here = lines[min(line, len(lines)) - 1]
-    indent, is_entry = _indent(here), here.lstrip().startswith("-")
-    others = [
+    line_text = lines[min(line, len(lines)) - 1]
+    indent, is_entry = _indent(line_text), line_text.lstrip().startswith("-")
+    indents = [
         _indent(text)
         for text in lines[: line - 1]
         if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
-    near = min(others, key=lambda other: abs(other - indent), default=None)
-    if near is None or near == indent:
+    nearest = min(indents, key=lambda candidate: abs(candidate - indent), default=None)
+    if nearest is None or nearest == indent:
         message = "this line does not belong to the block above it"
         return YamlFault(message, "align it with the lines of its block", line, column)
     if is_entry:
         message = f"the '-' on this line is in column {indent + 1}"
-        message += f"; the others of this list are in column {near + 1}"
+        message += f"; the others of this list are in column {nearest + 1}"
     else:
         message = f"this line starts in column {indent + 1}"
-        message += f"; the keys above it start in column {near + 1}"
-    return YamlFault(message, f"start it in column {near + 1}", line, indent + 1)
+        message += f"; the keys above it start in column {nearest + 1}"
+    return YamlFault(message, f"start it in column {nearest + 1}", line, indent + 1)
 
 
 def _bare_key(line: str) -> str | None:

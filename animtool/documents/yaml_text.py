@@ -22,7 +22,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
     def serialize(self, node: yaml.Node) -> None:
-        """Write the outermost mapping with one key a line."""
+        """Write the outermost mapping with one key per line."""
         if isinstance(node, yaml.MappingNode):
             node.flow_style = False
         super().serialize(node)
@@ -30,10 +30,10 @@ class _Dumper(yaml.SafeDumper):
 
 def _text_node(dumper: _Dumper, value: str) -> yaml.ScalarNode:
     try:
-        plain = value != "" and isinstance(plain_scalar(value), str)
+        is_plain = value != "" and isinstance(plain_scalar(value), str)
     except OverflowError:
-        plain = False
-    style = None if plain else '"'
+        is_plain = False
+    style = None if is_plain else '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
 
@@ -79,9 +79,9 @@ def flow_text(key: str, value: Any) -> str:
 def _with_integers(value: Any) -> Any:
     """Return a value with integral floats as integers."""
     if isinstance(value, dict):
-        return {key: _with_integers(one) for key, one in value.items()}
+        return {key: _with_integers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_with_integers(one) for one in value]
+        return [_with_integers(item) for item in value]
     is_integer = isinstance(value, float) and value.is_integer()
     return int(value) if is_integer and abs(value) < 1e15 else value
 

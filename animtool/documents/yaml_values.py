@@ -1,8 +1,8 @@
 """YAML or JSON as plain values, with the line and column of each.
 
 YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
-and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
-are refused. JSON that is also YAML is parsed by `plain_json`, which is faster;
+and dates are text, ``010`` is ten. Anchors, aliases, tags and duplicate keys are
+refused. JSON that is also YAML is parsed by `plain_json`, which is faster;
 its line numbers are computed on demand.
 """
 
@@ -23,22 +23,23 @@ from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import YamlFault, yaml_fault
 
 # Hand-written files nest five or six deep.
-DEEPEST = 50
-# Ends of lines and what separates values, of which nearly each value has one: a rig of
-# 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6. Reading takes about 1 s of
-# CPU for each 100,000.
+MAX_DEPTH = 50
+# Limit of line ends and separators, of which nearly every value has one: a rig of
+# 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6 million. Reading takes about
+# 1 s of CPU per 100,000.
 MAX_MARKS = 2_000_000
 _MARKS = ("\n", ",", ":", "[", "{", "- ", "? ")
 # Faults to collect before parsing stops.
 MAX_FAULTS = 200
-# Python refuses to read more digits, and no float has as many.
+# Longest number: Python refuses longer ones, and no float has as many digits.
 MAX_DIGITS = 400
 LONGEST_HINT = 200
 LONGEST_NAME = 40
 LONGEST_KEY = 1000
 # The key whose list is sometimes written as a mapping of times to values.
 TIMED = "keys"
-# How the names of files end that hold such text; others are likely of another kind.
+# Suffixes of files with such text; files with other suffixes are likely of another
+# kind.
 SUFFIXES = (".yaml", ".yml", ".json")
 
 # Groups tell the kind of number; none is an integer.
@@ -48,7 +49,7 @@ _NUMBER = re.compile(
 )
 _BASES = {"octal": 8, "hexadecimal": 16}
 _NUMERIC = frozenset("+-.0123456789")
-_NAMED = {
+_CONSTANTS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
@@ -60,8 +61,8 @@ _NAMED = {
 _PAIRS = re.compile(
     r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
 )
-# The braces of a variable are brackets of YAML inside of brackets. These letters of
-# no meaning stand for them while YAML is read.
+# The braces of a variable would be YAML brackets. Private-use characters replace them
+# while YAML is parsed.
 _VARIABLE = re.compile(rf"\$\{{({VARIABLE_NAME})\}}")
 _MASK = {"{": "\ue07b", "}": "\ue07d"}
 _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
@@ -80,7 +81,7 @@ class ReadValues(NamedTuple):
     """Values of a parsed text, and their marks on demand."""
 
     value: Any  # plain values: mappings, lists, texts, numbers
-    # Of JSON they are only looked for where something has to be said of a value.
+    # Positions in JSON are only computed when a message needs them.
     marks: Callable[[], Marks]
 
 
@@ -92,7 +93,7 @@ def read_values(text: str, path: Path) -> ReadValues:
         advice = "put arrays in npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), advice))
     if path.suffix == ".json":
-        value = plain_json(text, DEEPEST, LONGEST_KEY)
+        value = plain_json(text, MAX_DEPTH, LONGEST_KEY)
         if value is not None:
             return ReadValues(value, lambda: _read_yaml(text, path).marks())
     return _read_yaml(text, path)
@@ -110,12 +111,12 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         value = reader.read(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        position = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
-        if "maximum nesting depth" in problem:  # libyaml's own limit, met first
-            reader.fault("DOC005", f"is nested deeper than {DEEPEST}", spot)
+        if "maximum nesting depth" in problem:  # libyaml reached its own limit first
+            reader.fault("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
             raise FormatError(reader.faults) from error
-        fault = yaml_fault(text, problem, *spot)
+        fault = yaml_fault(text, problem, *position)
         hint = fault.hint
         if path.suffix.lower() not in SUFFIXES:
             kind = f"a {path.suffix} file" if path.suffix else "this"
@@ -155,7 +156,7 @@ def compose(text: str) -> Any:
         if isinstance(node, yaml.ScalarNode):
             node.value = node.value.translate(_UNMASK)
         elif isinstance(node, yaml.MappingNode):
-            nodes += [part for pair in node.value for part in pair]
+            nodes += [child for pair in node.value for child in pair]
         elif isinstance(node, yaml.SequenceNode):
             nodes += node.value
     return root
@@ -185,8 +186,8 @@ def plain_scalar(text: str) -> Any:
     >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
     (0.001, 'no', None)
     """
-    if text in _NAMED:
-        return _NAMED[text]
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
     if text[0] not in _NUMERIC or not (match := _NUMBER.fullmatch(text)):
         return text
     if len(text) > MAX_DIGITS:
@@ -224,9 +225,9 @@ class _YamlReader:
             raise FormatError(self.faults)
 
     def read(self, text: str) -> Any:
-        safe = masked_variables(text)
-        masked = safe is not text
-        parser = cast("Any", yaml.CSafeLoader(safe))
+        masked_text = masked_variables(text)
+        masked = masked_text is not text
+        parser = cast("Any", yaml.CSafeLoader(masked_text))
         root: list[Any] = []
         stack: list[_Open] = [_Open(root)]
         documents = 0
@@ -243,8 +244,8 @@ class _YamlReader:
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
-                if len(stack) > DEEPEST:
-                    self._stop("DOC005", f"is nested deeper than {DEEPEST}", position)
+                if len(stack) > MAX_DEPTH:
+                    self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
                 timed = stack[-1].key == TIMED
                 stack[-1].put(value, position, self)
                 flow = bool(event.flow_style)
@@ -252,15 +253,15 @@ class _YamlReader:
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop().close(self)
             elif kind is yaml.AliasEvent:
-                position = self._spot(event)
+                position = self._event_position(event)
                 self.positions.append(position)
-                message = f"alias *{_cut(event.anchor)} is not allowed"
+                message = f"alias *{_shortened(event.anchor)} is not allowed"
                 self.fault("DOC002", message, position, "write the value itself")
                 stack[-1].put(None, position, self)
             elif kind is yaml.DocumentStartEvent:
                 documents += 1
                 if documents > 1:
-                    position = self._spot(event)
+                    position = self._event_position(event)
                     self._stop("DOC007", "contains more than one document", position)
         return root[0] if root else None
 
@@ -269,18 +270,18 @@ class _YamlReader:
         raise FormatError(self.faults)
 
     @staticmethod
-    def _spot(event: Any) -> tuple[int, int]:
+    def _event_position(event: Any) -> tuple[int, int]:
         mark = event.start_mark
         return mark.line + 1, mark.column + 1
 
     def _node_position(self, event: Any) -> tuple[int, int]:
-        position = self._spot(event)
+        position = self._event_position(event)
         self.positions.append(position)
         if event.anchor is not None:
-            message = f"anchor &{_cut(event.anchor)} is not allowed"
+            message = f"anchor &{_shortened(event.anchor)} is not allowed"
             self.fault("DOC002", message, position, "write the value itself")
         if event.tag is not None:
-            message = f"tag {_cut(event.tag)} is not allowed"
+            message = f"tag {_shortened(event.tag)} is not allowed"
             self.fault("DOC003", message, position, "remove it")
         return position
 
@@ -307,15 +308,15 @@ class _Open:
     key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it is in flow style
-    timed: bool = False  # whether it is what the key of a list of times holds
-    # Of that one, the numbers that are keys, and where each is.
+    timed: bool = False  # whether it is the value of a `keys` list
+    # In a `keys` value: the numbers used as keys, and their positions.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
-    # What commas may have cut a text into: a value with an open bracket, and the keys
-    # behind it.
+    # Pieces of a text that commas may have split: a value with an open bracket, and the
+    # keys after it.
     pieces: list[str] = field(default_factory=list)
     brackets: int = 0  # open brackets in the pieces
-    spot: tuple[int, int] = (1, 1)  # position of the first piece
-    faults: int = 0  # how many there were before
+    pieces_position: tuple[int, int] = (1, 1)  # position of the first piece
+    faults: int = 0  # number of faults before the first piece
 
     def put(
         self,
@@ -379,17 +380,17 @@ class _Open:
         if value is not None or plain or not self.pieces:
             self.brackets = _open_brackets(plain)
             self.pieces = [plain] if self.brackets > 0 else []
-            self.spot, self.faults = position, len(reader.faults)
+            self.pieces_position, self.faults = position, len(reader.faults)
         elif self.brackets <= 0:
-            # Replaces the faults of these keys.
+            # One fault replaces those of the pieces.
             del reader.faults[self.faults :]
             message = f"{excerpt(self.pieces[0])} ends at a comma"
             hint = f'quote all of it: "{", ".join(self.pieces)}"'
-            reader.fault("DOC010", message, self.spot, hint[:LONGEST_HINT])
+            reader.fault("DOC010", message, self.pieces_position, hint[:LONGEST_HINT])
             self.pieces = []
 
 
-def _cut(name: str) -> str:
+def _shortened(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
 
 

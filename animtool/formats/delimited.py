@@ -18,13 +18,13 @@ from animtool.core.record import dataclass
 SEPARATORS = (b"\t", b";", b",")
 BLANK = b" \t,;"
 ROWS_AT_ONCE = 4096
-# Rows of which one has a comma where numbers have decimal ones.
+# Number of rows checked for decimal commas.
 COMMA_ROWS = 100
-# Bytes of a number, beyond which its places do not count.
+# Bytes of a number in which decimals are counted.
 MAX_CELL = 40
-# Values that a short row may be padded to, for each that the file has.
+# Maximum ratio of padded to actual values.
 MAX_PADDING = 20
-# Values of a table up to which padding is no matter.
+# Tables up to this many values may be padded freely.
 SMALL_TABLE = 5_000_000
 
 
@@ -32,7 +32,7 @@ def read_lines(path: Path) -> list[bytes]:
     """Return the lines of a UTF-8 file without BOM; any line ending."""
     data = read_input(path, MAX_INPUT_BYTES)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        # As spreadsheets save "Unicode text".
+        # Spreadsheets save "Unicode text" as UTF-16.
         data = data.decode("utf-16", "replace").encode()
     data = data.removeprefix(codecs.BOM_UTF8)
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
@@ -47,18 +47,18 @@ def decoded(text: bytes) -> str:
 
 
 def separator_of(line: bytes, default: bytes = b" ") -> bytes:
-    """Return what separates the cells of a line: the usual, else the first that it has.
+    """Return the cell separator of a line: the default, else the first it contains.
 
     >>> separator_of(b"a;b c"), separator_of(b"a b,c", b","), separator_of(b"a b")
     (b';', b',', b' ')
     """
     if default != b" " and default in line:
         return default
-    return next((each for each in SEPARATORS if each in line), b" ")
+    return next((separator for separator in SEPARATORS if separator in line), b" ")
 
 
 def row_separator(line: bytes, default: bytes) -> bytes:
-    """Return what separates the numbers of a row, in which commas may be decimal.
+    """Return the separator of a row of numbers, whose commas may be decimal.
 
     >>> row_separator(b"1 0,5 2,5", b" "), row_separator(b"1, 0.5, 2.5", b" ")
     (b' ', b',')
@@ -95,12 +95,12 @@ class TextRows:
     """Rows of numbers as text.
 
     Attributes:
-        texts: Of the R rows that are not blank: cells between blanks or tabs, ``nan``
-            where one is empty, without those that are empty at the end.
-        lines: Number of the line of each ``(R,)``, from 1.
-        filled: Cells of each ``(R,)`` up to the last that is not empty.
-        cells: Cells of each ``(R,)``, empty ones at the end included.
-        decimal_commas: Whether numbers had commas for points, which are points now.
+        texts: The R rows that are not blank: cells between blanks or tabs, ``nan`` for
+            empty cells, without trailing empty cells.
+        lines: 1-based line number of each row ``(R,)``.
+        filled: Number of cells of each row up to the last nonempty one ``(R,)``.
+        cells: Number of cells of each row, trailing empty ones included ``(R,)``.
+        decimal_commas: Whether decimal commas were replaced by points.
     """
 
     texts: list[bytes]
@@ -118,21 +118,24 @@ class TextRows:
 
     def decimals(self, column: int) -> int:
         """Return the most decimals in a column; 15 for exponents."""
-        most = 0
+        max_decimals = 0
         for text in self.texts:
             begin = text[: MAX_CELL * (column + 1)]
             cell = begin.split(None, column + 1)[column : column + 1] or [b""]
             exact = b"e" in cell[0].lower()
-            most = max(most, 15 if exact else len(cell[0].partition(b".")[2]))
-        return most
+            max_decimals = max(
+                max_decimals, 15 if exact else len(cell[0].partition(b".")[2])
+            )
+        return max_decimals
 
     def values(
         self, width: int, error: Callable[[str, int], AnimtoolError]
     ) -> FloatArray:
         """Parse the numbers ``(R, width)``; NaN where a row is too short.
 
-        error: From a message and the number of a line to what is raised where a cell
-            is no number, or a row has more than ``width``.
+        ``error`` returns, from a message and a line number, the error to raise for a
+        cell that
+        is not a number, or a row with more than ``width`` numbers.
         """
         size = width * len(self.texts)
         if size > max(SMALL_TABLE, MAX_PADDING * int(self.filled.sum())):
@@ -141,9 +144,9 @@ class TextRows:
         blocks = [np.empty((0, width))]
         for begin in range(0, len(self.texts), ROWS_AT_ONCE):
             texts = self.texts[begin : begin + ROWS_AT_ONCE]
-            filled = self.filled[begin : begin + ROWS_AT_ONCE]
-            for row in np.flatnonzero(filled < width).tolist():
-                texts[row] += b" nan" * (width - int(filled[row]))
+            cell_counts = self.filled[begin : begin + ROWS_AT_ONCE]
+            for row in np.flatnonzero(cell_counts < width).tolist():
+                texts[row] += b" nan" * (width - int(cell_counts[row]))
             text = b"\n".join(texts) + b"\n"
             block, _, _, _, _, count, token = _kernels.parse_bvh_rows(
                 text, width, len(texts), True
@@ -158,13 +161,14 @@ class TextRows:
 
 
 def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
-    """Collect the lines from one on as rows of numbers.
+    """Collect the lines from ``begin`` on as rows of numbers.
 
-    A line without the separator is read as one between blanks. Commas are decimal
-    where they are not the separator and there is no point anywhere.
+    A line without the separator is split at blanks. Commas are decimal if they are not
+    the
+    separator and no line has a point.
     """
-    texts, numbers, filled, cells = [], [], [], []
-    twice, empty = separator * 2, separator + b"nan" + separator
+    texts, numbers, cell_counts, cells = [], [], [], []
+    double_separator, filled_gap = separator * 2, separator + b"nan" + separator
     for i in range(begin, len(lines)):
         line = lines[i]
         if separator not in line or separator == b" ":
@@ -182,21 +186,22 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
                     continue
                 used = line.count(separator) + 1
             length = len(line)
-            line = line.replace(twice, empty)
+            line = line.replace(double_separator, filled_gap)
             if len(line) > length:
-                # Once more for the second of three separators.
-                line = line.replace(twice, empty)
+                # Replaced twice: the first pass skips every second gap of three
+                # separators.
+                line = line.replace(double_separator, filled_gap)
             if line[:1] == separator:
                 line = b"nan" + line
             if separator != b"\t":
                 line = line.replace(separator, b" ")
         texts.append(line)
         numbers.append(i + 1)
-        filled.append(used)
+        cell_counts.append(used)
         cells.append(cell_count)
     commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
     commas = commas and not any(b"." in text for text in texts)
     if commas:
         texts = [text.replace(b",", b".") for text in texts]
-    decimals, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
+    decimals, counts = np.array(numbers, np.int64), np.array(cell_counts, np.int64)
     return TextRows(texts, decimals, counts, np.array(cells, np.int64), commas)

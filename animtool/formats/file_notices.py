@@ -8,7 +8,7 @@ from typing import NoReturn
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.record import dataclass
 
-# More warnings of one code say nothing new.
+# Maximum number of warnings per code.
 MAX_WARNINGS = 20
 
 
@@ -18,7 +18,7 @@ class FileNotices:
 
     path: str
     notices: list[Fault] = field(default_factory=list)
-    counts: dict[str, int] = field(default_factory=dict)  # of warnings by code
+    counts: dict[str, int] = field(default_factory=dict)  # number of warnings by code
     recorded: set[tuple[str, str, str]] = field(default_factory=set)
 
     def fail(

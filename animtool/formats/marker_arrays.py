@@ -22,7 +22,7 @@ from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
 
 _UNIT = re.compile(r"_(mm|cm|m|in)")
-# What the array of positions is called that is read where none is named.
+# Prefix of the default array of positions.
 DEFAULT_PREFIX = "markers"
 
 
@@ -38,29 +38,31 @@ def read_markers(
 ) -> Markers:
     """Return the markers of an .npz file.
 
-    It holds the texts ``marker_names``, the number ``fs`` (frames a second), and
+    The file has the texts ``marker_names``, the number ``fs`` (frames per second), and
     positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
-    ``_m`` or ``_in``. What `write_marker_arrays` adds is read too. An array of other
-    points than the names are of is a cloud without labels: ``*0``, ``*1`` and so on.
+    ``_m``
+    or ``_in``. What `write_marker_arrays` adds is read too. If the number of points
+    differs
+    from that of the names, the points are unlabelled: ``*0``, ``*1`` and so on.
 
     Args:
-        path: The file; ``take.npz#unlabelled_mm`` names the array too.
-        array: The array of positions; None is the one that begins with ``markers``.
-        unit: What its numbers are in; None is what its name says.
-        up: Which axis points up; None is what the text ``up`` says, Y without.
-        fps: The frame rate, where the file has a wrong one or none.
-        subject: Whose prefix is left out of names, as `read_c3d` does.
+        path: The file; ``take.npz#unlabelled_mm`` also selects the array.
+        array: The array of positions; None is the one that starts with ``markers``.
+        unit: Unit of its lengths; None is that in the array's name.
+        up: Its up axis; None is that in the text ``up``, or Y.
+        fps: The frame rate, if the file has a wrong one or none.
+        subject: Subject whose prefix is removed from names, as in `read_c3d`.
 
     Raises:
-        FormatError: It cannot be read, or has no such array, or one that is no array
-            of positions (MKR012), no rate (MKR010), or no frames or points (MKR013).
-        OptionError: fps is no rate (SCN022).
+        FormatError: It cannot be read, has no such array, or one that does not contain
+            positions (MKR012), no rate (MKR010), or no frames or points (MKR013).
+        OptionError: fps is not a frame rate (SCN022).
     """
-    text, named = split_reference(str(path), "")
+    text, array_name = split_reference(str(path), "")
     path = Path(text)
-    array = array or named or None
+    array = array or array_name or None
     file = MarkerFile(str(path))
-    # A missing or unreadable file gets the error of every file.
+    # A missing or unreadable file raises the common error of all files.
     open_input(path, None).close()
     try:
         with Archives() as archives:
@@ -84,13 +86,13 @@ def _read(
     fps: FractionLike | None,
     subject: str | None,
 ) -> Markers:
-    known = archives.names(path)
-    key = _array(file, archives, path, known, array)
-    head = archives.header(path, key)
-    if len(head.shape) != 3 or head.shape[2] != 3 or head.kind not in "fiu":
-        message = f"{key!r} has shape {head.shape}, not (frames, markers, 3)"
+    array_names = archives.names(path)
+    key = _array(file, archives, path, array_names, array)
+    header = archives.header(path, key)
+    if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
+        message = f"{key!r} has shape {header.shape}, not (frames, markers, 3)"
         raise file.error("MKR012", message)
-    frames, count, _ = head.shape
+    frames, count, _ = header.shape
     if frames == 0 or count == 0:
         raise file.error("MKR013", f"{key!r} has {frames} frames of {count} points")
     if frames * count > MAX_POSITIONS:
@@ -100,21 +102,27 @@ def _read(
     length = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     def number(name: str) -> float | None:
-        return float(archives.stored(path, name).ravel()[0]) if name in known else None
+        return (
+            float(archives.stored(path, name).ravel()[0])
+            if name in array_names
+            else None
+        )
 
-    def of_points(name: str) -> npt.NDArray[Any] | None:
-        if name not in known or key.partition("_")[0] != DEFAULT_PREFIX:
+    def point_array(name: str) -> npt.NDArray[Any] | None:
+        if name not in array_names or key.partition("_")[0] != DEFAULT_PREFIX:
             return None
         return archives.stored(path, name)
 
     rate = file.rate(number("fs"), fps)
-    stated = archives.text(path, "up") if "up" in known else None
+    stated = archives.text(path, "up") if "up" in array_names else None
     axis = file.up(UpAxis(stated) if stated in {"Y", "Z"} else None, up)
-    names = archives.texts(path, "marker_names") if "marker_names" in known else []
+    names = (
+        archives.texts(path, "marker_names") if "marker_names" in array_names else []
+    )
     labels = names if len(names) == count else [""] * count
     positions = np.array(archives.stored(path, key), np.float64)
-    residuals, cameras = of_points("residuals_m"), of_points("cameras")
-    filled, start = of_points("filled"), number("start")
+    residuals, cameras = point_array("residuals_m"), point_array("cameras")
+    filled, start = point_array("filled"), number("start")
     return Markers(
         file.names(labels, subject),
         Clock(rate, _start(start), Fraction(1), frames),
@@ -131,7 +139,7 @@ def _array(
     file: MarkerFile,
     archives: Archives,
     path: Path,
-    known: list[str],
+    array_names: list[str],
     array: str | None,
 ) -> str:
     """Return the name of the array of positions."""
@@ -139,14 +147,16 @@ def _array(
         # The archive reports a missing array and lists those it has.
         archives.header(path, array)
         return array
-    candidates = [key for key in known if key.partition("_")[0] == DEFAULT_PREFIX]
+    candidates = [key for key in array_names if key.partition("_")[0] == DEFAULT_PREFIX]
     if not candidates:
-        suited = [key for key in known if _UNIT.search(key)]
+        with_unit = [key for key in array_names if _UNIT.search(key)]
         message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
-        hint = f"name one: {path.name}#{suited[0]}" if suited else None
-        raise file.error("MKR012", f"{message}; its arrays are {listed(known)}", hint)
+        hint = f"name one: {path.name}#{with_unit[0]}" if with_unit else None
+        raise file.error(
+            "MKR012", f"{message}; its arrays are {listed(array_names)}", hint
+        )
     if len(candidates) > 1:
-        # Such as the names of the markers, which begin alike.
+        # The array of marker names has the same prefix.
         candidates = [key for key in candidates if _UNIT.search(key)] or candidates
     return candidates[0]
 
@@ -163,12 +173,12 @@ def write_marker_arrays(
     """Write markers losslessly as arrays in an .npz file.
 
     Args:
-        markers: What to write.
-        path: ``.npz``.
-        overwrite: Replace a file that exists.
+        markers: The markers.
+        path: Path of the file, ``.npz``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold: nothing.
+        Warnings about data that the format cannot store: none.
 
     Raises:
         OptionError: The file exists (OUT001).

@@ -17,7 +17,7 @@ from animtool.motion.markers import Markers
 
 
 def is_marker_file(path: Path) -> bool:
-    """Return whether a path is a file of markers only.
+    """Return whether a path has a suffix of marker files.
 
     >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
     (True, False)
@@ -47,14 +47,15 @@ def open_markers(
 
     Args:
         path: The file.
-        unit: What its numbers are in; None is what it states.
-        up: Which axis points up; None is what it states, Y without.
-        fps: The frame rate, where it states a wrong one or none.
-        subject: Whose prefix, as in ``Anna:LFHD``, is left out of names.
+        unit: Unit of its lengths; None is the stated unit.
+        up: Its up axis; None is the stated axis, or Y.
+        fps: The frame rate, if the file states a wrong one or none.
+        subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names.
 
     Raises:
         FormatError: It cannot be read or is malformed.
-        OptionError: Its suffix is none of a file of markers (IO002), or fps is no
+        OptionError: The suffix is not that of a marker file (IO002), or fps is not a
+            frame
             rate (SCN022).
     """
     path = Path(path)
@@ -68,8 +69,8 @@ def write_markers(
     """Write markers in the format of a suffix; return notices about lost data.
 
     Raises:
-        OptionError: The suffix is none of a file of markers (OUT004), the file exists
-            (OUT001), or the format cannot hold the markers.
+        OptionError: The suffix is not that of a marker file (OUT004), the file exists
+            (OUT001), or the format cannot store the markers.
         OutputError: The file cannot be written (OUT002).
     """
     output = Path(output)

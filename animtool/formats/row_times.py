@@ -14,21 +14,21 @@ from animtool.core.rates import (
 )
 from animtool.core.record import dataclass
 
-# How far times may be off even ones, beside the rounding of their last place, as a
-# share of the time between rows: what adding up a step in float64 or float32 gives.
-EVEN = 1e-3
-# Of a first frame beyond this number the time is no time of a take.
+# Tolerance of regular times, in addition to the rounding of printed digits, relative to
+# the step: accumulating a step in float64 or float32 causes such errors.
+STEP_TOLERANCE = 1e-3
+# Largest plausible number of a first frame.
 LAST_START = 1e9
-# Frames that rows may become, for each of them, and positions that are no matter: more
-# frames without a row are a wrong number rather than a pause.
+# Maximum frames per row, and number of empty positions that is always allowed: more
+# frames without a row indicate a wrong number, not a pause.
 MAX_FRAMES_EACH = 10
 MAX_ABSENT = 1_000_000
-# Of a rate, below which that of the header is meant by jittering times.
-NEAR_RATE = 0.05
-# Rows for a gap, on average: more gaps are another rate.
-MIN_ROWS_A_GAP = 4
-# Of steps, above which nothing is put between two rows.
-GAP_STEPS = 1.5
+# Relative difference up to which jittering times have the header's rate.
+RATE_TOLERANCE = 0.05
+# Minimum rows per gap, on average; more gaps indicate another rate.
+MIN_ROWS_PER_GAP = 4
+# Longest interval that is interpolated between two rows [steps].
+MAX_INTERPOLATED = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,14 @@ class TimeSteps:
     Attributes:
         step: Length of a frame [s].
         frames: Frame of each row ``(R,)``, from 0.
-        off: The farthest that a time is from its frame [s].
-        even: Whether that is within what printing leaves open.
+        error: Largest distance of a time from its frame [s].
+        regular: Whether the error is within the rounding of printed times.
     """
 
     step: float
     frames: IntArray
-    off: float
-    even: bool
+    error: float
+    regular: bool
 
 
 def rounding_of(decimals: int) -> float:
@@ -56,12 +56,12 @@ def rounding_of(decimals: int) -> float:
 def fit_frames(times: FloatArray, frames: IntArray, rounding: float) -> TimeSteps:
     """Return times ``(R,)`` [s] fitted to stated frame numbers.
 
-    >>> fit_frames(np.array([0.0, 0.1, 0.3]), np.array([0, 1, 3]), 0.05).even
+    >>> fit_frames(np.array([0.0, 0.1, 0.3]), np.array([0, 1, 3]), 0.05).regular
     True
     """
     step = float(times[-1] - times[0]) / int(frames[-1])
-    off = float(np.abs(times - (times[0] + step * frames)).max())
-    return TimeSteps(step, frames, off, off <= EVEN * step + 3 * rounding)
+    error = float(np.abs(times - (times[0] + step * frames)).max())
+    return TimeSteps(step, frames, error, error <= STEP_TOLERANCE * step + 3 * rounding)
 
 
 def median_step(times: FloatArray) -> float:
@@ -73,32 +73,34 @@ def median_step(times: FloatArray) -> float:
 def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | None:
     """Return times fitted to frames of about a step, some without a row.
 
-    None where two rows are in one frame, or frames are too many to count.
+    Returns None if two rows are in one frame, or there are too many frames.
 
     >>> fit_gaps(np.array([0.0, 0.1, 0.2, 0.5]), 0.1, 0.0).frames.tolist()
     [0, 1, 2, 5]
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        between = np.rint(np.diff(times) / step)
-    counted = np.isfinite(between).all() and between.sum() <= LAST_START
-    if not counted or between.min() < 1:
+        steps_between = np.rint(np.diff(times) / step)
+    is_countable = (
+        np.isfinite(steps_between).all() and steps_between.sum() <= LAST_START
+    )
+    if not is_countable or steps_between.min() < 1:
         return None
-    frames = np.concatenate([[0], np.cumsum(between)]).astype(np.int64)
+    frames = np.concatenate([[0], np.cumsum(steps_between)]).astype(np.int64)
     return fit_frames(times, frames, rounding)
 
 
 def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
     """Return the rate of a step [s] within rounding; None if out of range.
 
-    frames: How many steps there are between the two times that it was measured by.
+    ``frames`` is the number of steps between the two times it was measured from.
     """
     rate = 1.0 / step if step > 0 else np.inf
     if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
         return None
-    # The nearest integer rate within the rounding of the printed times.
-    rounded = round(rate)
-    if rounded and abs(1.0 / rounded - step) <= 2 * rounding / frames:
-        return Fraction(rounded)
+    # Prefer the nearest integer rate within the rounding of the printed times.
+    integer_rate = round(rate)
+    if integer_rate and abs(1.0 / integer_rate - step) <= 2 * rounding / frames:
+        return Fraction(integer_rate)
     return rate_from_float(rate)
 
 
@@ -114,49 +116,49 @@ def find_steps(
         [row_frames] if counted_frames is None else [counted_frames, row_frames]
     )
     fits = [fit_frames(times, frames, rounding) for frames in candidates]
-    fits = [steps for steps in fits if steps.even]
+    fits = [steps for steps in fits if steps.regular]
     rates = [1.0 / stated] if stated is not None and stated > 0 else []
     if stated is not None and rates:
         meant = [steps for steps in fits if is_rate_of(stated, steps, rounding)]
         # Times with few decimals may also fit another rate.
         gaps = fit_gaps(times, rates[0], rounding)
-        if gaps is not None and gaps.even and _has_few_gaps(gaps.frames):
+        if gaps is not None and gaps.regular and _has_few_gaps(gaps.frames):
             meant.append(gaps)
         fits = [*meant, *fits]
     if fits:
         return fits[0]
     median = median_step(times)
-    between = np.diff(times)
-    mean = float(between[between <= GAP_STEPS * median].mean())
+    intervals = np.diff(times)
+    mean = float(intervals[intervals <= MAX_INTERPOLATED * median].mean())
     fit = fit_gaps(times, mean, rounding)
-    if fit is not None and fit.even:
+    if fit is not None and fit.regular:
         return fit
     line = times[0] + median * row_frames
-    near = [step for step in rates if abs(step - mean) <= NEAR_RATE * mean]
-    step = near[0] if near else median
+    candidates_ = [step for step in rates if abs(step - mean) <= RATE_TOLERANCE * mean]
+    step = candidates_[0] if candidates_ else median
     fit = fit_gaps(times, step, rounding)
-    off = fit.off if fit is not None else float(np.abs(times - line).max())
-    return TimeSteps(step, row_frames, off, False)
+    error = fit.error if fit is not None else float(np.abs(times - line).max())
+    return TimeSteps(step, row_frames, error, False)
 
 
 def _has_few_gaps(frames: IntArray) -> bool:
     """Return whether most rows are one frame after the previous row."""
-    return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_A_GAP)
+    return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_PER_GAP)
 
 
 def is_rate_of(stated: float, steps: TimeSteps, rounding: float) -> bool:
     """Return whether a stated rate fits times within their rounding."""
     if not stated > 0:
         return False
-    count = int(steps.frames[-1]) if steps.even else 1
+    count = int(steps.frames[-1]) if steps.regular else 1
     span = steps.step * count
-    # Half a frame at the end of the take, for times that add up a rounded step; less
-    # than between 60 and 59.94.
-    least = min(0.5 / stated, 0.5 * EVEN * span)
-    return abs(span - count / stated) <= max(2 * rounding, least)
+    # Half a frame at the end of the take, for times that accumulate a rounded step;
+    # smaller than the difference between 60 and 59.94.
+    drift = min(0.5 / stated, 0.5 * STEP_TOLERANCE * span)
+    return abs(span - count / stated) <= max(2 * rounding, drift)
 
 
-def has_room(at: FloatArray | IntArray, markers: int) -> bool:
+def has_few_empty_frames(at: FloatArray | IntArray, markers: int) -> bool:
     """Return whether rows at frames ``(R,)`` leave few enough frames empty."""
     frames = (float(at[-1]) + 1) * markers
     return frames <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers)
@@ -167,10 +169,10 @@ class RowFrames:
     """Frame positions of rows.
 
     Attributes:
-        rate: Frames a second.
+        rate: Frames per second.
         start: Number of the first frame.
-        at: Frame of each row ``(R,)``, from 0; whole numbers unless times are uneven.
-        begin: Time of the first frame [s]; None where frame 1 is time 0.
+        at: Frame of each row ``(R,)``, from 0; integers unless times are irregular.
+        begin: Time of the first frame [s]; None if frame 1 is time 0.
     """
 
     rate: Fraction
@@ -178,29 +180,38 @@ class RowFrames:
     at: FloatArray
     begin: float | None
 
-    def placed(self, positions: FloatArray) -> FloatArray:
+    def at_frames(self, positions: FloatArray) -> FloatArray:
         """Resample positions ``(R, M, 3)`` at rows to frames ``(F, M, 3)``.
 
-        NaN where no row is near; between rows at uneven times, straight lines.
+        Frames without a close row are NaN; rows at irregular times are interpolated
+        linearly.
         """
-        count = int(self.at[-1] + EVEN) + 1
-        rounded = np.rint(self.at)
-        if np.array_equal(rounded, self.at):
+        count = int(self.at[-1] + STEP_TOLERANCE) + 1
+        integer_frames = np.rint(self.at)
+        if np.array_equal(integer_frames, self.at):
             if count == len(positions):
                 return positions
-            placed = np.full((count, *positions.shape[1:]), np.nan)
-            placed[rounded.astype(np.int64)] = positions
-            return placed
+            at_frames = np.full((count, *positions.shape[1:]), np.nan)
+            at_frames[integer_frames.astype(np.int64)] = positions
+            return at_frames
         frames = np.arange(count)
-        low = np.searchsorted(self.at, frames + EVEN, side="right") - 1
-        low = np.clip(low, 0, len(self.at) - 2)
-        width = self.at[low + 1] - self.at[low]
-        fraction = np.clip((frames - self.at[low]) / width, 0.0, 1.0)
-        near = EVEN / width
-        in_gap = (width > GAP_STEPS) & (fraction > near) & (fraction < 1.0 - near)
+        row_before = np.searchsorted(self.at, frames + STEP_TOLERANCE, side="right") - 1
+        row_before = np.clip(row_before, 0, len(self.at) - 2)
+        width = self.at[row_before + 1] - self.at[row_before]
+        fraction = np.clip((frames - self.at[row_before]) / width, 0.0, 1.0)
+        tolerance = STEP_TOLERANCE / width
+        in_gap = (
+            (width > MAX_INTERPOLATED)
+            & (fraction > tolerance)
+            & (fraction < 1.0 - tolerance)
+        )
         weight = fraction[:, None, None]
-        placed = positions[low] * (1.0 - weight) + positions[low + 1] * weight
-        placed[fraction <= near] = positions[low][fraction <= near]
-        placed[fraction >= 1.0 - near] = positions[low + 1][fraction >= 1.0 - near]
-        placed[in_gap] = np.nan
-        return placed
+        at_frames = (
+            positions[row_before] * (1.0 - weight) + positions[row_before + 1] * weight
+        )
+        at_frames[fraction <= tolerance] = positions[row_before][fraction <= tolerance]
+        at_frames[fraction >= 1.0 - tolerance] = positions[row_before + 1][
+            fraction >= 1.0 - tolerance
+        ]
+        at_frames[in_gap] = np.nan
+        return at_frames

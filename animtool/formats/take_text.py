@@ -20,14 +20,14 @@ ROWS_AT_ONCE = 4096
 class TakeText:
     """Header and row parts of a file."""
 
-    head: Iterable[str]  # lines above the rows
-    rows: Iterator[bytes]  # made as they are taken
-    notices: list[Fault]  # what the format cannot hold
+    header: Iterable[str]  # lines above the rows
+    rows: Iterator[bytes]  # formatted on demand
+    notices: list[Fault]  # warnings about data that the format cannot store
 
     @property
     def parts(self) -> Iterator[bytes]:
         """Byte chunks to write in order; can be iterated once."""
-        yield "".join(f"{line}\n" for line in self.head).encode()
+        yield "".join(f"{line}\n" for line in self.header).encode()
         yield from self.rows
 
 
@@ -36,7 +36,7 @@ def number_rows(
 ) -> Iterator[bytes]:
     """Yield formatted rows ``(F, C)`` in chunks, separated by blanks or tabs.
 
-    decimals: most digits behind the point of each column.
+    ``decimals`` are the maximum decimals of each column.
     """
     digits = np.array(decimals, np.int64)
     for begin in range(0, len(values), ROWS_AT_ONCE):
@@ -57,6 +57,6 @@ def write_text(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    parts = text(take)
-    write_parts(path, parts.parts)
-    return parts.notices
+    take_text = text(take)
+    write_parts(path, take_text.parts)
+    return take_text.notices

@@ -40,7 +40,7 @@ _UNITS = {
 
 @dataclass(slots=True)
 class MarkerFile:
-    """A marker file that is being read, with its warnings so far."""
+    """A marker file that is being read, and its warnings so far."""
 
     path: str
     notices: list[Fault] = field(default_factory=list)
@@ -65,12 +65,12 @@ class MarkerFile:
 
         Raises:
             FormatError: There is neither (MKR010).
-            OptionError: The option is no rate (SCN022).
+            OptionError: The option is not a frame rate (SCN022).
         """
         if fps is not None:
             return rate_option(fps)
-        known = stated is not None and math.isfinite(stated)
-        if stated is None or not known or not _in_range(stated):
+        is_valid = stated is not None and math.isfinite(stated)
+        if stated is None or not is_valid or not _in_range(stated):
             message = "the file states no frame rate"
             if stated:
                 message = f"the stated frame rate {stated:g} is not usable"
@@ -85,7 +85,7 @@ class MarkerFile:
         """Return the length unit: the option, else the stated one, else the default.
 
         Raises:
-            FormatError: The file states a unit that is none (MKR011).
+            FormatError: The file states an unknown unit (MKR011).
         """
         if option is not None:
             return LengthUnit(option)
@@ -117,23 +117,26 @@ class MarkerFile:
     def names(self, labels: Sequence[str], subject: str | None) -> tuple[str, ...]:
         """Return unique marker names; unlabelled ones begin with ``*``.
 
-        The prefix of a subject, as in ``Anna:LFHD``, is left out where all labels have
-        the same one, or where the subject is the one that is asked for. Of names that
-        stand twice, later ones get a number (MKR101).
+        The prefix of a subject, as in ``Anna:LFHD``, is removed if all labels have the
+        same, or
+        if it is the requested subject. Duplicate names get a number (MKR101).
         """
-        stripped = [label.strip() for label in labels]
+        clean_labels = [label.strip() for label in labels]
         prefixes = {
-            name.rpartition(":")[0] for name in stripped if not is_unlabelled(name)
+            name.rpartition(":")[0] for name in clean_labels if not is_unlabelled(name)
         }
         if subject is None and len(prefixes) == 1:
             subject = next(iter(prefixes))
         if subject:
-            stripped = [name.removeprefix(f"{subject}:") for name in stripped]
-        named = [
-            f"*{i}" if is_unlabelled(name) else name for i, name in enumerate(stripped)
+            clean_labels = [name.removeprefix(f"{subject}:") for name in clean_labels]
+        label_names = [
+            f"*{i}" if is_unlabelled(name) else name
+            for i, name in enumerate(clean_labels)
         ]
-        unique = distinct(named)
-        renamed = [new for old, new in zip(named, unique, strict=True) if old != new]
+        unique = distinct(label_names)
+        renamed = [
+            new for old, new in zip(label_names, unique, strict=True) if old != new
+        ]
         if renamed:
             warning = naming(
                 "MKR101", "duplicate names; later ones became ", renamed,
@@ -145,23 +148,24 @@ class MarkerFile:
     def cleaned(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
-        That is every point with an infinity or a number beyond float32 (MKR102), and
-        every point at exactly the origin, as many systems write missing points.
+        Invalid are points with an infinity or a number beyond float32 (MKR102), and
+        points
+        exactly at the origin, which many systems write for missing points.
 
-        positions: ``(F, M, 3)`` in the unit of the file, changed in place.
+        ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """
         with np.errstate(invalid="ignore"):
-            beyond = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
+            beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
             origin = (positions == 0.0).all(axis=-1)
-        if beyond.any():
-            count = counted(int(beyond.sum()), "position")
+        if beyond_float32.any():
+            count = counted(int(beyond_float32.sum()), "position")
             message = f"{count} beyond the largest float32, treated as missing"
             self.warn("MKR102", message, "export the file again")
         if origin.any():
             count = counted(int(origin.sum()), "position")
             message = f"{count} at exactly 0, 0, 0, treated as missing"
             self.note("MKR105", message)
-        positions[beyond | origin | np.isnan(positions).any(axis=-1)] = np.nan
+        positions[beyond_float32 | origin | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
         return positions
 
@@ -170,18 +174,18 @@ def _unit(text: str) -> LengthUnit | None:
     """Return the unit of a text; some writers truncate it."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)
-    begun = {unit for name, unit in _UNITS.items() if name.startswith(text)}
-    return begun.pop() if len(begun) == 1 else None
+    matching = {unit for name, unit in _UNITS.items() if name.startswith(text)}
+    return matching.pop() if len(matching) == 1 else None
 
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-# Positions of a take, above which a file is refused before memory is taken: an hour of
-# 100 markers at 240 Hz has 86 million.
+# Maximum positions of a take; larger files are refused before memory is allocated. An
+# hour of 100 markers at 240 Hz has 86 million.
 MAX_POSITIONS = 200_000_000
 
 
 def is_unlabelled(name: str) -> bool:
-    """Return whether a name is that of an unlabelled point.
+    """Return whether a name belongs to an unlabelled point.
 
     >>> is_unlabelled("*12"), is_unlabelled(""), is_unlabelled("LFHD")
     (True, True, False)

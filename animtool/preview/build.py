@@ -34,14 +34,20 @@ from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import ShownMotion, add_take
-from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
+from animtool.preview.timing import (
+    FEWER_FRAMES_HINT,
+    TimedPart,
+    align,
+    timed_take,
+    timeline_of,
+)
 from animtool.preview.visibility import add_visibility
 
-# Bytes of its streams before they are deflated.
+# Limit of a page's streams before compression [byte].
 MAX_BYTES = 1_000_000_000
-# Pages that are larger open slowly [bytes].
-LARGE = 64_000_000
-TITLE = 120
+# Larger pages get a warning: browsers open them slowly [byte].
+LARGE_PAGE = 64_000_000
+MAX_TITLE = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +55,9 @@ class PreviewPage:
     """A page ready to be written.
 
     Attributes:
-        manifest: What it shows.
-        blocks: Its streams.
-        notices: What is odd about its files.
+        manifest: Description of the contents, for the viewer.
+        blocks: Compressed streams, as text.
+        notices: Warnings and notes about its files.
     """
 
     manifest: dict[str, Any]
@@ -59,7 +65,13 @@ class PreviewPage:
     notices: list[Fault] = field(default_factory=list)
 
     def parts(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
-        """Yield its bytes in parts; watch: server to poll for changes, and state."""
+        """Yield the page in chunks of bytes.
+
+        Args:
+            watch: Server to poll for changes, and the state of the page; None for a
+                static
+                page.
+        """
         manifest = self.manifest
         if watch is not None:
             manifest = manifest | {"watch": watch}
@@ -74,8 +86,8 @@ class PreviewPage:
 class PageReport:
     """Report on a written page."""
 
-    path: Path  # the file
-    size: int  # of it [bytes]
+    path: Path
+    size: int  # size of the file [byte]
     page: PreviewPage
 
     json_keys: ClassVar[str] = (
@@ -106,10 +118,10 @@ def write_page(
     """Write a page that shows files.
 
     Args:
-        files: Any that animtool reads: takes, rigs, scenes, stages, markers.
-        output: The page, ``.html``.
-        options: What it shows.
-        overwrite: Replace a page that exists.
+        files: Files of any supported kind: takes, rigs, scenes, stages, markers.
+        output: Path of the page, ``.html``.
+        options: What the page shows.
+        overwrite: Replace an existing page.
 
     Raises:
         FormatError: A file cannot be read, or is malformed.
@@ -145,65 +157,67 @@ def make_page(
     """Return the page of files; see `write_page`."""
     options = options or PreviewOptions()
     with ExitStack() as context:
-        opened = [open_file(path, options, files, context) for path in files]
-        draft, notices = _drafted(opened, options)
+        open_files = [open_file(path, options, files, context) for path in files]
+        draft, notices = _draft_page(open_files, options)
     if options.findings:
         _add_findings(draft, files)
     names = [path.name for path in files]
-    return _page(draft, names, opened, notices)
+    return _page(draft, names, open_files, notices)
 
 
 def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
     """Return the page of a take in memory."""
     from animtool.preview.open_file import take_of_stream
 
-    opened = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
-    draft, notices = _drafted([opened], PreviewOptions())
-    return _page(draft, [name], [opened], notices)
+    file = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
+    draft, notices = _draft_page([file], PreviewOptions())
+    return _page(draft, [name], [file], notices)
 
 
 def _page(
-    draft: PageDraft, names: list[str], opened: list[OpenFile], notices: list[Fault]
+    draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
     title = ", ".join(names)
     source = {
         "files": names,
-        "unit": opened[0].unit,
-        "up": str(opened[0].up).lower(),
+        "unit": files[0].unit,
+        "up": str(files[0].up).lower(),
     }
     if draft.packer.nbytes > MAX_BYTES:
         size = draft.packer.nbytes / 1e6
         message = f"the page would hold {size:.0f} MB of frames"
-        raise OptionError(Fault("PRV003", message, hint=FEWER))
+        raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     manifest, blocks = draft.manifest(
-        title if len(title) <= TITLE else title[: TITLE - 1] + "…", source
+        title if len(title) <= MAX_TITLE else title[: MAX_TITLE - 1] + "…", source
     )
     size = sum(map(len, blocks))
-    if size > LARGE:
+    if size > LARGE_PAGE:
         message = f"the page has {size / 1e6:.0f} MB, which browsers open slowly"
-        notices.append(Fault("PRV102", message, hint=FEWER, severity=Severity.WARNING))
+        notices.append(
+            Fault("PRV102", message, hint=FEWER_FRAMES_HINT, severity=Severity.WARNING)
+        )
     return PreviewPage(manifest, blocks, notices)
 
 
-def _drafted(
-    opened: list[OpenFile], options: PreviewOptions
+def _draft_page(
+    files: list[OpenFile], options: PreviewOptions
 ) -> tuple[PageDraft, list[Fault]]:
-    notices = [file.located(notice) for file in opened for notice in file.notices]
-    fps = next((rate for file in opened if (rate := file.fps)), Fraction(24))
+    notices = [file.located(notice) for file in files for notice in file.notices]
+    fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     parts = [
-        gathered_part(number, file, take, fps, options, notices)
-        for number, file in enumerate(opened)
+        timed_take(number, file, take, fps, options, notices)
+        for number, file in enumerate(files)
         for take in file.takes
     ]
     notices += align(parts)
-    timeline = timeline_of(opened, parts, fps, options)
+    timeline = timeline_of(files, parts, fps, options)
     draft = PageDraft(timeline)
-    shown = [(part, _add_part(draft, part)) for part in parts]
-    for part, one in shown:
-        add_character(draft, part.take, one)
-        add_visibility(draft, opened[part.file], part, one)
-        add_channels(draft, one, part.take.clip, part.origin)
-    for file in opened:
+    page_takes = [(part, _add_part(draft, part)) for part in parts]
+    for part, page_take in page_takes:
+        add_character(draft, part.take, page_take)
+        add_visibility(draft, files[part.file], part, page_take)
+        add_channels(draft, page_take, part.take.clip, part.origin)
+    for file in files:
         if file.contents is not None:
             from animtool.preview.stage import add_stage
 
@@ -213,17 +227,19 @@ def _drafted(
         if file.targets is not None:
             from animtool.preview.targets import add_targets
 
-            # Those of the first take, of which the others may be versions.
-            up = opened[shown[0][0].file].up if shown else UpAxis.Y
-            add_targets(draft, file.targets, shown[0][1] if shown else None, up)
+            # Targets apply to the first take; other takes may be versions of it.
+            up = files[page_takes[0][0].file].up if page_takes else UpAxis.Y
+            add_targets(
+                draft, file.targets, page_takes[0][1] if page_takes else None, up
+            )
     return draft, notices
 
 
 def _add_part(draft: PageDraft, part: TimedPart) -> ShownMotion:
     first = draft.timeline.index(part.first)
-    shown = add_take(draft, part.take.name, part.stream, part.gathered, first)
-    shown.entry["file"] = part.file
-    return shown
+    page_take = add_take(draft, part.take.name, part.stream, part.motion, first)
+    page_take.entry["file"] = part.file
+    return page_take
 
 
 def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
@@ -239,7 +255,7 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
     stored = quantized_range(positions.reshape(len(frames), -1), period=3)
-    draft.off(position=stored.error)
+    draft.record_error(position=stored.error)
     draft.points.append(
         {
             "name": name,
@@ -261,5 +277,5 @@ def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
         takes.setdefault(path, (number, entry["skeleton"]["names"]))
     draft.findings += [finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
     if len(faults) > MAX_FINDINGS:
-        more = counted(len(faults) - MAX_FINDINGS, "finding")
-        draft.note(f"{more} more: animtool validate lists them")
+        omitted = counted(len(faults) - MAX_FINDINGS, "finding")
+        draft.note(f"{omitted} more: animtool validate lists them")

@@ -16,20 +16,22 @@ from animtool.preview.streams import Quantized, plain
 from animtool.preview.takes import ShownMotion
 from animtool.rig.kinematics import rest_size
 
-# Keys of all curves that are drawn; of more, the curves alone are.
+# Maximum number of keys on a page; with more, only the curves are drawn.
 MAX_KEYS = 50_000
 _AXES = "xyzw"
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelCurve:
-    """One value over the frames of a take, as an animator reads it."""
+    """One value over the frames of a take, in the units an animator edits."""
 
     name: str
     unit: str  # ``m``, ``deg`` or empty
     values: FloatArray  # ``(F,)``
-    keys: FloatArray | None = None  # ``(K, 2)`` of time and value; None of none
-    interp: str | None = None  # of its first key
+    keys: FloatArray | None = (
+        None  # time and value of each key ``(K, 2)``; None without keys
+    )
+    interp: str | None = None  # interpolation of its first key
 
 
 def add_channels(
@@ -40,8 +42,8 @@ def add_channels(
     Args:
         draft: The page.
         shown: The take.
-        clip: What it was sampled from; None of others.
-        origin: Frame of the page that the clip's first one is.
+        clip: Clip that the take was sampled from; None for other takes.
+        origin: Page frame of the clip's first frame.
     """
     curves = [*_keyed(draft, shown, clip, float(origin)), *_controls(shown, clip)]
     if not curves or not shown.frames:
@@ -62,14 +64,17 @@ def add_channels(
                 "column": column,
                 "keys": None if keys is None else plain(keys),
                 "interp": curve.interp,
-                "moves": number(round(_moves(curve, size), 4)),
+                "moves": number(round(_amplitude(curve, size), 4)),
                 "take": shown.index,
             }
         )
 
 
-def _moves(curve: ChannelCurve, size: float) -> float:
-    """Return how far a curve goes: in radians, sizes of the rig, or of 1 [1]."""
+def _amplitude(curve: ChannelCurve, size: float) -> float:
+    """Return the range of a curve [1].
+
+    Angles are in radians, lengths relative to the size of the rig.
+    """
     scale = {"deg": float(np.degrees(1.0)), "m": size}.get(curve.unit, 1.0)
     values = curve.values[np.isfinite(curve.values)]
     return float(np.ptp(values)) / scale if len(values) else 0.0
@@ -85,9 +90,9 @@ def _keyed(
     codes = timeline.codes[0] + (np.arange(shown.frames) + shown.first) * float(
         timeline.step
     )
-    ratio, first = float(clip.fps / timeline.fps), float(clip.first)
-    times = first + (codes - origin) * ratio
-    # Angles as they are keyed, not the rotations that they come to.
+    frame_ratio, first_frame = float(clip.fps / timeline.fps), float(clip.first)
+    times = first_frame + (codes - origin) * frame_ratio
+    # Show keyed angles, not the rotations computed from them.
     channels = [replace(channel, euler="") for channel in clip.channels]
     values = evaluate_channels(channels, times)
     curves = []
@@ -95,7 +100,7 @@ def _keyed(
         width = channel.values.shape[1]
         rows = np.broadcast_to(values[channel.target], (shown.frames, width))
         unit, factor = _unit(channel.target, width)
-        times_of_keys = origin + (channel.times - first) / ratio
+        times_of_keys = origin + (channel.times - first_frame) / frame_ratio
         axes = channel.euler.lower() or _AXES
         curves += [
             ChannelCurve(

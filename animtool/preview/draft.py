@@ -24,7 +24,7 @@ FORMAT = 1
 class Timeline:
     """The frames of a page, in shot frames."""
 
-    fps: Fraction  # time codes a second
+    fps: Fraction  # time codes per second
     first: Fraction  # time code of the first sample
     step: Fraction  # time codes from one sample to the next
     count: int  # number of samples
@@ -60,14 +60,14 @@ def number(value: Fraction | float) -> int | float:
 
 @dataclass(slots=True)
 class PageDraft:
-    """Parts of a page, collected before it is written.
+    """Contents of a page, collected before it is written.
 
     Attributes:
-        timeline: Its frames.
-        packer: Its streams.
-        rotation_error: Largest difference of a rotation as stored [rad].
-        position_error: Largest difference of a position in the world as stored [m].
-        notices: What the page cannot show as it is, a sentence each.
+        timeline: Frames of the page.
+        packer: Streams of the page.
+        rotation_error: Largest quantization error of a rotation [rad].
+        position_error: Largest quantization error of a world position [m].
+        notices: Sentences about content that the page shows only in part.
     """
 
     timeline: Timeline
@@ -83,16 +83,16 @@ class PageDraft:
     notices: list[str] = field(default_factory=list)
     rotation_error: float = 0.0
     position_error: float = 0.0
-    # Results per rig, which characters of a crowd share.
-    known: dict[bytes, Any] = field(default_factory=dict)
+    # Cached results per rig: characters of a crowd share rigs.
+    cache: dict[bytes, Any] = field(default_factory=dict)
 
     def note(self, message: str) -> None:
         """Add a notice unless it is already there."""
         if message not in self.notices:
             self.notices.append(message)
 
-    def off(self, *, position: float = 0.0, rotation: float = 0.0) -> None:
-        """Record a quantization error [m], [rad]."""
+    def record_error(self, *, position: float = 0.0, rotation: float = 0.0) -> None:
+        """Record a quantization error of a position [m] or a rotation [rad]."""
         self.position_error = max(self.position_error, position)
         self.rotation_error = max(self.rotation_error, rotation)
 
@@ -124,15 +124,15 @@ class PageDraft:
 
 
 @contextmanager
-def skipped(draft: PageDraft, what: str) -> Iterator[None]:
-    """Context that skips what cannot be read, with a notice."""
+def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
+    """Context that skips unreadable content with a notice."""
     try:
         yield
     except AnimtoolError as error:
         more = len(error.faults) - 1
-        others = f", and {counted(more, 'more fault')}" if more else ""
+        more_faults = f", and {counted(more, 'more fault')}" if more else ""
         fault = error.faults[0]
-        draft.note(f"{what} is skipped: {fault.code} {fault.message}{others}")
+        draft.note(f"{name} is skipped: {fault.code} {fault.message}{more_faults}")
 
 
 def rounded_up(error: float) -> float:
@@ -144,5 +144,5 @@ def rounded_up(error: float) -> float:
     if error <= 0:
         return 0.0
     digits = 1 - int(np.floor(np.log10(error)))
-    near = round(error, digits)
-    return near if near >= error else round(near + 10.0**-digits, digits)
+    rounded = round(error, digits)
+    return rounded if rounded >= error else round(rounded + 10.0**-digits, digits)

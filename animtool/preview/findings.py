@@ -12,7 +12,7 @@ from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate_files
 
 _QUOTED = re.compile(r"'((?:[^'\\]|\\.)*)'|\"((?:[^\"\\]|\\.)*)\"")
-# More are counted, not listed.
+# Maximum number of findings listed on a page; the others are only counted.
 MAX_FINDINGS = 500
 
 
@@ -33,14 +33,15 @@ def finding_entry(
 ) -> dict[str, Any]:
     """Return the manifest entry of a finding.
 
-    takes: by path of a file, the number of its take and the names of its joints.
+    ``takes`` maps the path of a file to the index of its take and the names of its
+    joints.
     """
     take, joints = takes.get(fault.path or "", (None, ()))
     joint = fault.joint
     if joint is None:
-        # Rules of files quote the joints that they are about.
-        named = [a or b for a, b in _QUOTED.findall(fault.message)]
-        joint = next((name for name in named if name in set(joints)), None)
+        # Rules quote the joints concerned in their messages.
+        quoted = [a or b for a, b in _QUOTED.findall(fault.message)]
+        joint = next((name for name in quoted if name in set(joints)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,

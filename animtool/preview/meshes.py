@@ -19,12 +19,13 @@ from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import PreparedShapes, column_weights
 from animtool.skin.skinning import PreparedSkin, SkinMethod
 
-# Joints that a vertex follows in the viewer.
+# Maximum number of influences per vertex in the viewer.
 INFLUENCES = 4
-# A mesh whose strongest four joints leave out more weight is drawn from its points.
-LEFT_WEIGHT = 0.02
+# A mesh is drawn as a point cache if the four strongest influences of a vertex leave
+# out more weight than this.
+MAX_LOST_WEIGHT = 0.02
 # Frames whose points are in memory at once.
-BLOCK = 64
+BLOCK_FRAMES = 64
 COLORS = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
 STRAND_WIDTH = 0.001
 WEIGHT_ERROR = 1e-4
@@ -59,11 +60,11 @@ def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) ->
             labels += [entry["shapes"][i]["name"] for i in range(len(visible))]
             columns.append(by_shape[:, visible])
     if labels:
-        stacked = np.concatenate(columns, axis=1)
-        stored = quantized_range(stacked, WEIGHT_ERROR)
+        all_weights = np.concatenate(columns, axis=1)
+        stored = quantized_range(all_weights, WEIGHT_ERROR)
         shown.entry["shapes"] = {"names": labels, "weights": draft.packer.add(stored)}
     for strands in character.strands:
-        count, each = strands.points.shape[:2]
+        count, points_per_strand = strands.points.shape[:2]
         joint = shown.rig.index(strands.joint)
         draft.curves.append(
             {
@@ -71,7 +72,7 @@ def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) ->
                 "take": shown.index,
                 "joint": joint,
                 "bind": plain(np.linalg.inv(character.bind[joint]).T.reshape(-1), 9),
-                "counts": draft.packer.static(np.full(count, each), "u32"),
+                "counts": draft.packer.static(np.full(count, points_per_strand), "u32"),
                 "points": draft.packer.static_range(strands.points),
                 "width": STRAND_WIDTH,
                 "color": None,
@@ -86,7 +87,7 @@ def needs_points(skin: PreparedSkin | None) -> bool:
     if skin.method is SkinMethod.DUAL_QUATERNION:
         return True
     _, weights = strongest(skin)
-    return bool((1 - weights.sum(axis=1)).max(initial=0.0) > LEFT_WEIGHT)
+    return bool((1 - weights.sum(axis=1)).max(initial=0.0) > MAX_LOST_WEIGHT)
 
 
 def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
@@ -95,11 +96,13 @@ def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     counts = np.diff(influences.first)
     rows = np.repeat(np.arange(skin.vertices), counts)
     ranks = np.arange(len(influences.joints)) - np.repeat(influences.first[:-1], counts)
-    kept = ranks < INFLUENCES
+    in_first_four = ranks < INFLUENCES
     joints = np.zeros((skin.vertices, INFLUENCES), np.int64)
     weights = np.zeros((skin.vertices, INFLUENCES))
-    joints[rows[kept], ranks[kept]] = influences.joints[kept]
-    weights[rows[kept], ranks[kept]] = influences.weights[kept]
+    joints[rows[in_first_four], ranks[in_first_four]] = influences.joints[in_first_four]
+    weights[rows[in_first_four], ranks[in_first_four]] = influences.weights[
+        in_first_four
+    ]
     return joints, weights
 
 
@@ -117,7 +120,7 @@ def mesh_entry(
 ) -> dict[str, Any]:
     """Return the manifest entry of a mesh: points and triangles.
 
-    colors: linear, of points ``(V, 3)``; None where ``color`` is of all of it.
+    ``colors``: linear colors of the points ``(V, 3)``; None to use one ``color``.
     """
     default = COLORS[len(draft.meshes) % len(COLORS)]
     triangles = triangulated(counts, indices)
@@ -132,7 +135,7 @@ def mesh_entry(
         "color": list(default if color is None else color),
         "colors": None
         if colors is None
-        # As screens show them, which eight bits are enough for.
+        # sRGB colors, for which 8 bits are enough.
         else draft.packer.static(
             np.rint(colors.clip(0, 1) ** (1 / 2.2) * 255).astype(np.uint8), "u8"
         ),
@@ -145,7 +148,7 @@ def _mesh(
 ) -> dict[str, Any]:
     points = surface.points
     if surface.skin is None:
-        # No joint or transform places it.
+        # The mesh is not attached to a joint or transform.
         points = points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
     return mesh_entry(
         draft,
@@ -161,11 +164,13 @@ def _mesh(
 
 def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     joints, weights = strongest(skin)
-    sums = weights.sum(axis=1, keepdims=True)
-    weights = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0)
-    # Rounded to a sum of one: the strongest weight takes the remainder.
+    weight_sums = weights.sum(axis=1, keepdims=True)
+    weights = np.divide(
+        weights, weight_sums, out=np.zeros_like(weights), where=weight_sums > 0
+    )
+    # Weights are rounded to a sum of 1: the strongest takes the remainder.
     steps = np.rint(weights * 65535)
-    steps[:, 0] += np.where(sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
+    steps[:, 0] += np.where(weight_sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
     stored = steps.reshape(1, -1).astype("<u2")
     bind = skin.joint_from_world @ skin.world_from_points
     return {
@@ -180,23 +185,25 @@ def _shapes(
     draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
 ) -> list[dict[str, Any]]:
     """Return the nonzero shape offsets, sparse."""
-    parts = shapes.points
+    columns = shapes.points
     names = [
         name if at == 1.0 else f"{name} at {at:g}"
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for at in knots[knots != 0].tolist()
     ]
-    owners = np.repeat(np.arange(shapes.vertices), np.diff(parts.first))
-    numbers = {column: row for row, column in enumerate(np.flatnonzero(parts.dense), 1)}
+    owners = np.repeat(np.arange(shapes.vertices), np.diff(columns.first))
+    numbers = {
+        column: row for row, column in enumerate(np.flatnonzero(columns.dense), 1)
+    }
     entries = []
     for index, column in enumerate(visible.tolist()):
         if column in numbers:
-            offsets = parts.table[numbers[column]].reshape(-1, 3)
+            offsets = columns.table[numbers[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
-            rows = parts.columns == column
-            vertices, offsets = owners[rows], parts.offsets[rows]
+            rows = columns.columns == column
+            vertices, offsets = owners[rows], columns.offsets[rows]
         entries.append(
             {
                 "name": names[column],
@@ -210,17 +217,17 @@ def _shapes(
 
 def _points(draft: PageDraft, shown: ShownMotion, mesh: CharacterMesh) -> int:
     """Return the stream of a mesh's points in every frame."""
-    parts = []
+    blocks = []
     weights = mesh.weights(shown.weights)
-    for begin in range(0, shown.frames, BLOCK):
-        cut = slice(begin, min(begin + BLOCK, shown.frames))
-        block_weights = None if weights is None else weights[cut]
+    for begin in range(0, shown.frames, BLOCK_FRAMES):
+        frames = slice(begin, min(begin + BLOCK_FRAMES, shown.frames))
+        block_weights = None if weights is None else weights[frames]
         deformed = deform(
-            _with_shapes(mesh.mesh, block_weights), block_weights, shown.world(cut)
+            _with_shapes(mesh.mesh, block_weights), block_weights, shown.world(frames)
         )
-        parts.append(deformed.points.astype(np.float32))
-    stored = quantized_range(np.concatenate(parts).reshape(shown.frames, -1), period=3)
-    draft.off(position=stored.error)
+        blocks.append(deformed.points.astype(np.float32))
+    stored = quantized_range(np.concatenate(blocks).reshape(shown.frames, -1), period=3)
+    draft.record_error(position=stored.error)
     return draft.packer.add(stored)
 
 

@@ -50,8 +50,9 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
     from animtool.usd.caches.shown import StageContents
 
-# Kinds of files that hold nothing to be seen by themselves, and what shows them.
-_UNSEEN = {
+# Kinds of files that cannot be shown by themselves, with a hint on what to open
+# instead.
+_NOT_SHOWN = {
     "batch": "preview its output",
     "cameras": "preview a file that uses it",
     "landmarks": "preview a file that uses it",
@@ -71,8 +72,8 @@ class ShownTake:
     surfaces: tuple[Surface, ...] = ()
     strands: tuple[Strands, ...] = ()
     clip: Clip | None = None
-    prim: str = ""  # its Skeleton, on the stage of its file
-    # Linear, of meshes by name: of points or of all ``(V or 1, 3)``.
+    prim: str = ""  # path of its Skeleton on the stage
+    # Linear colors by mesh name, per point ``(V, 3)`` or one for the mesh ``(1, 3)``.
     colors: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
@@ -81,15 +82,15 @@ class OpenFile:
     """An open file.
 
     Attributes:
-        path: The file, as it was named.
-        unit: Its unit of length.
-        up: Its up axis.
+        path: Path of the file, as given by the user.
+        unit: Unit of length of the file.
+        up: Up axis of the file.
         takes: Its characters.
-        contents: What its stage shows beside them; None of other files.
-        markers: Its markers, Y up; None of other files.
-        targets: Its goals of inverse kinematics; None of other files.
-        notices: Warnings and notes about it.
-        folder: Where a scene was baked to; None of files that are read themselves.
+        contents: Other prims of its stage; None for other files.
+        markers: Its markers, Y up; None for other files.
+        targets: Its IK targets; None for other files.
+        notices: Warnings and notes about the file.
+        folder: Folder of a scene's temporary bake; None for files read directly.
     """
 
     path: Path
@@ -126,21 +127,21 @@ class OpenFile:
 
 
 def open_file(
-    path: Path, options: PreviewOptions, others: Sequence[Path], context: ExitStack
+    path: Path, options: PreviewOptions, all_files: Sequence[Path], context: ExitStack
 ) -> OpenFile:
     """Open a file of any supported kind.
 
     Args:
         path: The file.
         options: How to read it.
-        others: All files, for options that fit some of them only.
-        context: Closes what is needed until the page is made.
+        all_files: All files of the page; an option may apply to some of them only.
+        context: Keeps resources open until the page is built.
 
     Raises:
         FormatError: It cannot be read, or is malformed.
-        OptionError: There is nothing to be seen in its kind (PRV001).
+        OptionError: A file of its kind cannot be shown by itself (PRV001).
     """
-    for kind, hint in _UNSEEN.items():
+    for kind, hint in _NOT_SHOWN.items():
         if is_named(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
@@ -149,31 +150,31 @@ def open_file(
     if is_named(path, "rig"):
         return _open_rig(path)
     if is_named(path, "targets"):
-        return _open_targets(path, alone=len(others) == 1)
+        return _open_targets(path, alone=len(all_files) == 1)
     source = replace(
-        fitting_options(options.source, path, others), prim_path=options.prim_path
+        fitting_options(options.source, path, all_files), prim_path=options.prim_path
     )
     if not takes_option(path, "prim_path"):
         source = replace(source, prim_path=None)
     if is_marker_file(path) and source.template is None:
         return _open_markers(path, source)
     if is_usd(path):
-        shown = path
+        readable = path
         if options.over:
             folder = Path(
                 context.enter_context(tempfile.TemporaryDirectory("animtool"))
             )
-            shown = _view(folder, path, options)
-        opened = _open_stage(shown, path.name, source)
-        opened.path = path
-        return opened
+            readable = _view(folder, path, options)
+        file = _open_stage(readable, path.name, source)
+        file.path = path
+        return file
     stream = open_source(path, source)
-    opened = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
+    file = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
     clip = None
     if is_named(path, "clip"):
         clip = Clip.load(path, stream.rig)
-    opened.takes.append(take_of_stream(source_stem(path), stream, clip))
-    return opened
+    file.takes.append(take_of_stream(source_stem(path), stream, clip))
+    return file
 
 
 def take_of_stream(
@@ -188,46 +189,46 @@ def take_of_stream(
     return ShownTake(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
 
 
-def resting(rig: Rig) -> TakeStream:
+def rest_take(rig: Rig) -> TakeStream:
     """Return a one-frame take of a rig at rest."""
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
     )
-    one = Fraction(1)
-    return TakeStream(rig, Fraction(24), one, one, iter([motion]))
+    rate = Fraction(1)
+    return TakeStream(rig, Fraction(24), rate, rate, iter([motion]))
 
 
 def _open_rig(path: Path) -> OpenFile:
     note_input(path)
     rig = Rig.load(path)
-    opened = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
-    opened.notices += rig.notices
-    opened.takes.append(take_of_stream(rig.name, resting(rig)))
-    return opened
+    file = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
+    file.notices += rig.notices
+    file.takes.append(take_of_stream(rig.name, rest_take(rig)))
+    return file
 
 
 def _open_targets(path: Path, *, alone: bool) -> OpenFile:
     note_input(path)
-    opened = OpenFile(path, targets=load_targets(path))
-    assert opened.targets is not None
-    opened.notices += opened.targets.notices
+    file = OpenFile(path, targets=load_targets(path))
+    assert file.targets is not None
+    file.notices += file.targets.notices
     if alone:
         message = (
             "targets are shown without a rig: in metres, Y up, joints at the origin"
         )
         hint = f"animtool preview RIG {path.name} shows them with it"
-        opened.notices.append(
+        file.notices.append(
             Fault("PRV107", message, str(path), (), hint, Severity.NOTE)
         )
-    return opened
+    return file
 
 
 def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
     markers = open_markers(path, unit=source.unit, up=source.up, fps=source.fps)
-    opened = OpenFile(path, "m", markers.up, markers=markers)
-    opened.notices += markers.notices
-    return opened
+    file = OpenFile(path, "m", markers.up, markers=markers)
+    file.notices += markers.notices
+    return file
 
 
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
@@ -236,39 +237,39 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
     from animtool.usd.rigs.mesh_read import source_meshes
 
     contents = open_contents(path, source.prim_path)
-    opened = OpenFile(path, contents.unit, contents.up, contents=contents)
+    file = OpenFile(path, contents.unit, contents.up, contents=contents)
     characters = open_characters(path)
-    below = source.prim_path
-    chosen = [
+    root_path = source.prim_path
+    selected = [
         prim
         for prim in characters
-        if below is None or f"{prim}/".startswith(f"{below.rstrip('/')}/")
+        if root_path is None or f"{prim}/".startswith(f"{root_path.rstrip('/')}/")
     ]
-    if len(chosen) <= 1 and (chosen or contents.is_animation()):
-        streams = {chosen[0] if chosen else "": open_source(path, source)}
+    if len(selected) <= 1 and (selected or contents.is_animation()):
+        streams = {selected[0] if selected else "": open_source(path, source)}
         if source.take is None:
-            opened.notices += _other_takes(path, next(iter(streams.values())))
+            file.notices += _other_takes(path, next(iter(streams.values())))
     else:
-        streams = _read_characters(opened, {p: characters[p] for p in chosen})
+        streams = _read_characters(file, {p: characters[p] for p in selected})
     for prim, stream in streams.items():
         label = source_stem(Path(name)) if len(streams) == 1 else prim
-        turned = reorient(stream, UpAxis.Y)
+        y_up = reorient(stream, UpAxis.Y)
         if not prim:
-            opened.takes.append(ShownTake(label, turned, bind_matrices(turned.rig)))
+            file.takes.append(ShownTake(label, y_up, bind_matrices(y_up.rig)))
             continue
         meshes = source_meshes(path, prim)
-        opened.notices += meshes.notices
-        bind = meshes.bind if len(meshes.bind) else bind_matrices(turned.rig)
+        file.notices += meshes.notices
+        bind = meshes.bind if len(meshes.bind) else bind_matrices(y_up.rig)
         bones = contents.bone_names
         unskinned = [
             surface for surface in meshes.surfaces if surface.name not in bones
         ]
         surfaces = contents.turned_surfaces(unskinned)
         colors = contents.bound_colors(prim)
-        opened.takes.append(
+        file.takes.append(
             ShownTake(
                 label,
-                turned,
+                y_up,
                 bind,
                 surfaces,
                 meshes.strands,
@@ -276,11 +277,11 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
                 colors=colors,
             )
         )
-    return opened
+    return file
 
 
 def _read_characters(
-    opened: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
+    file: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
     """Read all valid characters; report the malformed ones."""
     streams: dict[str, TakeStream] = {}
@@ -293,7 +294,7 @@ def _read_characters(
     if errors and not streams:
         raise errors[0]
     faults = [fault for error in errors for fault in error.faults]
-    opened.notices += [replace(one, severity=Severity.WARNING) for one in faults]
+    file.notices += [replace(f, severity=Severity.WARNING) for f in faults]
     return streams
 
 
@@ -302,8 +303,8 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
     names = stream.details.get("takes")
     if not isinstance(names, list) or len(names) < 2:
         return []
-    shown = stream.details.get("take")
-    message = f"showing take {shown!r} of {counted(len(names), 'take')}"
+    shown_name = stream.details.get("take")
+    message = f"showing take {shown_name!r} of {counted(len(names), 'take')}"
     hint = f"show another with {argument('source.take')}: {listed(names)}"
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
@@ -321,8 +322,8 @@ def _view(
     """Return a stage that combines a layer with the given stages."""
     from animtool.usd.layers.view import write_view
 
-    over = [Path(layer) for layer in options.over]
-    return write_view(folder / "view.usda", shown, below, over)
+    overlays = [Path(layer) for layer in options.over]
+    return write_view(folder / "view.usda", shown, below, overlays)
 
 
 def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> OpenFile:
@@ -332,7 +333,7 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
 
     scene = load_scene(path, dict(options.variables))
     if scene.kept:
-        message = f"saves {', '.join(sorted({kept.name for kept in scene.kept}))}"
+        message = f"saves {', '.join(sorted({saved.name for saved in scene.kept}))}"
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = shown_scene(scene).outputs[0]
@@ -346,17 +347,17 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
         joints = replace(bake, deform=False)
         outputs.append(replace(output, path=bones, bake=joints, systems=()))
     reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
-    shown = layer
+    stage_path = layer
     if bake.rig_layer is not None or options.over:
-        below = [] if bake.rig_layer is None else [bake.rig_layer]
-        shown = _view(folder, layer, options, below)
-    opened = _open_stage(shown, path.name, SourceOptions())
-    opened.path, opened.folder = path, folder
+        rig_layers = [] if bake.rig_layer is None else [bake.rig_layer]
+        stage_path = _view(folder, layer, options, rig_layers)
+    file = _open_stage(stage_path, path.name, SourceOptions())
+    file.path, file.folder = path, folder
     if len(outputs) > 1:
-        # Its meshes are point caches: their skeleton is in a separate layer.
+        # Meshes are shown as point caches, since their skeleton is in a separate layer.
         takes = _open_stage(bones, path.name, SourceOptions()).takes
-        opened.takes += [
-            replace(one, surfaces=(), strands=(), prim="") for one in takes
+        file.takes += [
+            replace(take, surfaces=(), strands=(), prim="") for take in takes
         ]
-    opened.notices += reports[0].notices
-    return opened
+    file.notices += reports[0].notices
+    return file

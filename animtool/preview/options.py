@@ -18,8 +18,8 @@ class PreviewOptions:
     """What a page shows, and how files are read.
 
     Attributes:
-        source: What the sources are, where their files do not say.
-        variables: What ``${name}`` stands for in scenes.
+        source: How to read sources whose files do not state units or axes.
+        variables: Values of ``${name}`` in scenes.
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -115,7 +115,7 @@ class PictureOptions:
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """Where a page is shown or written."""
+    """Where a page is shown or written, and when it is rebuilt."""
 
     opened: bool | None = option(
         None,

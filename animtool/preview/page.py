@@ -15,7 +15,7 @@ from animtool.preview.streams import deflated
 VIEWER = Path(__file__).parent / "viewer"
 ENTRY = "main.js"
 _IMPORT = re.compile(r"""(\bfrom\s*|\bimport\s*)(['"])\./([\w-]+\.js)\2""")
-_LEFT_OUT = tuple(
+_REMOVED = tuple(
     re.compile(pattern, re.M | re.S)
     for pattern in (
         r"^[ \t]*/\*.*?\*/[ \t]*\n",
@@ -24,7 +24,7 @@ _LEFT_OUT = tuple(
         r"^\n",
     )
 )
-# What would end a script, or break a line of one, in JSON.
+# Characters that would end a script element or a line of it, escaped in JSON.
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 _POLICY = (
@@ -32,8 +32,7 @@ _POLICY = (
     "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
 )
 
-# Inflates the modules, makes a URL of each after those that it imports, and starts the
-# last.
+# Inflates the modules, creates a URL for each after its imports, and starts the last.
 _BOOTSTRAP = """\
 (async () => {
   const page = (window.animtool = window.animtool || {errors: []});
@@ -72,7 +71,7 @@ def json_text(value: Any) -> str:
     '{"name":"\\u003c/script\\u003e"}'
     """
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    # Half a pair, as names of files have for bytes that are no text, is no character.
+    # Lone surrogates, which file names use for bytes that are not text, are replaced.
     text = text.encode("utf-8", "replace").decode("utf-8")
     return text.translate(_ESCAPES)
 
@@ -83,11 +82,11 @@ def page_parts(
     """Yield the bytes of a page, block by block.
 
     Args:
-        manifest: What it shows.
+        manifest: Description of the contents.
         blocks: Its streams, as text.
-        watched: Whether it may ask the server that it is from what has changed.
+        watched: Whether the page may poll its server for changes.
     """
-    filled = {
+    insertions = {
         "title": html.escape(str(manifest["title"])),
         "csp": _POLICY.format(connect="'self'" if watched else "'none'"),
         "style": viewer_text("viewer.css"),
@@ -98,7 +97,7 @@ def page_parts(
         "bootstrap": _BOOTSTRAP,
     }
     template = viewer_text("page.html")
-    # Split once, so that inserted text is never parsed.
+    # The template is split once, so that inserted text is never parsed.
     for part in re.split(r"(\{\{\w+\}\})", template):
         name = part.strip("{}")
         if part == "{{blocks}}":
@@ -107,8 +106,8 @@ def page_parts(
                     f'<script type="text/plain" class="block" id="b{number}">'
                     f"{block}</script>\n"
                 ).encode()
-        elif part.startswith("{{") and name in filled:
-            yield filled[name].encode("utf-8", "replace")
+        elif part.startswith("{{") and name in insertions:
+            yield insertions[name].encode("utf-8", "replace")
         else:
             yield part.encode("utf-8")
 
@@ -118,17 +117,17 @@ def viewer_modules() -> dict[str, str]:
     """Return the viewer's modules by name, in import order."""
     paths = sorted(VIEWER.glob("*.js"))
     texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
-    ordered: dict[str, str] = {}
+    modules: dict[str, str] = {}
 
     def add(name: str, above: tuple[str, ...] = ()) -> None:
-        if name in ordered or name in above or name not in texts:
+        if name in modules or name in above or name not in texts:
             return
         for match in _IMPORT.finditer(texts[name]):
             add(match[3], (*above, name))
-        ordered[name] = texts[name]
+        modules[name] = texts[name]
 
     add(ENTRY)
-    return ordered
+    return modules
 
 
 def compact(text: str) -> str:
@@ -137,7 +136,7 @@ def compact(text: str) -> str:
     >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
     """
-    for pattern in _LEFT_OUT:
+    for pattern in _REMOVED:
         text = pattern.sub("", text)
     return text
 

@@ -30,9 +30,9 @@ def page_steps(
     """Return the steps of a page; files are read, scenes are not baked.
 
     Args:
-        files: As `animtool.preview.build.write_page` has them.
-        output: The page; None is a temporary file.
-        options: What it shows.
+        files: As in `animtool.preview.build.write_page`.
+        output: Path of the page; None is a temporary file.
+        options: What the page shows.
 
     Raises:
         FormatError: A file cannot be read, or is malformed.
@@ -43,17 +43,17 @@ def page_steps(
     with ExitStack() as context:
         for path in files:
             if is_named(path, "scene"):
-                steps += _baked(path, options)
+                steps += _bake_steps(path, options)
             else:
-                steps.append(_read(open_file(path, options, files, context)))
+                steps.append(_read_step(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
     left_out = () if options.findings else ("findings: not requested (findings)",)
-    makes = ("a page" if output is None else str(output),)
+    outputs = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
-    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, makes, left_out)]
+    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, left_out)]
 
 
-def _baked(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
+def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
     """Yield the bake steps of a scene."""
     scene = shown_scene(load_scene(path, dict(options.variables)))
     for step in bake_steps(outlined(scene, None)):
@@ -61,27 +61,27 @@ def _baked(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
             yield step
 
 
-def _read(file: OpenFile) -> PlanStep:
+def _read_step(file: OpenFile) -> PlanStep:
     notices = tuple(f"{notice.code} {notice.message}" for notice in file.notices)
     return PlanStep(
         StepKind.SOURCE,
         str(file.path),
         "",
         (str(file.path),),
-        tuple(_shown(file)),
+        tuple(_contents(file)),
         notices,
     )
 
 
-def _shown(file: OpenFile) -> Iterator[str]:
+def _contents(file: OpenFile) -> Iterator[str]:
     """Yield the contents of a file."""
-    for fact, count in Counter(map(_take_text, file.takes)).items():
-        yield fact if count == 1 else f"{count} times {fact}"
+    for text, count in Counter(map(_take_text, file.takes)).items():
+        yield text if count == 1 else f"{count} times {text}"
     contents = file.contents
     if contents is not None:
-        kinds = Counter(prim.kind for prim in contents.prims)
+        counts = Counter(prim.kind for prim in contents.prims)
         yield from (
-            counted(kinds[k], *words) for k, words in _KINDS.items() if kinds[k]
+            counted(counts[k], *words) for k, words in _KINDS.items() if counts[k]
         )
         if cameras := contents.cameras():
             yield counted(len(cameras), "camera")
@@ -98,5 +98,5 @@ def _take_text(take: ShownTake) -> str:
     frames = counted(sum(block.frames for block in stream.blocks), "frame")
     meshes = counted(len(take.surfaces), "mesh", "meshes")
     joints = counted(len(stream.rig.joints), "joint")
-    parts = [f"take of {joints}", f"{frames} at {rate_label(stream.fps)}"]
-    return " and ".join([", ".join(parts), *([meshes] if take.surfaces else [])])
+    facts = [f"take of {joints}", f"{frames} at {rate_label(stream.fps)}"]
+    return " and ".join([", ".join(facts), *([meshes] if take.surfaces else [])])

@@ -17,10 +17,10 @@ from animtool.core.record import dataclass
 from animtool.preview.build import PreviewPage
 
 ADDRESS = "127.0.0.1"
-# How often files are looked at [s].
+# Interval of checking files for changes [s].
 POLL_INTERVAL = 0.1
 
-Make = Callable[[], PreviewPage]
+PageBuilder = Callable[[], PreviewPage]
 
 
 @dataclass(slots=True)
@@ -28,14 +28,14 @@ class WatchedPage:
     """A page and its input files.
 
     Attributes:
-        make: Makes the page.
-        secret: What addresses begin with.
-        page: The last one that could be made.
-        version: Counts pages that were made.
-        error: Why the last one could not be made; None where it could.
+        make: Builds the page.
+        secret: First path component of the page's address.
+        page: The last page that was built.
+        version: Number of builds.
+        error: Why the last build failed; None if it succeeded.
     """
 
-    make: Make
+    make: PageBuilder
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(16))
     page: PreviewPage | None = None
     version: int = 0
@@ -48,7 +48,7 @@ class WatchedPage:
         """Build the page, and record its input files.
 
         Raises:
-            AnimtoolError: It cannot be made; the page before stays.
+            AnimtoolError: The page cannot be built; the previous one stays.
         """
         with recorded_inputs() as inputs:
             try:
@@ -70,7 +70,7 @@ class WatchedPage:
             self._states.clear()
         else:
             self._states = {path: FileState.of(path) for path in self._states}
-        # Files of a scene's own bake are gone with it.
+        # Files of a scene's temporary bake no longer exist.
         self._states |= {
             path: state
             for path, state in inputs.states.items()
@@ -97,13 +97,13 @@ class _Handler(BaseHTTPRequestHandler):
     server: PageServer
     server_version, sys_version = "animtool", ""
     protocol_version = "HTTP/1.1"
-    # One that sends nothing must not hold a thread for ever [s].
+    # Timeout of clients that connect and send nothing [s].
     timeout = 30
 
     def do_GET(self) -> None:
         """Send the page or its state; refuse anything else."""
         watched, path = self.server.watched, self.path.partition("?")[0]
-        if not self._is_ours():
+        if not self._is_authorized():
             self._send(403, b"forbidden\n", "text/plain")
         elif path == f"/{watched.secret}/":
             self._send(200, watched.body(), "text/html; charset=utf-8")
@@ -112,7 +112,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._send(403, b"forbidden\n", "text/plain")
 
-    def _is_ours(self) -> bool:
+    def _is_authorized(self) -> bool:
         """Return whether a request has the secret token and the right host."""
         port = self.server.server_address[1]
         hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}
@@ -122,9 +122,9 @@ class _Handler(BaseHTTPRequestHandler):
         if origin is not None and origin not in {f"http://{host}" for host in hosts}:
             return False
         tokens = self.path.split("/")[1:2]
-        known = self.server.watched.secret.encode()
+        secret = self.server.watched.secret.encode()
         return bool(tokens) and secrets.compare_digest(
-            tokens[0].encode("utf-8", "replace"), known
+            tokens[0].encode("utf-8", "replace"), secret
         )
 
     def _send(self, code: int, body: bytes, kind: str) -> None:
@@ -163,7 +163,7 @@ class PageServer(ThreadingHTTPServer):
 
 def follow(
     watched: WatchedPage,
-    failed: Callable[[AnimtoolError], object],
+    on_error: Callable[[AnimtoolError], object],
     on_page: Callable[[PreviewPage], object],
     wait: Callable[[float], bool],
 ) -> None:
@@ -171,7 +171,7 @@ def follow(
 
     Args:
         watched: The page.
-        failed: Called with what is wrong where it cannot be made.
+        on_error: Called with the error when a build fails.
         on_page: Called with each new page.
         wait: Called with an interval [s]; returns whether to stop.
     """
@@ -181,7 +181,7 @@ def follow(
         try:
             watched.build()
         except AnimtoolError as error:
-            failed(error)
+            on_error(error)
         else:
             assert watched.page is not None
             on_page(watched.page)

@@ -30,8 +30,8 @@ def has_browser(
     """
     if environment.get("SSH_CONNECTION") or environment.get("SSH_TTY"):
         return False
-    shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
-    return bool(shown) or not platform.startswith("linux")
+    display = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
+    return bool(display) or not platform.startswith("linux")
 
 
 def temporary_page() -> Path:
@@ -50,10 +50,10 @@ def open_browser(address: str) -> bool:
 class Preview:
     """A page that notebooks show inline.
 
-    The page is made when it is first asked for.
+    The page is built on first use.
 
     Attributes:
-        height: Of the frame that it is shown in [px].
+        height: Height of its frame in a notebook [px].
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Preview:
 
     @cached_property
     def page(self) -> PreviewPage:
-        """The page."""
+        """The page, built on first use."""
         if isinstance(self._shown, Take | TakeStream):
             stream = self._shown
             if isinstance(stream, Take):
@@ -81,16 +81,18 @@ class Preview:
         overwrite: bool = False,
         pictures: PictureOptions | None = None,
     ) -> Path:
-        """Write the page, a picture or a film of it, and return its path.
+        """Write the page, or a picture or film of it, and return its path.
 
         Args:
-            path: ``.html``, or as `animtool.write_pictures` has it.
-            overwrite: Replace a file that exists.
-            pictures: How a picture looks.
+            path: ``.html``, or any output of `animtool.write_pictures`.
+            overwrite: Replace an existing file.
+            pictures: Appearance of a picture or film.
 
         Raises:
-            OptionError: It is no page and no picture (PRV002), or exists (OUT001); of a
-                picture also as `animtool.write_pictures` says.
+            OptionError: The suffix is neither of a page nor of a picture (PRV002), or
+                the
+                file exists (OUT001); for pictures also as for
+                `animtool.write_pictures`.
             OutputError: It cannot be written (OUT002).
         """
         from animtool.core.files.output import check_outputs, write_parts
@@ -109,12 +111,12 @@ class Preview:
 
     def _repr_html_(self) -> str:
         """Return the page in a sandboxed iframe."""
-        inner = html.escape(self.page.html(), quote=True)
+        document = html.escape(self.page.html(), quote=True)
         title = html.escape(str(self.page.manifest["title"]), quote=True)
         return (
             f'<iframe sandbox="allow-scripts" title="{title}" '
             f'style="width:100%;height:{self.height}px;border:0" '
-            f'srcdoc="{inner}"></iframe>'
+            f'srcdoc="{document}"></iframe>'
         )
 
 
@@ -128,12 +130,12 @@ def show(
 
     Args:
         shown: A take, or one or more files of any format that animtool reads.
-        options: Of files: how they are read, and what is shown.
-        height: Of the page in the notebook [px].
+        options: How files are read, and what is shown.
+        height: Height of the page in the notebook [px].
 
     >>> from animtool.rig.skeleton import Joint, Rig
-    >>> from animtool.preview.open_file import resting
-    >>> shown = show(resting(Rig("arm", (Joint("a", -1),))).collect())
+    >>> from animtool.preview.open_file import rest_take
+    >>> shown = show(rest_take(Rig("arm", (Joint("a", -1),))).collect())
     >>> shown._repr_html_().startswith('<iframe sandbox="allow-scripts" title="arm"')
     True
     """

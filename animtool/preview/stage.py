@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
-from animtool.preview.draft import PageDraft, skipped
+from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import (
     Quantized,
@@ -26,9 +26,10 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
 
-# This many instances are small on a page: without a color they are drawn dark.
-MANY, DARK = 100, (0.03, 0.04, 0.06)
-# Scales of copies may be off by as much [1].
+# From this many instances on, they are small on a page; without a color they are drawn
+# dark.
+MANY_INSTANCES, DARK_COLOR = 100, (0.03, 0.04, 0.06)
+# Quantization error allowed for instance scales [1].
 SCALE_ERROR = 1e-4
 
 
@@ -37,7 +38,7 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
-            _ADD[prim.kind](draft, prim, codes)
+            _ADDERS[prim.kind](draft, prim, codes)
     _add_cameras(draft, contents, codes)
 
 
@@ -54,7 +55,7 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         _add_rigid(draft, prim, faces, codes)
         return
     entry = _entry(draft, prim.name, faces)
-    entry["cache"] = _cache(draft, prim, codes, len(faces.points))
+    entry["cache"] = _point_stream(draft, prim, codes, len(faces.points))
     entry["visible"] = _visible(draft, prim, codes)
     draft.meshes.append(entry)
 
@@ -75,16 +76,16 @@ def _entry(draft: PageDraft, name: str, faces: ShownFaces) -> dict[str, Any]:
 def _add_rigid(
     draft: PageDraft, prim: ShownPrim, faces: ShownFaces, codes: FloatArray
 ) -> None:
-    """Add a rigidly moving mesh as one instance."""
+    """Add a mesh that only moves rigidly as one instance."""
     times = codes if prim.travels else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
         draft.note(f"{prim.name!r} has a transform that is not finite: it is not drawn")
         return
-    shown = _visible(draft, prim, codes)
-    if not prim.travels and shown is None:
-        placed = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
-        rigid = replace(faces, points=placed)
+    visibility = _visible(draft, prim, codes)
+    if not prim.travels and visibility is None:
+        placed_points = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
+        rigid = replace(faces, points=placed_points)
         draft.meshes.append(_entry(draft, prim.name, rigid))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
@@ -93,35 +94,39 @@ def _add_rigid(
         {
             "name": prim.name,
             "mesh": len(draft.meshes) - 1,
-            **_placed(
+            **_instance_streams(
                 draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]
             ),
-            "visible": shown,
+            "visible": visibility,
             "names": None,
         }
     )
 
 
-def _placed(
+def _instance_streams(
     draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
 ) -> dict[str, Any]:
     """Return instance streams ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
     frames = len(positions)
-    where = quantized_range(positions.reshape(frames, -1), period=3)
-    quantized = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
-    draft.off(position=where.error, rotation=2 * quantized.error)
+    positions_stored = quantized_range(positions.reshape(frames, -1), period=3)
+    rotations_stored = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
+    draft.record_error(
+        position=positions_stored.error, rotation=2 * rotations_stored.error
+    )
     sizes = scales.reshape(frames, -1)
     return {
-        "t": draft.packer.add(where),
-        "r": draft.packer.add(quantized),
+        "t": draft.packer.add(positions_stored),
+        "r": draft.packer.add(rotations_stored),
         "s": None
         if np.allclose(sizes, 1.0, atol=1e-6)
         else draft.packer.add(quantized_range(sizes, SCALE_ERROR, period=3)),
     }
 
 
-def _cache(draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
-    """Return the stream of animated points; samples of another length are held."""
+def _point_stream(
+    draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
+) -> int:
+    """Return the stream of animated points; wrong lengths repeat the last sample."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -131,7 +136,7 @@ def _cache(draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int) -> 
             rows[i] = rows[i - 1] if i else 0.0
             draft.note(f"{prim.name!r} has a different number of points in some frames")
     stored = quantized_range(rows, period=3)
-    draft.off(position=stored.error)
+    draft.record_error(position=stored.error)
     return draft.packer.add(stored)
 
 
@@ -158,7 +163,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             "joint": None,
             "bind": None,
             "counts": draft.packer.static(counts, "u32"),
-            "points": _cache(draft, prim, times, count),
+            "points": _point_stream(draft, prim, times, count),
             "width": _mean(widths),
             "color": None if prim.color is None else list(prim.color),
         }
@@ -176,7 +181,7 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     widths = _slot_values(rows, [prim.widths(t) for t in times], slots.count)
     colors = _slot_values(rows, [prim.colors(t) for t in times], slots.count)
     stored = quantized_range(positions, period=3)
-    draft.off(position=stored.error)
+    draft.record_error(position=stored.error)
     draft.points.append(
         {
             "name": prim.name,
@@ -208,12 +213,12 @@ class Slots:
         self._of: dict[int, int] = {}
 
     def take(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
-        """Return the column of each point of a frame ``(N,)``."""
+        """Return the slot of each point of a frame ``(N,)``, new ones included."""
         names = (
             range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
         )
-        before, self._of = self._of, {}
-        kept = {name: before[name] for name in names if name in before}
+        previous, self._of = self._of, {}
+        kept = {name: previous[name] for name in names if name in previous}
         used = set(kept.values())
         free = (slot for slot in range(self.count + len(rows)) if slot not in used)
         for name in names:
@@ -224,52 +229,52 @@ class Slots:
 
 
 def _in_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
-    placed = np.full((len(rows), count, 3), np.nan)
-    for frame, (slots, values) in zip(placed, rows, strict=True):
+    slot_positions = np.full((len(rows), count, 3), np.nan)
+    for frame, (slots, values) in zip(slot_positions, rows, strict=True):
         frame[slots] = values
-    return placed.reshape(len(rows), -1)
+    return slot_positions.reshape(len(rows), -1)
 
 
 def _slot_values(
     rows: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
 ) -> FloatArray | None:
-    """Return a value per slot, from its last point; None if there are none."""
-    known = next((one for one in values if len(one)), None)
-    if known is None:
+    """Return a value per slot, from its last point; None without values."""
+    cache = next((frame_values for frame_values in values if len(frame_values)), None)
+    if cache is None:
         return None
-    filled = np.zeros((count, *known.shape[1:]))
+    slot_values = np.zeros((count, *cache.shape[1:]))
     for (slots, _), rows_values in zip(rows, values, strict=True):
         if len(rows_values) in {1, len(slots)} and len(slots):
-            filled[slots] = rows_values
-    return filled
+            slot_values[slots] = rows_values
+    return slot_values
 
 
-def _add_copies(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     prototypes = prim.prototypes()
     times = (codes if prim.deforms or prim.travels else codes[:1]).tolist()
     samples = [prim.copies(code) for code in times]
     slots = Slots()
     rows = [slots.take(sample.ids, sample.points) for sample in samples]
-    copies = _Copies.of(samples, rows, slots.count)
+    copies = _SlotInstances.of(samples, rows, slots.count)
     for k, parts in enumerate(prototypes):
-        # A slot shows the mesh of its point, whichever that is in a frame.
-        shown = copies.copied == k
-        columns = np.flatnonzero(shown.any(axis=0))
+        # A slot shows the mesh of its point, which may change over frames.
+        uses_prototype = copies.copied == k
+        columns = np.flatnonzero(uses_prototype.any(axis=0))
         if not len(columns):
             continue
         for i, (faces, matrix) in enumerate(parts):
             name = f"{prim.name} {k + 1}" + (f".{i + 1}" if len(parts) > 1 else "")
-            placed = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
-            dark = DARK if len(columns) > MANY else None
-            color = faces.color or prim.color or dark
-            prototype = replace(faces, points=placed, color=color)
+            placed_points = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
+            default_color = DARK_COLOR if len(columns) > MANY_INSTANCES else None
+            color = faces.color or prim.color or default_color
+            prototype = replace(faces, points=placed_points, color=color)
             draft.meshes.append(_entry(draft, name, prototype) | {"prototype": True})
-            visible = shown[:, columns]
+            visible = uses_prototype[:, columns]
             draft.instances.append(
                 {
                     "name": name,
                     "mesh": len(draft.meshes) - 1,
-                    **_placed(
+                    **_instance_streams(
                         draft,
                         copies.points[:, columns],
                         copies.rotations[:, columns],
@@ -283,7 +288,7 @@ def _add_copies(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             )
 
 
-class _Copies:
+class _SlotInstances:
     """Instances by slot; a removed one keeps its last transform."""
 
     def __init__(self, frames: int, count: int) -> None:
@@ -295,8 +300,8 @@ class _Copies:
     @classmethod
     def of(
         cls, samples: list[PointSample], rows: list[IntArray], count: int
-    ) -> _Copies:
-        """Return the instances of samples; rows: the slot of each."""
+    ) -> _SlotInstances:
+        """Return the instances of samples; ``rows`` gives the slots of each sample."""
         copies = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:
@@ -311,33 +316,35 @@ class _Copies:
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
     for path in contents.cameras():
-        with skipped(draft, f"camera {path!r}"):
+        with skip_unreadable(draft, f"camera {path!r}"):
             prop = open_prop(PropRequest(contents.path, path, path), UpAxis.Y)
             add_camera(draft, prop.track, codes)
 
 
 def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
-    """Add a camera to a page; times: of its track ``(F,)``, at each frame."""
+    """Add a camera to a page; ``times`` ``(F,)`` are its track's at each frame."""
     names = [attribute.name for attribute in track.attributes]
-    there = track.at(times if track.moves else times[:1])
-    # Lenses are in tenths of the unit of the stage, which is in metres by now.
+    sampled = track.at(times if track.moves else times[:1])
+    # Lenses are in tenths of a stage unit, which is metres here.
     lens = {
-        name: there.values[names.index(name)] * 100
+        name: sampled.values[names.index(name)] * 100
         for name in ("focalLength", "horizontalAperture", "verticalAperture")
         if name in names
     }
     focal = lens.get("focalLength", np.full((1, 1), 50.0))
-    quantized = quantized_units(there.rotations)
-    where = quantized_range(there.translations)
-    draft.off(position=where.error, rotation=2 * quantized.error)
+    rotations_stored = quantized_units(sampled.rotations)
+    positions_stored = quantized_range(sampled.translations)
+    draft.record_error(
+        position=positions_stored.error, rotation=2 * rotations_stored.error
+    )
     clip = [0.01, 1e5]
     if "clippingRange" in names:
-        clip = there.values[names.index("clippingRange")][0].tolist()
+        clip = sampled.values[names.index("clippingRange")][0].tolist()
     draft.cameras.append(
         {
             "name": track.path,
-            "t": draft.packer.add(where),
-            "r": draft.packer.add(quantized),
+            "t": draft.packer.add(positions_stored),
+            "r": draft.packer.add(rotations_stored),
             "focal_mm": float(focal[0, 0]),
             "focal": None
             if np.ptp(focal) == 0
@@ -354,9 +361,9 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     )
 
 
-_ADD: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
+_ADDERS: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
     "mesh": _add_mesh,
     "curves": _add_curves,
     "points": _add_points,
-    "copies": _add_copies,
+    "copies": _add_instances,
 }

@@ -15,16 +15,17 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-# Samples of a block, and what one is decoded to at most: it opens within a frame.
+# Maximum samples of a block, and its maximum decoded size [byte], which decodes within
+# one display frame.
 BLOCK_SAMPLES = 256
 BLOCK_BYTES = 1 << 20
 # Static arrays share blocks up to this size [bytes].
 STATIC_BYTES = 1 << 22
-LEVEL = 6
-# Integers that a value may be, to either side of its offset.
-STEPS = 32767
+DEFLATE_LEVEL = 6
+# Range of quantized values on either side of the offset.
+MAX_QUANTIZED = 32767
 # Stands for NaN in streams with gaps.
-GAP = -32768
+NAN_STORED = -32768
 # Coarser than this, positions are stored as float32 [m].
 POSITION_ERROR = 1e-4
 
@@ -38,12 +39,12 @@ class Quantized:
     """Quantized values with scale, offset and error.
 
     Attributes:
-        stored: ``(F, width)`` of the type of its kind.
+        stored: Integers or floats ``(F, width)`` of the type ``kind``.
         kind: ``i16``, ``u16``, ``u8``, ``f32`` or ``u32``.
-        scale: A number, or some that repeat along the width.
+        scale: One number, or several that repeat along the width.
         offset: Likewise; a value is ``offset + scale * stored``.
         gaps: Whether -32768 stands for NaN.
-        error: Largest difference from what was given, in its unit.
+        error: Largest quantization error, in the unit of the values.
     """
 
     stored: Array
@@ -66,20 +67,21 @@ def plain(values: FloatArray, digits: int = 6) -> list[Any]:
 
 def quantized_units(values: FloatArray) -> Quantized:
     """Quantize numbers from -1 to 1, such as unit quaternions."""
-    stored = np.rint(np.clip(values, -1.0, 1.0) * STEPS).astype("<i2")
-    error = np.abs(stored / STEPS - values).max(initial=0.0)
-    return Quantized(stored, "i16", 1.0 / STEPS, error=float(error))
+    stored = np.rint(np.clip(values, -1.0, 1.0) * MAX_QUANTIZED).astype("<i2")
+    error = np.abs(stored / MAX_QUANTIZED - values).max(initial=0.0)
+    return Quantized(stored, "i16", 1.0 / MAX_QUANTIZED, error=float(error))
 
 
 def quantized_range(
     values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
 ) -> Quantized:
-    """Quantize columns over their range; float32 where that is too coarse.
+    """Quantize columns over their range; float32 if that is too coarse.
 
     Args:
-        values: ``(F, width)``; what is not finite is a gap.
-        tolerance: Largest error of integers.
-        period: Columns that share a range, such as 3 for points; 0 is each its own.
+        values: ``(F, width)``; non-finite values are gaps.
+        tolerance: Largest error allowed for integers.
+        period: Number of columns that share a range, such as 3 for points; 0 gives each
+            column its own.
     """
     width = values.shape[1]
     exact = np.asarray(values, np.float32).astype(np.float64)
@@ -92,23 +94,25 @@ def quantized_range(
     low = np.where(finite, rows, np.inf).min(axis=0)
     high = np.where(finite, rows, -np.inf).max(axis=0)
     low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
-    scale = (high - low) / (2 * STEPS)
+    scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
         stored = np.asarray(values, np.float32)
         return Quantized(stored, "f32", error=_largest(stored - values))
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
     numbers = np.rint((rows - offset) / divisor)
-    stored = np.where(np.isnan(numbers), GAP, numbers).astype("<i2")
+    stored = np.where(np.isnan(numbers), NAN_STORED, numbers).astype("<i2")
     error = _largest(offset + scale * numbers - values.reshape(rows.shape))
-    shared = scale.tolist(), offset.tolist()
+    per_column = scale.tolist(), offset.tolist()
     if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
-        shared = scale[:1].tolist(), offset[:1].tolist()
-    parts = _short(shared[0]), _short(shared[1])
-    return Quantized(stored.reshape(values.shape), "i16", *parts, gaps, error)
+        per_column = scale[:1].tolist(), offset[:1].tolist()
+    scale_and_offset = _unrepeated(per_column[0]), _unrepeated(per_column[1])
+    return Quantized(
+        stored.reshape(values.shape), "i16", *scale_and_offset, gaps, error
+    )
 
 
-def _short(values: list[float]) -> float | list[float]:
+def _unrepeated(values: list[float]) -> float | list[float]:
     return values[0] if len(values) == 1 else values
 
 
@@ -153,7 +157,7 @@ class Packer:
         self._static: dict[tuple[object, ...], int] = {}
 
     def add(self, data: Quantized) -> int:
-        """Return the number of a stream; equal one-sample streams share it."""
+        """Add a stream and return its index; equal one-sample streams share one."""
         number = len(self._streams)
         if len(data.stored) == 1:
             digest = hashlib.blake2b(data.stored.tobytes()).digest()
@@ -165,12 +169,12 @@ class Packer:
         return number
 
     def static(self, values: npt.ArrayLike, kind: str) -> int:
-        """Return the number of a one-sample stream, stored without quantization."""
+        """Add a one-sample stream without quantization; return its index."""
         flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
         return self.add(Quantized(flat, kind))
 
     def static_range(self, values: FloatArray, period: int = 3) -> int:
-        """Return the number of a one-sample stream of positions or offsets [m]."""
+        """Add a one-sample stream of positions or offsets [m]; return its index."""
         data = quantized_range(np.reshape(values, (-1, period)), period=period)
         flat = data.stored.reshape(1, -1)
         return self.add(
@@ -188,18 +192,18 @@ class Packer:
         for group, samples in self._groups():
             count = len(group[0].data.stored)
             for first in range(0, count, samples):
-                cut = slice(first, min(first + samples, count))
-                parts = [_encoded(s.data.stored[cut], s.data.kind) for s in group]
+                frames = slice(first, min(first + samples, count))
+                encoded = [_encoded(s.data.stored[frames], s.data.kind) for s in group]
                 for stream in group:
-                    stream.blocks.append([len(blocks), first, cut.stop - first])
-                blocks.append(deflated(parts))
+                    stream.blocks.append([len(blocks), first, frames.stop - first])
+                blocks.append(deflated(encoded))
         return [stream.entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
         """Return streams that share blocks, and their samples per block."""
         groups: list[tuple[list[_Stream], int]] = []
         static: list[_Stream] = []
-        moving: dict[int, list[_Stream]] = {}
+        by_length: dict[int, list[_Stream]] = {}
         for stream in self._streams:
             count = len(stream.data.stored)
             if count == 1:
@@ -208,23 +212,25 @@ class Packer:
                 samples = max(1, BLOCK_BYTES // stream.sample_bytes)
                 groups.append(([stream], samples))
             elif count:
-                moving.setdefault(count, []).append(stream)
+                by_length.setdefault(count, []).append(stream)
         groups += [
             (group, BLOCK_SAMPLES)
-            for streams in moving.values()
-            for group in _filled(streams, BLOCK_BYTES, BLOCK_SAMPLES)
+            for streams in by_length.values()
+            for group in _split_by_size(streams, BLOCK_BYTES, BLOCK_SAMPLES)
         ]
-        groups += [(group, 1) for group in _filled(static, STATIC_BYTES, 1)]
+        groups += [(group, 1) for group in _split_by_size(static, STATIC_BYTES, 1)]
         return groups
 
 
-def _filled(streams: Sequence[_Stream], most: int, samples: int) -> list[list[_Stream]]:
+def _split_by_size(
+    streams: Sequence[_Stream], max_bytes: int, samples: int
+) -> list[list[_Stream]]:
     """Return streams up to a total size; a larger one is alone."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:
         size_of_group = stream.sample_bytes * samples
-        if not groups or size + size_of_group > most:
+        if not groups or size + size_of_group > max_bytes:
             groups.append([])
             size = 0
         groups[-1].append(stream)
@@ -247,6 +253,6 @@ def _encoded(stored: Array, kind: str) -> bytes:
 
 def deflated(parts: Sequence[bytes]) -> str:
     """Return bytes as raw deflate in base64."""
-    deflate = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
+    deflate = zlib.compressobj(DEFLATE_LEVEL, zlib.DEFLATED, -15)
     packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
     return base64.b64encode(packed).decode("ascii")

@@ -10,49 +10,52 @@ from animtool.core.record import dataclass
 from animtool.preview.work_precision import Panel, PrecisionPoint
 
 WIDTH, HEIGHT = 720, 400
+# Margins [px].
 LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
 # Distinguishable with color vision deficiency (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
 DASHES = ("", "6 3", "2 3")
-# Axes with fewer decades have lines at 2 and 5 too.
+# Axes of fewer decades also have lines at 2 and 5.
 FEW_DECADES = 3
 
 
 def plot_svg(panel: Panel) -> str:
     """Return a panel as an SVG element, styled by the page.
 
-    A line joins the settings of a method. Filled are those that none beats; around the
-    present one is a ring, and a square around the one to take.
+    A line connects the settings of a method. Filled markers are on the Pareto front; a
+    ring marks the current setting and a square the recommended one.
     """
-    curves = [(curve.name, _drawn(curve.points)) for curve in panel.curves]
+    curves = [(curve.name, _positive_points(curve.points)) for curve in panel.curves]
     curves = [(name, points) for name, points in curves if points]
     label = html.escape(f"{panel.title}: {panel.error} against {panel.cost}")
-    parts = [
+    elements = [
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}" '
         'xmlns="http://www.w3.org/2000/svg">'
     ]
     if not curves:
-        parts.append(f'<text x="{LEFT}" y="{HEIGHT / 2}">nothing to draw</text></svg>')
-        return "".join(parts)
+        elements.append(
+            f'<text x="{LEFT}" y="{HEIGHT / 2}">nothing to draw</text></svg>'
+        )
+        return "".join(elements)
     every = [point for _, points in curves for point in points]
     floor = [panel.floor] if panel.floor > 0 else []
     x = _Axis.over([point.cost for point in every], LEFT, WIDTH - RIGHT)
     y = _Axis.over([p.error for p in every] + floor, HEIGHT - BOTTOM, TOP)
-    parts += _grid(x, y, panel)
+    elements += _grid(x, y, panel)
     if floor:
-        parts.append(
+        elements.append(
             f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
         )
     front = sorted((p.cost, p.error) for p in every if p.best)
     if len(front) > 1:
         path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in front)
-        parts.append(f'<path class="front" d="M{path}"/>')
+        elements.append(f'<path class="front" d="M{path}"/>')
     for i, (name, points) in enumerate(curves):
-        parts += _curve(i, name, points, x, y)
-    return "".join([*parts, "</svg>"])
+        elements += _curve(i, name, points, x, y)
+    return "".join([*elements, "</svg>"])
 
 
-def _drawn(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
+def _positive_points(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
     """Return the points that logarithmic axes can show."""
     return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
 
@@ -61,9 +64,9 @@ def _drawn(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
 class _Axis:
     """A logarithmic axis."""
 
-    low: float  # decimal exponent at its beginning
-    high: float  # at its end
-    begin: float  # where that is [px]
+    low: float  # decimal exponent at the start
+    high: float  # decimal exponent at the end
+    begin: float  # position of the start [px]
     end: float
 
     @staticmethod

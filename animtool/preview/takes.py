@@ -22,8 +22,8 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
 # Frames whose joints are in memory at once.
-BLOCK = 1024
-# Weights and scales may be off by as much [1].
+BLOCK_FRAMES = 1024
+# Quantization error allowed for weights and scales [1].
 WEIGHT_ERROR = 5e-5
 
 
@@ -31,12 +31,12 @@ WEIGHT_ERROR = 5e-5
 class QuantizedTrack:
     """One component of all joints: animated columns and constant values."""
 
-    static: FloatArray  # of every joint ``(J, K)``
-    moving: IntArray  # those that move ``(A,)``
-    values: Float32Array  # of these ``(F, A, K)``
+    static: FloatArray  # value of every joint, also animated ones ``(J, K)``
+    moving: IntArray  # indices of animated joints ``(A,)``
+    values: Float32Array  # of animated joints ``(F, A, K)``
 
     def dense(self, cut: slice) -> FloatArray:
-        """Return the values of all joints in some frames ``(F, J, K)``."""
+        """Return the values of all joints in a range of frames ``(F, J, K)``."""
         frames = len(self.values[cut])
         values = np.repeat(self.static[None], frames, axis=0)
         values[:, self.moving] = self.values[cut]
@@ -48,13 +48,14 @@ class ShownMotion:
     """A take as stored on the page.
 
     Attributes:
-        index: Its number on the page.
-        first: Sample of the timeline that its first frame is.
-        frames: Number of its frames.
-        weights: Of the rig's shapes ``(F, S)``; None where there are none.
-        controls: Of the rig's controls ``(F, C)``; likewise.
-        world: From a range of frames to where the joints are then, as stored.
-        entry: What the manifest says of it.
+        index: Index of the take on the page.
+        rig: The rig.
+        first: Page sample of its first frame.
+        frames: Number of frames.
+        weights: Weights of the rig's shapes ``(F, S)``; None without shapes.
+        controls: Values of the rig's controls ``(F, C)``; None without controls.
+        world: Returns the joint transforms of a range of frames, with quantization.
+        entry: The manifest entry.
     """
 
     index: int
@@ -67,15 +68,16 @@ class ShownMotion:
     entry: dict[str, Any]
 
 
-class Gathered:
-    """Motion of a take in memory as float32; constant joints once.
+class BufferedMotion:
+    """Motion of a take in memory as float32; constant joints are stored once.
 
-    Numbers are those that a USD layer of the take would hold, so that a motion makes
-    the same page whatever file it is read from.
+    Values are rounded as a USD layer of the take would store them, so that a motion
+    makes
+    the same page from any file format.
     """
 
     def __init__(self, blocks: Iterator[Motion], unit: float) -> None:
-        """Read a motion; unit: of length of its rig [m]."""
+        """Read all blocks of a motion; ``unit`` is the rig's unit of length [m]."""
         self._unit = unit
         self._rest: dict[str, Channel] = {}
         self._parts: dict[str, list[Float32Array]] = {}
@@ -86,8 +88,8 @@ class Gathered:
                 channel: Channel | None = getattr(block, name)
                 if channel is not None:
                     self._rest.setdefault(name, channel)
-                    part = self._stored(name, channel.values)
-                    self._parts.setdefault(name, []).append(part)
+                    rows = self._stored(name, channel.values)
+                    self._parts.setdefault(name, []).append(rows)
 
     def _stored(self, name: str, values: FloatArray) -> Float32Array:
         """Return values as they would be after writing a layer."""
@@ -95,7 +97,8 @@ class Gathered:
             exact = (values / self._unit).astype(np.float32).astype(np.float64)
             return (exact * self._unit).astype(np.float32)
         if name == "rotations":
-            # What is read was made of unit length once more: then it stays as it is.
+            # Rotations are normalized again when a layer is read, after which they stay
+            # equal.
             stored = values.astype(np.float32)
             for _ in range(3):
                 stored = so3.normalize(stored.astype(np.float64)).astype(np.float32)
@@ -106,13 +109,15 @@ class Gathered:
         """Return a channel; constant joints are not animated."""
         if name not in self._rest:
             return None
-        first, values = self._rest[name], np.concatenate(self._parts.pop(name))
-        static = self._stored(name, first.rest).astype(np.float64)
-        moves = np.zeros(len(first.animated), bool)
+        channel, values = self._rest[name], np.concatenate(self._parts.pop(name))
+        static = self._stored(name, channel.rest).astype(np.float64)
+        is_animated = np.zeros(len(channel.animated), bool)
         if self.frames:
-            moves = (values != values[:1]).any(axis=(0, 2))
-            static[first.animated] = values[0]
-        return QuantizedTrack(static, first.animated[moves], values[:, moves])
+            is_animated = (values != values[:1]).any(axis=(0, 2))
+            static[channel.animated] = values[0]
+        return QuantizedTrack(
+            static, channel.animated[is_animated], values[:, is_animated]
+        )
 
     def rows(self, name: str) -> FloatArray | None:
         """Return the values of a channel of one component ``(F, N)``."""
@@ -121,27 +126,27 @@ class Gathered:
 
 
 def add_take(
-    draft: PageDraft, name: str, stream: TakeStream, gathered: Gathered, first: int
+    draft: PageDraft, name: str, stream: TakeStream, motion: BufferedMotion, first: int
 ) -> ShownMotion:
     """Add a take to a page.
 
     Args:
         draft: The page.
-        name: What the page calls it.
-        stream: The take, Y up, at the rate of the page.
-        gathered: Its frames.
-        first: Sample of the timeline that its first frame is.
+        name: Name of the take on the page.
+        stream: The take, Y up, at the page's rate.
+        motion: Its motion.
+        first: Page sample of its first frame.
     """
     rig = stream.rig
     translations, rotations = (
-        gathered.track(name) or _nothing(rest)
+        motion.track(name) or _constant(rest)
         for name, rest in (
             ("translations", rig.rest_translations),
             ("rotations", rig.rest_rotations),
         )
     )
-    rotations = _positive(rotations)
-    scales = gathered.track("scales")
+    rotations = _positive_w(rotations)
+    scales = motion.track("scales")
     kinds = {"t": translations, "r": rotations, "s": scales}
     stored = {kind: _stored(kind, track) for kind, track in kinds.items()}
     decoded = {
@@ -159,7 +164,7 @@ def add_take(
         assert r is not None
         return forward(rig, t, so3.normalize(r), s)
 
-    contacts = _measure(draft, rig, gathered.frames, world, kinds, stream)
+    contacts = _measure(draft, rig, motion.frames, world, kinds, stream)
     entry = {
         "name": name,
         "skeleton": _skeleton(rig),
@@ -176,27 +181,27 @@ def add_take(
         "contacts": _named_spans(draft, contacts, first),
         "offset": [0.0, 0.0, 0.0],
         "visible": None,
-        "span": [first, first + gathered.frames - 1],
+        "span": [first, first + motion.frames - 1],
     }
     draft.takes.append(entry)
     return ShownMotion(
         len(draft.takes) - 1,
         rig,
         first,
-        gathered.frames,
-        gathered.rows("weights"),
-        gathered.rows("controls"),
+        motion.frames,
+        motion.rows("weights"),
+        motion.rows("controls"),
         world,
         entry,
     )
 
 
-def _nothing(rest: FloatArray) -> QuantizedTrack:
+def _constant(rest: FloatArray) -> QuantizedTrack:
     empty = np.zeros((0, 0, rest.shape[1]), np.float32)
     return QuantizedTrack(rest, np.zeros(0, np.int64), empty)
 
 
-def _positive(track: QuantizedTrack) -> QuantizedTrack:
+def _positive_w(track: QuantizedTrack) -> QuantizedTrack:
     """Return rotations whose first scalar part is positive."""
     static = np.where(track.static[:, 3:] < 0, -track.static, track.static)
     values = track.values
@@ -234,7 +239,7 @@ def _skeleton(rig: Rig) -> dict[str, Any]:
         "parents": rig.parents.tolist(),
         "rest": {
             "t": plain(rig.rest_translations),
-            "r": plain(_positive(_nothing(rig.rest_rotations)).static),
+            "r": plain(_positive_w(_constant(rig.rest_rotations)).static),
             "s": None,
         },
         "tips": [
@@ -259,19 +264,23 @@ def _measure(
     person, legs = _legs(draft, rig)
     joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     positions = []
-    for begin in range(0, frames, BLOCK):
-        cut = slice(begin, min(begin + BLOCK, frames))
-        one, other = world(cut), world(cut, exact)
-        offsets = np.linalg.norm(one.positions - other.positions, axis=-1)
-        draft.off(position=float(offsets.max(initial=0.0)))
-        positions.append(other.positions[:, joints])
+    for begin in range(0, frames, BLOCK_FRAMES):
+        frames_ = slice(begin, min(begin + BLOCK_FRAMES, frames))
+        stored_world, exact_world = world(frames_), world(frames_, exact)
+        offsets = np.linalg.norm(
+            stored_world.positions - exact_world.positions, axis=-1
+        )
+        draft.record_error(position=float(offsets.max(initial=0.0)))
+        positions.append(exact_world.positions[:, joints])
     rotations = exact["r"]
     assert rotations is not None
     if rotations.values.size:
         stored = quantized_units(rotations.values.astype(np.float64))
-        near = so3.normalize(stored.stored / 32767.0)
-        chords = np.linalg.norm(near - so3.normalize(rotations.values), axis=-1)
-        draft.off(rotation=2 * float(chords.max()))
+        stored_rotations = so3.normalize(stored.stored / 32767.0)
+        chords = np.linalg.norm(
+            stored_rotations - so3.normalize(rotations.values), axis=-1
+        )
+        draft.record_error(rotation=2 * float(chords.max()))
     if person is None or frames < 2:
         return []
     feet = dict(zip(joints, np.concatenate(positions).swapaxes(0, 1), strict=True))
@@ -286,9 +295,9 @@ def _legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
     """Return a rig with roles and its legs; None if it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
-    if key not in draft.known:
-        draft.known[key] = _find_legs(rig)
-    legs: tuple[RoledSkeleton | None, Legs] = draft.known[key]
+    if key not in draft.cache:
+        draft.cache[key] = _find_legs(rig)
+    legs: tuple[RoledSkeleton | None, Legs] = draft.cache[key]
     return legs
 
 

@@ -14,13 +14,13 @@ from animtool.ik.file import load_targets
 from animtool.ik.goals import Targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
-from animtool.preview.draft import PageDraft, skipped
+from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.streams import quantized_range
 from animtool.preview.takes import ShownMotion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
 
-# Columns of the weights of targets, colours as display has them, and sizes [m].
+# Per kind of goal: column of the weights, sRGB color, and marker radius [m].
 _KINDS = {
     "position": ("positions", 0, (0.70, 0.04, 0.10), 0.024),
     "aim": ("aims", 2, (0.75, 0.30, 0.02), 0.018),
@@ -36,10 +36,10 @@ def add_targets(
     Args:
         draft: The page.
         tracks: The goals, read without a rig.
-        shown: The take whose rig and joints they are for; None of none.
+        shown: The take that the goals apply to; None without a take.
         up: Up axis of that take's file.
     """
-    with skipped(draft, f"targets {tracks.path.name!r}"):
+    with skip_unreadable(draft, f"targets {tracks.path.name!r}"):
         frames = _frames(draft, tracks)
         if not len(frames):
             draft.note(f"targets {tracks.path.name!r} have other frames")
@@ -50,8 +50,8 @@ def add_targets(
         if shown is not None:
             tracks = load_targets(tracks.path, rig)
         clock = _clock(draft, tracks, frames)
-        sampled = tracks.placed(clock).sample(rig, clock, world)
-        _add_markers(draft, tracks, sampled, frames, up_rotation)
+        targets = tracks.placed(clock).sample(rig, clock, world)
+        _add_markers(draft, tracks, targets, frames, up_rotation)
 
 
 def _frames(draft: PageDraft, tracks: TargetTracks) -> IntArray:
@@ -91,36 +91,38 @@ def _posed(
     rows = rows - rows.min()
     positions, linear = world.positions[rows], world.linear[rows]
     if up_rotation is not None:
-        back = so3.to_matrix(np.array(up_rotation)).T
-        positions, linear = positions @ back.T, back @ linear
+        to_file_axes = so3.to_matrix(np.array(up_rotation)).T
+        positions, linear = positions @ to_file_axes.T, to_file_axes @ linear
     return shown.rig, WorldTransforms(positions, linear)
 
 
 def _add_markers(
     draft: PageDraft,
     tracks: TargetTracks,
-    sampled: Targets,
+    targets: Targets,
     frames: IntArray,
     up_rotation: object,
 ) -> None:
-    weights = np.asarray(sampled.weights)
+    weights = np.asarray(targets.weights)
     for kind, (values, column, color, radius) in _KINDS.items():
-        chosen = [
+        columns = [
             e for e, track in enumerate(tracks.goals) if track.goal.weights[column] > 0
         ]
-        if not chosen:
+        if not columns:
             continue
-        points: FloatArray = np.asarray(getattr(sampled, values), np.float64)[:, chosen]
+        points: FloatArray = np.asarray(getattr(targets, values), np.float64)[
+            :, columns
+        ]
         if up_rotation is not None:
             points = so3.rotate(np.array(up_rotation), points)
-        points = np.where(weights[:, chosen, column, None] > 0, points, np.nan)
-        rows = np.full((draft.timeline.count, len(chosen) * 3), np.nan)
+        points = np.where(weights[:, columns, column, None] > 0, points, np.nan)
+        rows = np.full((draft.timeline.count, len(columns) * 3), np.nan)
         rows[frames] = points.reshape(len(frames), -1)
         if not np.isfinite(rows).any():
             continue
         label = "" if kind == "position" else f" {kind}"
         stored = quantized_range(rows, period=3)
-        draft.off(position=stored.error)
+        draft.record_error(position=stored.error)
         draft.points.append(
             {
                 "name": f"{tracks.path.name}{label}",
@@ -129,6 +131,6 @@ def _add_markers(
                 "radii": None,
                 "color": list(color),
                 "colors": None,
-                "names": [f"{tracks.goals[e].name}{label}" for e in chosen],
+                "names": [f"{tracks.goals[e].name}{label}" for e in columns],
             }
         )

@@ -18,7 +18,7 @@ from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
 from animtool.preview.open_file import OpenFile, ShownTake
 from animtool.preview.options import PreviewOptions
-from animtool.preview.takes import Gathered
+from animtool.preview.takes import BufferedMotion
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan, in_frames
 from animtool.scene.bake.options import BakeOptions
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Frames of a page.
 MAX_FRAMES = 1_000_000
-FEWER = (
+FEWER_FRAMES_HINT = (
     f"{argument('frame_range', '1-240x2')} shows fewer frames, "
     f"{argument('prim_path')} a part of a stage"
 )
@@ -41,18 +41,18 @@ class TimedPart:
     file: int
     take: ShownTake
     stream: TakeStream
-    gathered: Gathered
-    first: Fraction  # frame of the page that its first one is
-    origin: Fraction  # the same of its file's first frame, which may be left out
-    shift: Fraction = Fraction(0)  # from its own frames to those that it is shown at
+    motion: BufferedMotion
+    first: Fraction  # page frame of the take's first frame
+    origin: Fraction  # page frame of the file's first frame, also if not shown
+    shift: Fraction = Fraction(0)  # offset from its own frames to page frames
 
     @property
     def last(self) -> Fraction:
         """Last page frame of the take."""
-        return self.first + max(0, self.gathered.frames - 1) * self.stream.step
+        return self.first + max(0, self.motion.frames - 1) * self.stream.step
 
 
-def gathered_part(
+def timed_take(
     number: int,
     file: OpenFile,
     take: ShownTake,
@@ -63,64 +63,68 @@ def gathered_part(
     """Return a take resampled to the page's frames and rate.
 
     Args:
-        number: Of its file.
-        file: That file.
+        number: Index of its file.
+        file: The file.
         take: The take.
-        fps: Frames a second of the page.
-        options: Of the page.
-        notices: Where warnings and notes go.
+        fps: Frames per second of the page.
+        options: Options of the page.
+        notices: Receives warnings and notes.
     """
     stream = take.stream
     start = Fraction(1)
     if stream.start is not None:
         start = frame_start(stream.start, stream.fps, fps, on_frame=True)
     origin = start
-    # A rig at rest is of any frame and rate.
-    rests = is_named(file.path, "rig")
-    asked = None if rests or (stream.fps == fps and stream.step == 1) else fps
-    chosen = None if rests else options.frame_range
-    uneven = stream.step != 1 or start.denominator != 1
-    quiet = {"SCN202"}
-    if chosen is None and uneven and (span := _stated(file, fps)) is not None:
-        quiet = {"SCN202", "TAKE008"}
-        # Samples of any times, at the frames of their stage.
-        chosen = FrameRange(math.ceil(span[0]), math.floor(span[1]))
-        asked = None if stream.fps == fps else fps
-    if asked is not None or chosen is not None:
-        bake = BakeOptions(fps=asked, frame_range=chosen)
-        said: list[Fault] = []
-        rate = asked or stream.fps
+    # A rig at rest fits any frame range and rate.
+    is_rig = is_named(file.path, "rig")
+    new_rate = None if is_rig or (stream.fps == fps and stream.step == 1) else fps
+    frame_range = None if is_rig else options.frame_range
+    off_frame = stream.step != 1 or start.denominator != 1
+    ignored_codes = {"SCN202"}
+    if (
+        frame_range is None
+        and off_frame
+        and (span := _authored_range(file, fps)) is not None
+    ):
+        ignored_codes = {"SCN202", "TAKE008"}
+        # Resample to the frames of the stage.
+        frame_range = FrameRange(math.ceil(span[0]), math.floor(span[1]))
+        new_rate = None if stream.fps == fps else fps
+    if new_rate is not None or frame_range is not None:
+        bake = BakeOptions(fps=new_rate, frame_range=frame_range)
+        faults: list[Fault] = []
+        rate = new_rate or stream.fps
         stream = in_frames(
-            TakePlan(file.path, "", stream, None, bake, rate, start, said)
+            TakePlan(file.path, "", stream, None, bake, rate, start, faults)
         )
-        # It may last as long as it does.
-        notices += [one for one in said if one.code not in quiet]
+        # The duration of the take need not be a whole number of frames.
+        notices += [fault for fault in faults if fault.code not in ignored_codes]
         start = Fraction(1) if stream.start is None else stream.start
-    if asked is not None and take.stream.fps != fps:
+    if new_rate is not None and take.stream.fps != fps:
         message = (
             f"has {rate_label(take.stream.fps)}, but is shown at {rate_label(fps)}"
         )
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
-    gathered = Gathered(stream.blocks, stream.rig.meters_per_unit)
+    motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
     notices += map(file.located, stream.notices)
-    return TimedPart(number, take, stream, gathered, start, origin)
+    return TimedPart(number, take, stream, motion, start, origin)
 
 
 def align(parts: list[TimedPart]) -> list[Fault]:
-    """Shift takes that share no frame with the first to its start; return notices."""
+    """Shift takes that do not overlap the first to its start; return notices."""
     notices = []
     for part in parts[1:]:
-        lead = parts[0]
-        if part.first > lead.last or part.last < lead.first:
+        first_take = parts[0]
+        if part.first > first_take.last or part.last < first_take.first:
             message = (
                 f"take {part.take.name!r} begins at frame {frame_label(part.first)}, "
-                f"but is shown from frame {frame_label(lead.first)}"
+                f"but is shown from frame {frame_label(first_take.first)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            part.shift = lead.first - part.first
+            part.shift = first_take.first - part.first
             part.origin += part.shift
-            part.first = lead.first
+            part.first = first_take.first
     return notices
 
 
@@ -133,12 +137,13 @@ def timeline_of(
     """Return the timeline that covers all files.
 
     Raises:
-        OptionError: None of them is asked for (CLI005), or there are too many (PRV003).
+        OptionError: No requested frame is in the files (CLI005), or there are too many
+            frames (PRV003).
     """
     spans = [
-        _within(part, _stated(opened[part.file], fps))
+        _within(part, _authored_range(opened[part.file], fps))
         for part in parts
-        if part.gathered.frames > 1
+        if part.motion.frames > 1
     ]
     step = Fraction(1)
     for file in opened:
@@ -150,7 +155,7 @@ def timeline_of(
             ratio = fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
-        if file.targets is not None and all(part.gathered.frames < 2 for part in parts):
+        if file.targets is not None and all(part.motion.frames < 2 for part in parts):
             clock = file.targets.clock
             ratio = Fraction(1) if file.targets.fps is None else fps / clock.fps
             last = clock.start + (clock.count - 1) * clock.step
@@ -171,21 +176,21 @@ def timeline_of(
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"
-        raise OptionError(Fault("PRV003", message, hint=FEWER))
+        raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     return Timeline(fps, first, step, count)
 
 
 def _within(
-    part: TimedPart, stated: tuple[Fraction, Fraction] | None
+    part: TimedPart, authored: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
-    if stated is None or part.shift:
+    if authored is None or part.shift:
         return part.first, part.last
-    first, last = max(part.first, stated[0]), min(part.last, stated[1])
+    first, last = max(part.first, authored[0]), min(part.last, authored[1])
     return (first, last) if first <= last else (part.first, part.last)
 
 
-def _stated(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
+def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
     """Return the authored range of a stage; None for other files."""
     contents = file.contents
     span = None if contents is None else contents.stated_span

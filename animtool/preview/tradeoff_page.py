@@ -16,7 +16,7 @@ from animtool.preview.work_precision import panels_of
 from animtool.report.tradeoffs import LEGEND, table_parts
 from animtool.scene.tables.tradeoffs import Pair, Tradeoffs
 
-# Between two figures, over their size.
+# Gap between two figures, relative to their size.
 GAP = 0.6
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
@@ -31,15 +31,15 @@ def write_tradeoff_page(
     overwrite: bool = False,
     calling: Calling = in_python,
 ) -> int:
-    """Write a page of a report; return its size [bytes].
+    """Write a page of a report; return its size [byte].
 
-    Its pairs are read now, and shown beside each other.
+    Pairs of settings are read and shown side by side.
 
     Args:
-        report: What was measured.
-        output: The page.
-        overwrite: Replace a page that exists.
-        calling: What its texts call arguments.
+        report: The measurements.
+        output: Path of the page.
+        overwrite: Replace an existing page.
+        calling: How texts refer to arguments: as options or in Python.
 
     Raises:
         OptionError: The page exists (OUT001).
@@ -64,8 +64,8 @@ def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]
     yield f'<p class="soft">{html.escape(LEGEND)}</p>\n'
     for notice in report.notices:
         message = worded(notice.message, calling)
-        words = f"{notice.severity}: {notice.code} {message}"
-        yield f"<p>{html.escape(words)}</p>\n"
+        text = f"{notice.severity}: {notice.code} {message}"
+        yield f"<p>{html.escape(text)}</p>\n"
     pairs = {pair.table: pair for pair in report.pairs}
     panels = panels_of(report.tables)
     for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):
@@ -102,10 +102,10 @@ def _table(
 
 def _viewer(pair: Pair) -> Iterator[str]:
     """Yield the viewer of two settings, in an iframe."""
-    present, other = (html.escape(str(setting)) for setting in pair.settings)
-    yield f"<p>Side by side: {present} (current) and {other}.</p>\n"
+    current, alternative = (html.escape(str(setting)) for setting in pair.settings)
+    yield f"<p>Side by side: {current} (current) and {alternative}.</p>\n"
     page = make_page([*pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
         take["offset"] = [i * GAP * pair.size, 0.0, 0.0]
-    inside = html.escape(page.html(), quote=True)
-    yield f'<iframe title="{present}, {other}" srcdoc="{inside}"></iframe>\n'
+    document = html.escape(page.html(), quote=True)
+    yield f'<iframe title="{current}, {alternative}" srcdoc="{document}"></iframe>\n'

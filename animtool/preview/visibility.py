@@ -19,9 +19,9 @@ def add_visibility(
     """Add the visible frames of a take and its meshes.
 
     Args:
-        draft: The page, which has the take and its meshes.
-        file: What the take is of.
-        part: When its frames are.
+        draft: The page, with the take and its meshes.
+        file: The file of the take.
+        part: The take on the timeline.
         shown: The take on the page.
     """
     contents, prim = file.contents, part.take.prim

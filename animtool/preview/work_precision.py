@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".png", ".svg", ".pdf")
-# Of a panel [inch], and dots an inch.
+# Size of a panel [inch], and dots per inch.
 WIDTH, HEIGHT, DPI = 7.0, 4.6, 130
 MARKERS = "osD^vP<>Xphd*H8"
-# Of what settings cost, the field of a row and the words; none are those of the table.
+# Axis label and row field of each cost measure; others are counted in the table's unit.
 COSTS = {
     CostMeasure.SECONDS: ("seconds", "seconds"),
     CostMeasure.BYTES: ("bytes", "bytes"),
@@ -35,11 +35,11 @@ class PrecisionPoint:
     """Cost and error of one setting.
 
     Attributes:
-        cost: As its panel has it.
-        error: As its panel has it.
-        chosen: Whether it is the one in use.
-        best: Whether none as exact is cheaper.
-        recommended: Whether to take it instead.
+        cost: In the unit of the panel.
+        error: In the unit of the panel.
+        chosen: Whether it is the current setting.
+        best: Whether no setting of equal accuracy is cheaper.
+        recommended: Whether to use it instead of the current one.
     """
 
     cost: float
@@ -54,20 +54,20 @@ class PrecisionCurve:
     """The settings of one method, in order."""
 
     name: str  # for the legend
-    points: tuple[PrecisionPoint, ...]  # those that work
+    points: tuple[PrecisionPoint, ...]  # settings that work
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
     """Content of one plot."""
 
-    title: str  # above it
-    error: str  # what errors are, for the axis
-    curves: tuple[PrecisionCurve, ...]  # A line each
-    # How far what errors are measured from may be off itself [m]; 0 draws nothing.
+    title: str
+    error: str  # label of the error axis
+    curves: tuple[PrecisionCurve, ...]
+    # Uncertainty of the reference that errors are measured from [m]; 0 draws nothing.
     floor: float = 0.0
     remark: str = ""  # below the title; may be empty
-    cost: str = "seconds"  # what settings cost, for the axis
+    cost: str = "seconds"  # label of the cost axis
 
 
 def check_drawable(path: Path) -> None:
@@ -90,7 +90,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
     for frame, panel in zip(frames, panels, strict=True):
         _draw(frame, panel, ticker)
     kind = path.suffix.lower().removeprefix(".")
-    # The same picture is the same bytes.
+    # No metadata that changes between runs: equal plots are equal bytes.
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
     try:
         with (
@@ -98,7 +98,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
             warnings.catch_warnings(),
             replacing(path) as new,
         ):
-            # What a font has no sign for is drawn as a box.
+            # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)
             figure.savefig(new, format=kind, metadata=dates[kind])
     except OSError as error:
@@ -125,14 +125,14 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
         frame.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
     frame.set_xscale("log")
     frame.set_yscale("log")
-    # Times are mostly within two decades: numbers between their ends are needed.
+    # Times often span less than two decades, so minor ticks need labels.
     frame.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
     frame.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     frame.xaxis.set_minor_formatter(ticker.NullFormatter())
     frame.set_xlabel(panel.cost)
     frame.set_ylabel(panel.error)
     title = "\n".join(filter(None, [panel.title, panel.remark]))
-    # Names are text, whatever matplotlib takes for formulas.
+    # Names are plain text, not matplotlib math text.
     frame.set_title(title, fontsize=10, parse_math=False)
     frame.grid(visible=True, which="both", alpha=0.2)
     if frame.get_legend_handles_labels()[0]:

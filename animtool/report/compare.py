@@ -34,10 +34,10 @@ from animtool.scene.sources.open import (
 class ShapeDifference:
     """Largest difference of weights."""
 
-    value: float = 0.0  # how large [1]
-    shape: str = ""  # of which shape, as the first take has it
+    value: float = 0.0  # difference [1]
+    shape: str = ""  # name of the shape in the first take
     code: float = 0.0  # time code in the first take
-    skeleton: str = ""  # of which skeleton of the first file, where it has several
+    skeleton: str = ""  # path of the skeleton if the first file has several
 
 
 def compare_weights(
@@ -45,38 +45,37 @@ def compare_weights(
 ) -> tuple[ShapeDifference, int, list[str]]:
     """Compare the weights of two takes of equal rate, shapes by name.
 
-    Shapes of ARKit's are the same however they are spelled. A shape that only one take
-    has is a mismatch where its weight is ever other than 0.
+    Different spellings of an ARKit shape are the same shape. A shape that only one take
+    has is a mismatch if its weight is ever nonzero.
 
-    Returns the largest difference, how many shapes were compared, and which only one
-    has.
+    Returns the largest difference, the number of shapes compared, and the mismatches.
     """
     a, b = (_weights(take) for take in (first, second))
     names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
     pairs = _pairs(*names)
     mismatches = []
     for column, (weights, other) in enumerate(((a, "second"), (b, "first"))):
-        alone = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
-        lost = [names[column][s] for s in sorted(alone) if weights[:, s].any()]
-        if lost:
-            mismatches.append(lost_text("shape", lost, other))
-    mine, theirs = [s for s, _ in pairs], [s for _, s in pairs]
-    difference = np.abs(a[:frames, mine] - b[:frames, theirs])
+        unmatched = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
+        missing = [names[column][s] for s in sorted(unmatched) if weights[:, s].any()]
+        if missing:
+            mismatches.append(missing_text("shape", missing, other))
+    first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
+    difference = np.abs(a[:frames, first_columns] - b[:frames, second_columns])
     if not difference.size:
         return ShapeDifference(), 0, mismatches
     frame, pair = np.unravel_index(np.argmax(difference), difference.shape)
     largest = ShapeDifference(
         float(difference[frame, pair]),
-        names[0][mine[int(pair)]],
+        names[0][first_columns[int(pair)]],
         float(first.clock.times[frame]),
     )
     return largest, len(pairs), mismatches
 
 
-def lost_text(noun: str, lost: Sequence[str], other: str) -> str:
-    """Return text that lists what only one of two has."""
-    are = "is" if len(lost) == 1 else "are"
-    return f"{counted(len(lost), noun)} {are} not in the {other}: {listed(lost)}"
+def missing_text(noun: str, missing: Sequence[str], other: str) -> str:
+    """Return text that lists what the other of two files or takes lacks."""
+    are = "is" if len(missing) == 1 else "are"
+    return f"{counted(len(missing), noun)} {are} not in the {other}: {listed(missing)}"
 
 
 def _weights(take: Take) -> FloatArray:
@@ -89,22 +88,24 @@ def _weights(take: Take) -> FloatArray:
 def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
     """Match shapes by name, then by ARKit name, in order."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
-    mine, theirs = {i for i, _ in pairs}, {k for _, k in pairs}
-    spelled = {
+    first_used, second_used = {i for i, _ in pairs}, {k for _, k in pairs}
+    by_arkit_name = {
         arkit: k
         for k, name in enumerate(second)
-        if k not in theirs and (arkit := arkit_name(name)) is not None
+        if k not in second_used and (arkit := arkit_name(name)) is not None
     }
     for i, name in enumerate(first):
-        match = None if i in mine else spelled.pop(arkit_name(name) or "", None)
+        match = (
+            None if i in first_used else by_arkit_name.pop(arkit_name(name) or "", None)
+        )
         if match is not None:
             pairs.append((i, match))
     return sorted(pairs)
 
 
-# USD holds scales as 16-bit floats, which are 5e-4 apart near one.
+# USD stores scales as 16-bit floats, whose spacing near 1 is 5e-4.
 SCALE_TOLERANCE = 1e-3
-# Of what a weight of one moves by centimetres, less than a micrometre.
+# Where a weight of 1 moves a point by centimetres, this is less than a micrometre.
 WEIGHT_TOLERANCE = 1e-5
 
 
@@ -112,10 +113,10 @@ WEIGHT_TOLERANCE = 1e-5
 class Difference:
     """Largest difference of one kind."""
 
-    value: float  # how large [m] or [deg]
-    joint: str  # where
+    value: float  # difference [m] or [deg]
+    joint: str  # name of the joint
     code: float  # time code in the first take
-    skeleton: str = ""  # of which skeleton of the first file, where it has several
+    skeleton: str = ""  # path of the skeleton if the first file has several
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,7 @@ class TakeDifference:
     frames: int  # frames compared
     joints: int  # joints compared
     shapes: int  # shapes compared
-    mismatches: list[str]  # what one has and the other has not, in words
+    mismatches: list[str]  # joints and shapes that only one take has, as text
     # Differences that do not affect the takes, as text.
     notes: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)  # warnings and notes
@@ -160,46 +161,50 @@ def compare(
 ) -> TakeDifference:
     """Compare the takes of two files by time from the first frame, joints by name.
 
-    Of USD files with several skeletons each is compared with that of its path, unless
-    options name one. The second is turned to the up axis of the first, and lengths are
-    compared in metres. Other units, up axes and first time codes are noted.
+    In USD files with several skeletons, each is compared with the one of the same path,
+    unless options select one. The second take is rotated to the up axis of the first,
+    and
+    lengths are compared in metres. Different units, up axes and first time codes are
+    reported as notes.
 
     Args:
         first: A file.
-        second: Another.
-        options: What the first is; without ``second_options`` both, each as far as
-            such files take it: units and up axis are stated by USD files themselves.
-        second_options: What the second is.
+        second: Another file.
+        options: How to read the first; without ``second_options`` both, each as far as
+            the options apply: USD files state their own units and up axis.
+        second_options: How to read the second.
 
     Raises:
         FormatError: A file cannot be read or is malformed.
-        OptionError: An option does not apply to its file, or to neither.
+        OptionError: An option applies to neither file, or not to its own.
     """
     paths = [Path(first), Path(second)]
-    mine = options or SourceOptions()
-    each_options = [mine, second_options]
+    first_options = options or SourceOptions()
+    each_options = [first_options, second_options]
     if second_options is None:
-        each_options = [fitting_options(mine, path, paths) for path in paths]
+        each_options = [fitting_options(first_options, path, paths) for path in paths]
     if all(is_usd(path) for path in paths) and each_options == 2 * [SourceOptions()]:
         characters = [open_characters(path) for path in paths]
         if max(map(len, characters)) > 1:
             return _character_difference(*characters)
     return _stream_difference(
         *(
-            open_source(path, chosen)
-            for path, chosen in zip(paths, each_options, strict=True)
+            open_source(path, file_options)
+            for path, file_options in zip(paths, each_options, strict=True)
         )
     )
 
 
-def _stream_difference(one: TakeStream, two: TakeStream) -> TakeDifference:
-    """Compare two open takes, the second in the axes of the first."""
-    difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
-    difference.notices.extend([*one.notices, *two.notices])
-    meters = one.rig.meters_per_unit, two.rig.meters_per_unit
-    difference.notes.extend(space_notes((one.rig.up, two.rig.up), meters))
-    if None not in {one.start, two.start} and one.start != two.start:
-        codes = f"{float(one.start or 0):g} instead of {float(two.start or 0):g}"
+def _stream_difference(first: TakeStream, second: TakeStream) -> TakeDifference:
+    """Compare two open takes; the second is rotated to the axes of the first."""
+    difference = compare_takes(
+        first.collect(), reorient(second, first.rig.up).collect()
+    )
+    difference.notices.extend([*first.notices, *second.notices])
+    meters = first.rig.meters_per_unit, second.rig.meters_per_unit
+    difference.notes.extend(space_notes((first.rig.up, second.rig.up), meters))
+    if None not in {first.start, second.start} and first.start != second.start:
+        codes = f"{float(first.start or 0):g} instead of {float(second.start or 0):g}"
         difference.notes.append(f"first time code {codes}; compared from there")
     return difference
 
@@ -208,26 +213,36 @@ _TakeReaders: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
 def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDifference:
-    """Compare the skeletons of two stages, by their paths."""
+    """Compare the skeletons of two stages, matched by path."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [
-        lost_text("skeleton", lost, other)
+        missing_text("skeleton", missing, other)
         for names, column, other in ((first, 0, "second"), (second, 1, "first"))
-        if (lost := [name for name in names if name not in {p[column] for p in pairs}])
+        if (
+            missing := [
+                name for name in names if name not in {p[column] for p in pairs}
+            ]
+        )
     ]
-    none = Difference(0.0, "", 0.0)
-    merged = TakeDifference(
-        *(none, none, none, none, ShapeDifference()),
+    no_difference = Difference(0.0, "", 0.0)
+    total = TakeDifference(
+        *(
+            no_difference,
+            no_difference,
+            no_difference,
+            no_difference,
+            ShapeDifference(),
+        ),
         frames=0,
         joints=0,
         shapes=0,
         mismatches=mismatches,
         skeletons=len(pairs),
     )
-    for mine, theirs in pairs:
-        difference = _stream_difference(first[mine](), second[theirs]())
-        merged = _merged(merged, difference, mine)
-    return merged
+    for first_path, second_path in pairs:
+        difference = _stream_difference(first[first_path](), second[second_path]())
+        total = _merged(total, difference, first_path)
+    return total
 
 
 def _skeleton_pairs(
@@ -241,42 +256,43 @@ def _skeleton_pairs(
     [('/hero/s', '/b/y/s')]
     """
     pairs: list[tuple[str, str]] = []
-    mine, theirs = list(first), list(second)
+    first_left, second_left = list(first), list(second)
     keys: tuple[Callable[[str], str], ...] = (str, lambda p: p.split("/", 2)[-1])
     for key in keys:
-        index = {key(path): path for path in reversed(theirs)}
-        for path in list(mine):
+        index = {key(path): path for path in reversed(second_left)}
+        for path in list(first_left):
             match = index.pop(key(path), None)
             if match is not None:
                 pairs.append((path, match))
-                mine.remove(path)
-                theirs.remove(match)
-    return pairs or list(zip(mine, theirs, strict=False))
+                first_left.remove(path)
+                second_left.remove(match)
+    return pairs or list(zip(first_left, second_left, strict=False))
 
 
 def _merged(
-    total: TakeDifference, part: TakeDifference, skeleton: str
+    total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
     """Return the differences of several skeletons merged with one more."""
-    kinds = ("world", "translation", "rotation", "scale", "weight")
+    quantities = ("world", "translation", "rotation", "scale", "weight")
     larger = {
-        kind: replace(difference, skeleton=skeleton)
-        for kind in kinds
-        if (difference := getattr(part, kind)).value > getattr(total, kind).value
+        quantity: replace(difference, skeleton=skeleton)
+        for quantity in quantities
+        if (difference := getattr(added, quantity)).value
+        > getattr(total, quantity).value
     }
-    named = {
-        name: [f"{skeleton}: {line}" for line in getattr(part, name)]
+    with_skeleton = {
+        name: [f"{skeleton}: {line}" for line in getattr(added, name)]
         for name in ("mismatches", "notes")
     }
     return replace(
         total,
         **larger,
-        frames=max(total.frames, part.frames),
-        joints=total.joints + part.joints,
-        shapes=total.shapes + part.shapes,
-        mismatches=total.mismatches + named["mismatches"],
-        notes=total.notes + named["notes"],
-        notices=total.notices + [n for n in part.notices if n not in total.notices],
+        frames=max(total.frames, added.frames),
+        joints=total.joints + added.joints,
+        shapes=total.shapes + added.shapes,
+        mismatches=total.mismatches + with_skeleton["mismatches"],
+        notes=total.notes + with_skeleton["notes"],
+        notices=total.notices + [n for n in added.notices if n not in total.notices],
     )
 
 
@@ -298,34 +314,40 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     if first.clock.rate != second.clock.rate:
         second = resampled(second, first.clock.rate)
     frames = min(first.clock.count, second.clock.count)
-    mine = [a for a, _ in pairs]
-    theirs = [b for _, b in pairs]
+    first_joints = [a for a, _ in pairs]
+    second_joints = [b for _, b in pairs]
     codes = first.clock.times
 
-    weight, shapes, lost = compare_weights(first, second, frames)
+    weight, shapes, missing_shapes = compare_weights(first, second, frames)
 
     def largest(values: FloatArray) -> Difference:
         if not values.size:
             return Difference(0.0, "", 0.0)
         frame, joint = np.unravel_index(np.argmax(values), values.shape)
-        name = first.rig.names[mine[int(joint)]]
+        name = first.rig.names[first_joints[int(joint)]]
         return Difference(float(values[frame, joint]), name, float(codes[frame]))
 
     a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
     world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
-    difference = world_a.positions[:, mine] - world_b.positions[:, theirs]
-    moved = a[0][:, mine] - b[0][:, theirs]
-    turned = so3.angle_between(a[1][:, mine], b[1][:, theirs])
+    difference = (
+        world_a.positions[:, first_joints] - world_b.positions[:, second_joints]
+    )
+    translation = a[0][:, first_joints] - b[0][:, second_joints]
+    rotation = so3.angle_between(a[1][:, first_joints], b[1][:, second_joints])
     return TakeDifference(
         largest(np.linalg.norm(difference, axis=-1)),
-        largest(np.linalg.norm(moved, axis=-1)),
-        largest(np.degrees(turned)),
-        largest(np.abs(_scales(a)[:, mine] - _scales(b)[:, theirs]).max(axis=-1)),
+        largest(np.linalg.norm(translation, axis=-1)),
+        largest(np.degrees(rotation)),
+        largest(
+            np.abs(_scales(a)[:, first_joints] - _scales(b)[:, second_joints]).max(
+                axis=-1
+            )
+        ),
         weight,
         frames,
         len(pairs),
         shapes,
-        mismatches + lost,
+        mismatches + missing_shapes,
     )
 
 
@@ -357,9 +379,9 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
     names = []
     for take, other, column in ((first, "second", 0), (second, "first", 1)):
         matched = {pair[column] for pair in pairs}
-        missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
-        if missing:
-            names.append(lost_text("joint", missing, other))
+        unmatched = [n for i, n in enumerate(take.rig.names) if i not in matched]
+        if unmatched:
+            names.append(missing_text("joint", unmatched, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
         names.append(f"{frames} instead of {second.clock.count}")

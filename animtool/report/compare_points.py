@@ -14,7 +14,7 @@ from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
-from animtool.report.compare import SCALE_TOLERANCE, lost_text, space_notes
+from animtool.report.compare import SCALE_TOLERANCE, missing_text, space_notes
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import PointSample, PointSource
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 class PointDifference:
     """Largest difference of one kind."""
 
-    value: float = 0.0  # how large [m], [deg] or [1]
-    prim: str = ""  # of which prim, below the default prim
-    point: int = 0  # its id, or its number where there are none
+    value: float = 0.0  # difference [m], [deg] or [1]
+    prim: str = ""  # path of the prim below the default prim
+    point: int = 0  # id of the point, or its index without ids
     code: float = 0.0  # time code in the first file
 
 
@@ -34,17 +34,17 @@ class PointDifference:
 class PointsDifference:
     """Differences of two stages' points over their common prims and samples.
 
-    Points with ids are compared by these.
+    Points with ids are matched by id.
     """
 
     kind: Literal["points"]  # what is compared
-    points: PointDifference  # where points are [m]
-    orientations: PointDifference  # how copies are turned [deg]
-    scales: PointDifference  # how large copies are, over their meshes [1]
+    points: PointDifference  # positions [m]
+    orientations: PointDifference  # orientations of instances [deg]
+    scales: PointDifference  # scales of instances [1]
     prims: int  # prims compared
-    samples: int  # samples compared, of all prims
-    mismatches: list[str]  # what one has and the other has not, in words
-    # What differs and is no difference of the points, in words.
+    samples: int  # samples compared, over all prims
+    mismatches: list[str]  # prims and points that only one file has, as text
+    # Differences that do not affect the points, as text.
     notes: list[str] = field(default_factory=list)
 
     def within(self, meters: float, degrees: float) -> bool:
@@ -58,11 +58,12 @@ class PointsDifference:
 
 
 def compare_points(first: Path, second: Path) -> PointsDifference | None:
-    """Compare stages of points by time from the first sample of each.
+    """Compare the animated points of two stages by time from the first sample of each.
 
-    Prims are matched by their paths below the default prim. The second is turned to
-    the up axis of the first, and lengths are compared in metres. None of files that
-    hold no points, or a character.
+    Prims are matched by their paths below the default prim. The second stage is rotated
+    to
+    the up axis of the first, and lengths are compared in metres. Returns None for files
+    without points or with a character.
     """
     from animtool.usd.caches.reader import open_points
 
@@ -70,11 +71,11 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     two = None if one is None else open_points(second)
     if one is None or two is None:
         return None
-    mismatches = _lost(one, two)
-    both = [name for name in one.names if name in two.names]
+    mismatches = _missing_prims(one, two)
+    common = [name for name in one.names if name in two.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     samples = 0
-    for name in both:
+    for name in common:
         codes = one.codes(name), two.codes(name)
         if one.type(name) != two.type(name):
             mismatches.append(f"{name}: {one.type(name)} instead of {two.type(name)}")
@@ -83,36 +84,39 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             mismatches.append(f"{name}: {counts}")
         for code, a, b in _pairs(one, two, name, codes):
             samples += 1
-            lost = _unlike(a, b)
-            if lost:
-                mismatches.append(f"{name} at time code {code:g}: {lost}")
+            mismatch = _point_mismatch(a, b)
+            if mismatch:
+                mismatches.append(f"{name} at time code {code:g}: {mismatch}")
                 break
-            for kind, (values, ids) in _distances(a, b).items():
+            for quantity, (values, ids) in _distances(a, b).items():
                 worst = int(np.argmax(values)) if len(values) else 0
-                if len(values) and values[worst] > largest[kind].value:
+                if len(values) and values[worst] > largest[quantity].value:
                     candidate = float(values[worst]), name, int(ids[worst]), code
-                    largest[kind] = PointDifference(*candidate)
+                    largest[quantity] = PointDifference(*candidate)
     if one.fps != two.fps:
         mismatches.append(f"{one.fps} time codes per second instead of {two.fps}")
     return PointsDifference(
         "points",
         **largest,
-        prims=len(both),
+        prims=len(common),
         samples=samples,
         mismatches=mismatches,
         notes=[
-            *space_notes((one.up, two.up), (one.unit, two.unit)),
-            *_start_notes(one, two, both),
+            *space_notes(
+                (one.up, two.up),
+                (one.unit, two.unit),
+            ),
+            *_start_notes(one, two, common),
         ],
     )
 
 
-def _lost(one: PointSource, two: PointSource) -> list[str]:
+def _missing_prims(one: PointSource, two: PointSource) -> list[str]:
     names = []
-    for mine, theirs, other in ((one, two, "second"), (two, one, "first")):
-        lost = [name for name in mine.names if name not in theirs.names]
-        if lost:
-            names.append(lost_text("prim", lost, other))
+    for source, other, ordinal in ((one, two, "second"), (two, one, "first")):
+        missing = [name for name in source.names if name not in other.names]
+        if missing:
+            names.append(missing_text("prim", missing, ordinal))
     return names
 
 
@@ -123,19 +127,21 @@ def _pairs(
     codes: tuple[list[float], list[float]],
 ) -> Iterator[tuple[float, PointSample, PointSample]]:
     """Yield time codes of the first stage, with both samples."""
-    mine, theirs = codes
-    if not mine or not theirs:
-        yield 0.0, one.at(name, None), _turned(one, two, two.at(name, None))
+    first_codes, second_codes = codes
+    if not first_codes or not second_codes:
+        yield 0.0, one.at(name, None), _in_axes_of_first(one, two, two.at(name, None))
         return
-    last = float((theirs[-1] - theirs[0]) / two.fps) + 1e-9
-    for code in mine:
-        passed = float((code - mine[0]) / one.fps)
-        if passed <= last:
-            other = two.at(name, theirs[0] + passed * float(two.fps))
-            yield code, one.at(name, code), _turned(one, two, other)
+    duration = float((second_codes[-1] - second_codes[0]) / two.fps) + 1e-9
+    for code in first_codes:
+        elapsed = float((code - first_codes[0]) / one.fps)
+        if elapsed <= duration:
+            second_sample = two.at(name, second_codes[0] + elapsed * float(two.fps))
+            yield code, one.at(name, code), _in_axes_of_first(one, two, second_sample)
 
 
-def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSample:
+def _in_axes_of_first(
+    one: PointSource, two: PointSource, sample: PointSample
+) -> PointSample:
     """Return a sample of the second stage in the up axis of the first."""
     up_rotation = up_from_up(one.up, two.up)
     if up_rotation is None:
@@ -150,45 +156,54 @@ def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSam
     )
 
 
-def _unlike(a: PointSample, b: PointSample) -> str:
+def _point_mismatch(a: PointSample, b: PointSample) -> str:
     """Return why two samples have different points; empty if they match."""
     if len(a.points) != len(b.points):
         return f"{counted(len(a.points), 'point')} instead of {len(b.points)}"
     if a.ids is not None and b.ids is not None:
-        alone = np.setdiff1d(a.ids, b.ids)
-        if len(alone):
-            return f"the second file has no point with the id {int(alone[0])}"
+        unmatched_ids = np.setdiff1d(a.ids, b.ids)
+        if len(unmatched_ids):
+            return f"the second file has no point with the id {int(unmatched_ids[0])}"
     if a.copied is not None and b.copied is not None:
-        ids, mine, theirs = _matched(a, b)
-        (other,) = np.nonzero(a.copied[mine] != b.copied[theirs])
-        if len(other):
-            i = int(other[0])
-            meshes = f"mesh {a.copied[mine][i]} instead of {b.copied[theirs][i]}"
+        ids, first_indices, second_indices = _matched_indices(a, b)
+        first_meshes, second_meshes = a.copied[first_indices], b.copied[second_indices]
+        (different,) = np.nonzero(first_meshes != second_meshes)
+        if len(different):
+            i = int(different[0])
+            meshes = f"mesh {first_meshes[i]} instead of {second_meshes[i]}"
             return f"point {int(ids[i])} is a copy of {meshes}"
     return ""
 
 
-def _matched(a: PointSample, b: PointSample) -> tuple[IntArray, IntArray, IntArray]:
+def _matched_indices(
+    a: PointSample, b: PointSample
+) -> tuple[IntArray, IntArray, IntArray]:
     """Return ids ``(N,)``, and their indices in both samples ``(N,)``."""
     ids = np.arange(len(a.points)) if a.ids is None else a.ids
-    mine = theirs = np.arange(len(ids))
+    first_indices = second_indices = np.arange(len(ids))
     if a.ids is not None and b.ids is not None:
-        mine, theirs = (np.argsort(each, kind="stable") for each in (a.ids, b.ids))
-    return ids[mine], mine, theirs
+        first_indices, second_indices = (
+            np.argsort(ids_, kind="stable") for ids_ in (a.ids, b.ids)
+        )
+    return ids[first_indices], first_indices, second_indices
 
 
 def _distances(
     a: PointSample, b: PointSample
 ) -> dict[str, tuple[FloatArray, IntArray]]:
     """Return by kind the distances of points ``(N,)`` and their ids ``(N,)``."""
-    ids, mine, theirs = _matched(a, b)
-    off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)
-    distances = {"points": (off, ids)}
+    ids, first_indices, second_indices = _matched_indices(a, b)
+    distances = np.linalg.norm(
+        a.points[first_indices] - b.points[second_indices], axis=1
+    )
+    distances = {"points": (distances, ids)}
     if a.orientations is not None and b.orientations is not None:
-        angles = so3.angle_between(a.orientations[mine], b.orientations[theirs])
+        angles = so3.angle_between(
+            a.orientations[first_indices], b.orientations[second_indices]
+        )
         distances["orientations"] = np.degrees(angles), ids
     if a.scales is not None and b.scales is not None:
-        sizes = np.abs(a.scales[mine] - b.scales[theirs])
+        sizes = np.abs(a.scales[first_indices] - b.scales[second_indices])
         distances["scales"] = sizes.max(axis=1, initial=0.0), ids
     return distances
 
@@ -196,8 +211,8 @@ def _distances(
 def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[str]:
     """Return a note if the samples of a prim start at different time codes."""
     starts = [(one.codes(name)[:1], two.codes(name)[:1]) for name in names]
-    for mine, theirs in starts:
-        if mine and theirs and mine != theirs:
-            codes = f"{mine[0]:g} instead of {theirs[0]:g}"
+    for first_start, second_start in starts:
+        if first_start and second_start and first_start != second_start:
+            codes = f"{first_start[0]:g} instead of {second_start[0]:g}"
             return [f"first time code {codes}; compared from there"]
     return []

@@ -1,4 +1,4 @@
-"""Describes files: the take they contain, or what else a stage shows."""
+"""Describes files: their take, or the other contents of a stage."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 FRAMES_AT_ONCE = 1024
-# Of long takes, a cycle is looked for at the beginning.
+# Frames at the start of a long take that are searched for a cycle.
 CYCLE_FRAMES = 6000
 
 
@@ -34,36 +34,36 @@ CYCLE_FRAMES = 6000
 class TakeDescription:
     """Summary of a take."""
 
-    path: str  # the file
+    path: str  # path of the file
     format: str  # BVH or USD
     joints: int  # number of joints
-    roots: list[str]  # names of those without a parent
+    roots: list[str]  # names of joints without a parent
     frames: int  # number of frames
     fps: Fraction  # frames a second, exact
     step: Fraction  # time codes from one frame to the next
     start: Fraction  # time code of the first frame
     end: Fraction  # time code of the last frame
-    duration: Fraction  # from the first to the last [s]
-    channels: int | None  # numbers a frame in a BVH; None for USD
+    duration: Fraction  # from the first to the last frame [s]
+    channels: int | None  # numbers per frame in a BVH; None for USD
     animated: dict[str, int]  # joints that move, by kind of channel
     shapes: int  # number of blend shapes
-    moving_shapes: list[str]  # names of those whose weights move
+    moving_shapes: list[str]  # names of shapes with changing weights
     # Lowest and highest joint position over all frames, in ``units``.
     bounds: tuple[list[float], list[float]]
     units: str  # unit of the file
     up: str  # up axis of the file
-    # Names of the takes that a clip library has; empty for other files.
+    # Names of the takes in a clip library; empty for other files.
     takes: list[str]
     take: str  # the one described
     points: list[PointPrim]  # other prims of a USD file with animated points
     notices: list[Fault]  # warnings and notes
-    # The shot that a USD layer states, as reports of bakes have it; None for none.
+    # The shot recorded in a USD layer, as in bake reports; None without one.
     shot: dict[str, object] | None = None
-    capture: CaptureFacts | None = None  # of a person; None for other takes
-    cycle: Cycle | None = None  # of a person's repeating motion
-    # All characters of the stage, where it has several and none is named.
+    capture: CaptureFacts | None = None  # facts of a captured person; else None
+    cycle: Cycle | None = None  # cycle of a person's repeating motion
+    # All characters of the stage if it has several and none is selected.
     characters: CharactersFacts | None = None
-    contents: GltfContents | None = None  # of a glTF or an FBX, used or not
+    contents: GltfContents | None = None  # contents of a glTF or FBX, used or not
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
@@ -88,9 +88,9 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
 
     Raises:
         FormatError: It cannot be read or is malformed.
-        OptionError: Its suffix is none that animtool reads.
+        OptionError: The suffix is not supported.
     """
-    stream = _opened(path, options)
+    stream = _open_take(path, options)
     take = stream.collect()
     motion, rig = take.motion, take.rig
     lows, highs = [], []
@@ -147,15 +147,15 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     )
 
 
-def _opened(path: Path | str, options: SourceOptions | None) -> TakeStream:
-    """Return a take; without the placement if joints cannot hold it."""
+def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
+    """Return a take; without its placement if joints cannot represent it."""
     try:
         return open_source(path, options)
     except FormatError as error:
         if all(fault.code != "USD035" for fault in error.faults):
             raise
-        left = replace(options or SourceOptions(), placement="drop")
-        return open_source(path, left)
+        dropped_placement = replace(options or SourceOptions(), placement="drop")
+        return open_source(path, dropped_placement)
 
 
 def _cycle(take: Take) -> Cycle | None:
@@ -163,9 +163,9 @@ def _cycle(take: Take) -> Cycle | None:
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import POOR_SEAM
 
-    last = min(take.clock.count, CYCLE_FRAMES) - 1
+    last_frame = min(take.clock.count, CYCLE_FRAMES) - 1
     try:
-        cycle = find_cycle(take, None, float(take.clock.times[last]))
+        cycle = find_cycle(take, None, float(take.clock.times[last_frame]))
     except OptionError:  # nothing moves, or it is shorter than any cycle
         return None
     return cycle if cycle.share <= POOR_SEAM else None
@@ -191,8 +191,8 @@ def _points(path: Path) -> list[PointPrim]:
 
 def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:
     """Return a summary of all characters; None for one, or if one was selected."""
-    named = options is not None and (options.prim_path or options.take)
-    if not is_usd(path) or named:
+    is_selected = options is not None and (options.prim_path or options.take)
+    if not is_usd(path) or is_selected:
         return None
     from animtool.report.describe_characters import describe_characters
 

@@ -1,4 +1,4 @@
-"""Summary of all characters of a stage; the extremes by name."""
+"""Summary of all characters of a stage, and which character has each extreme."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """Largest or smallest value, and the character it belongs to."""
+    """Largest or smallest value, and the character that has it."""
 
     value: float
     character: str  # path of its Skeleton
@@ -29,14 +29,14 @@ class CharactersFacts:
     """Summary of all characters of a stage."""
 
     count: int
-    joints: int  # of all together
+    joints: int  # number of joints, over all characters
     unread: int  # characters whose motion cannot be read; see `validate`
-    # Lowest and highest joint position of all over all frames [m].
+    # Lowest and highest joint position over all characters and frames [m].
     bounds: tuple[list[float], list[float]] | None
-    speed_mean: float | None  # of hips over the ground, of all people [m/s]
-    speed: Extreme | None  # the highest [m/s]
-    lowest: Extreme | None  # how high the hips are that are lowest [m]
-    rise: Extreme | None  # the largest step of hips up or down in a frame [m]
+    speed_mean: float | None  # mean horizontal speed of hips, over all people [m/s]
+    speed: Extreme | None  # largest horizontal speed of hips [m/s]
+    lowest: Extreme | None  # smallest height of hips [m]
+    rise: Extreme | None  # largest vertical step of hips in a frame [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class _Extent:
 
 
 def describe_characters(path: Path | str) -> CharactersFacts | None:
-    """Return a summary of a stage's characters; None for one or none.
+    """Return a summary of a stage's characters; None for fewer than two.
 
     Args:
         path: A USD file.
@@ -75,15 +75,15 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
         joints += len(take.rig.joints)
         if take.rig.joints:
             extents.append(_extent(name, take))
-    means = [one.mean for one in extents if one.mean is not None]
+    means = [extent.mean for extent in extents if extent.mean is not None]
     speeds, lows, rises = (
-        [value for one in extents if (value := getattr(one, name)) is not None]
+        [value for extent in extents if (value := getattr(extent, name)) is not None]
         for name in ("speed", "lowest", "rise")
     )
     bounds = None
     if extents:
-        low = np.min([one.low for one in extents], axis=0).tolist()
-        bounds = low, np.max([one.high for one in extents], axis=0).tolist()
+        low = np.min([extent.low for extent in extents], axis=0).tolist()
+        bounds = low, np.max([extent.high for extent in extents], axis=0).tolist()
     return CharactersFacts(
         len(readers),
         joints,
@@ -104,8 +104,8 @@ def _extent(name: str, take: Take) -> _Extent:
     """Return the summary of a character; hip height only for people."""
     person = RoledSkeleton.of(take.rig, anatomy(take.rig).roles)
     hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
-    flat = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
-    low, high = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
+    points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     if person.leg("l") is None or person.leg("r") is None or len(hips) < 2:
         return _Extent(low, high)
     up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
@@ -117,7 +117,7 @@ def _extent(name: str, take: Take) -> _Extent:
         return Extreme(value, name, float(times[frame]))
 
     fastest, lowest, rise = (
-        int(each) for each in (speeds.argmax(), heights.argmin(), steps.argmax())
+        int(frame_) for frame_ in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
     return _Extent(
         low,

@@ -15,13 +15,13 @@ def fbx_contents(path: Path | str) -> GltfContents:
     """Return the contents of an FBX file.
 
     Raises:
-        FormatError: It is broken, as `animtool.formats.fbx.read.read_fbx` has it.
+        FormatError: It is malformed; see `animtool.formats.fbx.read.read_fbx`.
     """
     scene = open_fbx(path)
     skeletons = characters(scene) if scene.nodes else ()
     clips = [
-        GltfClip(name, one.begin / TICKS, one.end / TICKS, len(one.curves()))
-        for name, one in zip(take_names_of(scene), scene.takes, strict=True)
+        GltfClip(name, take.begin / TICKS, take.end / TICKS, len(take.curves()))
+        for name, take in zip(take_names_of(scene), scene.takes, strict=True)
     ]
     return GltfContents(
         len(scene.nodes),
@@ -29,7 +29,7 @@ def fbx_contents(path: Path | str) -> GltfContents:
         len(scene.skins),
         len(scene.takes),
         1,
-        [one.path for one in skeletons] if len(skeletons) > 1 else [],
+        [take.path for take in skeletons] if len(skeletons) > 1 else [],
         clips,
         {},
         list(scene.left_out),

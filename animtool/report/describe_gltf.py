@@ -35,12 +35,12 @@ class GltfContents:
     characters: list[str]  # paths; empty if the file is one character
     clips: list[GltfClip]
     bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
-    not_read: list[str]  # what else it has
+    not_read: list[str]  # contents that are not read
 
 
 @dataclass(frozen=True, slots=True)
 class GltfDescription:
-    """A file without nodes, so without anything to animate."""
+    """Description of a file without nodes, so without anything to animate."""
 
     path: str
     format: str
@@ -52,7 +52,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
     """Return the contents of a glTF file.
 
     Raises:
-        FormatError: It is broken, as `animtool.formats.gltf.read.read_gltf` has it.
+        FormatError: It is malformed; see `animtool.formats.gltf.read.read_gltf`.
     """
     return _contents(open_gltf(path))
 
@@ -70,8 +70,8 @@ def _contents(gltf: Gltf) -> GltfContents:
     skeletons = characters(gltf) if gltf.nodes else ()
     names = distinct_clip_names(gltf.animations)
     clips = [
-        GltfClip(name, *one.span, len(one.tracks))
-        for name, one in zip(names, gltf.animations, strict=True)
+        GltfClip(name, *animation.span, len(animation.tracks))
+        for name, animation in zip(names, gltf.animations, strict=True)
     ]
     return GltfContents(
         len(gltf.nodes),
@@ -79,7 +79,7 @@ def _contents(gltf: Gltf) -> GltfContents:
         len(gltf.skins),
         len(gltf.animations),
         len(gltf.scenes),
-        [one.path for one in skeletons] if len(skeletons) > 1 else [],
+        [animation.path for animation in skeletons] if len(skeletons) > 1 else [],
         clips,
         {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
         list(gltf.left_out),

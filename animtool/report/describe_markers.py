@@ -20,10 +20,10 @@ from animtool.motion.markers import Markers
 class MarkersDescription:
     """Summary of a marker file."""
 
-    path: str  # the file
+    path: str  # path of the file
     format: str  # name of the file format
     markers: int  # number of markers and points
-    unlabelled: int  # those without a label
+    unlabelled: int  # points without a label
     frames: int  # number of frames
     fps: Fraction  # frames a second, exact
     start: Fraction  # number of the first frame
@@ -32,11 +32,11 @@ class MarkersDescription:
     gaps: int  # gaps of labelled markers
     missing: float  # fraction of missing positions
     longest_gap: float  # the longest gap [s]
-    spikes: int  # positions that are off for a few frames
-    filled: int  # positions that were computed over a gap
-    # Lowest and highest position over all frames [m]; None where none is seen.
+    spikes: int  # positions that jump away for a few frames
+    filled: int  # positions interpolated over a gap
+    # Lowest and highest position over all frames [m]; None if no marker is visible.
     bounds: tuple[list[float], list[float]] | None
-    names: list[str]  # of the labelled markers
+    names: list[str]  # names of the labelled markers
     notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = "* rate=fps#"
 
@@ -48,10 +48,10 @@ class MarkersDescription:
 
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     """Return the summary of a marker file."""
-    labelled = np.array([not name.startswith("*") for name in markers.names], bool)
+    is_labelled = np.array([not name.startswith("*") for name in markers.names], bool)
     visible = markers.visible
-    missing = np.pad(~visible[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
-    steps = np.diff(missing, axis=0)
+    missing_padded = np.pad(~visible[:, is_labelled], ((1, 1), (0, 0))).astype(np.int8)
+    steps = np.diff(missing_padded, axis=0)
     starts = np.argwhere(steps.T == 1)[:, 1]
     ends = np.argwhere(steps.T == -1)[:, 1]
     longest = int((ends - starts).max(initial=0))
@@ -64,14 +64,14 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         str(path),
         find_reader(file_of(path)).about,
         len(markers.names),
-        int((~labelled).sum()),
+        int((~is_labelled).sum()),
         clock.count,
         clock.rate,
         clock.start,
         clock.duration,
         markers.up.value,
         len(starts),
-        float((~visible[:, labelled]).mean()) if labelled.any() else 0.0,
+        float((~visible[:, is_labelled]).mean()) if is_labelled.any() else 0.0,
         longest / float(clock.rate),
         len(find_spikes(markers)),
         0 if markers.filled is None else int(markers.filled.sum()),

@@ -21,34 +21,34 @@ from animtool.rig.surfaces import surfaces_of
 class MeshDescription:
     """Summary of a mesh."""
 
-    name: str  # as the rig names it
+    name: str  # name in the rig
     points: int  # number of points
     faces: int  # number of faces
-    method: str | None  # how it follows joints; None where it follows none
-    joints: int  # joints that it follows
-    influences: int  # most joints that one point follows
-    shapes: int  # blend shapes that it has
+    method: str | None  # skinning method; None without a skin
+    joints: int  # joints that influence it
+    influences: int  # most influences of one point
+    shapes: int  # number of blend shapes
 
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
     """Summary of a rig."""
 
-    path: str  # the file
-    name: str  # what the rig is called
+    path: str  # path of the file
+    name: str  # name of the rig
     joints: dict[str, int]  # number of joints, by type
     limited: int  # joints with limits
     size: float  # diagonal of the joints' bounds at rest, in ``units``
     meshes: list[MeshDescription]  # one a mesh
     shapes: int  # number of blend shapes
-    combined: int  # those that combine others
-    arkit: int  # how many of ARKit's 52 shapes there are
+    combined: int  # shapes that combine other shapes
+    arkit: int  # number of ARKit's 52 shapes
     controls: int  # number of controls
-    driven: list[str]  # what coordinates of joints drive, and how
-    ik: int  # number of chains that reach for goals
+    driven: list[str]  # drivers, as formulas
+    ik: int  # number of IK chains
     attach: int  # number of attachments
     colliders: int  # number of colliders
-    mass: float | None  # of all joints that state one [kg]; None where none does
+    mass: float | None  # total mass of the joints [kg]; None if no joint has one
     units: str  # unit of the file
     up: str  # up axis
     notices: list[Fault]  # warnings and notes
@@ -131,8 +131,8 @@ def _formula(driver: Driver) -> str:
 class GoalDescription:
     """A goal as text."""
 
-    effector: str  # as the file names it
-    asks: tuple[str, ...]  # which parts it gives a value
+    effector: str  # name in the file
+    asks: tuple[str, ...]  # goal kinds, such as position or orientation
     held: tuple[tuple[float, float], ...]  # hold spans, first and last frame
 
 
@@ -140,11 +140,11 @@ class GoalDescription:
 class TargetsDescription:
     """A targets file, not checked against a rig."""
 
-    path: Path  # the file
-    fps: str  # frames a second; empty where it does not say
-    first: float  # first frame, of its range or of all that it mentions
+    path: Path  # path of the file
+    fps: str  # frames per second; empty if not stated
+    first: float  # first frame of its range, or of all its keys
     last: float  # last frame
-    goals: tuple[GoalDescription, ...]  # its goals
+    goals: tuple[GoalDescription, ...]
     notices: tuple[Fault, ...]  # warnings and notes
 
 

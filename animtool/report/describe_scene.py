@@ -16,72 +16,74 @@ from animtool.scene.scene import Scene
 class PropDescription:
     """A prop next to the character."""
 
-    file: str  # that it is read from
-    prim: str  # its prim there
-    path: str  # where it is written
+    file: str  # source file
+    prim: str  # prim in the source file
+    path: str  # prim path in the output
 
 
 @dataclass(frozen=True, slots=True)
 class PassDescription:
     """A pass."""
 
-    name: str  # as the table of passes has it
-    line: int  # of the scene
+    name: str  # name in the table of passes
+    line: int  # line in the scene
 
 
 @dataclass(frozen=True, slots=True)
 class SystemDescription:
     """Summary of a system before simulation."""
 
-    name: str  # of its prim
+    name: str  # name of its prim
     kind: str  # kind of simulation
-    # What it is made of: of springs `particles`, `springs` and `curves` or `faces`; of
-    # particles `emitters`, `forces` and the `most` at once.
+    # Sizes by noun: springs have `particles`, `springs` and `curves` or `faces`;
+    # particles have `emitters`, `forces` and the `most` at once.
     counts: dict[str, int]
-    method: str  # its solver, or its integrator; `auto` chooses when it is simulated
-    step: float | None  # the longest that it takes [s]; None leaves it to the method
-    # Of its own, meshes of files among them; those of characters are not counted.
+    method: str  # solver or integrator; `auto` chooses when it is simulated
+    step: float | None  # longest time step [s]; None lets the method choose
+    # Its own colliders, meshes from files included; those of characters are not
+    # counted.
     colliders: int
-    joined: list[str]  # systems that it is one with
-    meets: list[str]  # systems that it runs into
+    joined: list[str]  # systems solved together with it
+    meets: list[str]  # systems that it collides with
     tied: list[str]  # bodies that carry its pins, as system.body
-    files: list[str]  # files read for it
-    character: bool  # whether it runs into, or hangs on, the scene's own character
-    line: int  # of the scene
+    files: list[str]  # files it reads
+    character: bool  # whether it collides with or is pinned to the scene's character
+    line: int  # line in the scene
 
 
 @dataclass(frozen=True, slots=True)
 class OutputDescription:
     """An output of a bake."""
 
-    file: str  # the file
-    kind: str  # what it holds: `usd`, `clip` or `bvh`
-    form: str  # of USD: `stage`, `split`, `layer` or `library`; empty for others
-    # What would be written; of chunks, what joins them and those that are there.
+    file: str  # path of the file
+    kind: str  # format: `usd`, `clip` or `bvh`
+    form: str  # for USD `stage`, `split`, `layer` or `library`; empty for others
+    # Files that would be written; for chunks, the file that joins them and the existing
+    # chunks.
     files: list[str]
-    there: list[str]  # those of them that are there already
+    there: list[str]  # the files that already exist
     points: bool  # whether meshes are written deformed
-    chunk: int | None  # samples a file; None is one file
+    chunk: int | None  # samples per file; None is one file
     systems: list[str]  # names of its systems
-    line: int  # of the scene
+    line: int  # line in the scene
 
 
 @dataclass(frozen=True, slots=True)
 class SceneDescription:
-    """A scene as in its file; the files it names are not read."""
+    """A scene as written in its file; the files it refers to are not read."""
 
-    path: str  # the file
+    path: str  # path of the file
     sources: list[str]  # source files
-    rig: str | None  # the rig that it names; None is that of the source
-    props: list[PropDescription]  # props
-    passes: list[PassDescription]  # passes
-    systems: list[SystemDescription]  # what is simulated
-    outputs: list[OutputDescription]  # what would be baked
-    fps: float | None  # frames a second; None is that of the source or the rig layer
-    rate: str  # the same, exact, as text; empty without
-    first: int | None  # first frame to write; None is that of the source
-    last: int | None  # last frame to write; likewise
-    variables: list[str]  # names of variables that it uses or gives
+    rig: str | None  # its rig; None is the rig of the source
+    props: list[PropDescription]
+    passes: list[PassDescription]
+    systems: list[SystemDescription]
+    outputs: list[OutputDescription]
+    fps: float | None  # frames per second; None is the rate of the source or rig layer
+    rate: str  # exact `fps` as text; empty if None
+    first: int | None  # first frame to write; None is the first of the source
+    last: int | None  # last frame to write; None is the last of the source
+    variables: list[str]  # names of variables it uses or defines
     # Always empty: `animtool validate` reports warnings.
     notices: list[Fault] = field(default_factory=list)
 

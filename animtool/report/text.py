@@ -1,17 +1,17 @@
 """Renders reports as text, from records and line templates.
 
-A template is a line with fields of the record in braces, each with how it is printed
-behind a colon (`PRINTED`, with its width last, else as `format` has it)::
+A template is a line with fields of the record in braces. A colon separates a field from
+its printer (`PRINTED`, otherwise a format spec)::
 
     "  joints    {joints:n joint} below {roots:list 4}[, {channels:n channel}]"
 
-What is in brackets is left out where a field in it is None, empty or printed as
-nothing, and so is a line; of ``[a|b]`` the first is taken that has all. ``{?name}`` and
-``{!name}`` print nothing: the part is for what there is, and what there is not. Fields
-of fields are joined by dots, and ``{self}`` is the record. What a printer returns may
-be printed by another, behind a bar, as in ``{limits:most | list 8}``.
+Text in brackets is omitted if one of its fields is None or empty, or prints nothing; so
+is a line. In ``[a|b]`` the first alternative with all its fields is used. ``{?name}``
+and ``{!name}`` print nothing: they only test that a field is present or missing. Dots
+access fields of fields, and ``{self}`` is the record. A bar passes the result of a
+printer to another, as in ``{limits:most | list 8}``.
 
-A name that no record has is an error; `tests/report/test_templates.py` looks at all.
+A name that no record has is an error; `tests/report/test_templates.py` checks all.
 """
 
 from __future__ import annotations
@@ -42,11 +42,13 @@ class Each:
     """Lines for each entry of a field; its names shadow the record's.
 
     Attributes:
-        name: Of the field, with a printer of entries behind a colon where it has none;
-            those of a mapping have ``key`` and ``value``.
-        lines: Of one; ``{self}`` is the entry, ``{number}`` counts them.
-        most: How many entries have lines; the others are told of in ``rest``.
-        rest: A line where there are more, which are ``{left}``.
+        name: Name of the field, with a printer after a colon if it has no entries
+            itself;
+            entries of a mapping have ``key`` and ``value``.
+        lines: Templates of one entry; ``{self}`` is the entry, ``{number}`` counts
+            them.
+        most: Maximum number of entries to print; ``rest`` counts the others.
+        rest: Line for ``{left}`` more entries.
     """
 
     name: str
@@ -60,11 +62,12 @@ class Table:
     """Rows in columns for the entries of a field.
 
     Attributes:
-        name: Of the field.
-        columns: By head, the template of a cell. Blanks around a head are not shown.
-        left: Heads of the columns that are flush left.
-        optional: Heads of columns that are left out where all cells are empty.
-        indent: What lines begin with.
+        name: Name of the field.
+        columns: Template of a cell by column header. Blanks around a header are not
+            printed.
+        left: Headers of left-aligned columns.
+        optional: Headers of columns that are omitted if all their cells are empty.
+        indent: Start of each line.
     """
 
     name: str
@@ -78,9 +81,9 @@ Line: TypeAlias = str | Each | Table
 Printers: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
-# Names in a line, where nobody asked for all.
+# Names per line, unless all are requested.
 MAX_NAMED = 8
-# How long stages took, for the verbose.
+# Durations of stages, printed with `--verbose`.
 SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
@@ -90,9 +93,9 @@ class Template:
 
     Attributes:
         record: The class, as ``module:name``.
-        lines: Its templates.
-        printers: More of `PRINTED`, which these templates have alone.
-        details: Templates of lines for the verbose.
+        lines: Line templates.
+        printers: Printers in addition to `PRINTED`.
+        details: Line templates for verbose output.
         is_result: Whether its lines are the result of the command itself.
     """
 
@@ -103,12 +106,12 @@ class Template:
     is_result: bool = False
 
     def text(self, record: object, *, all_names: bool = False) -> list[str]:
-        """Return the lines of a record; all_names: do not shorten lists of names."""
+        """Return the lines of a record; ``all_names`` prints lists of names in full."""
         names = _names(None if all_names else MAX_NAMED)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detailed(self, record: object) -> list[str]:
-        """Return the verbose lines of a record."""
+        """Return the lines of a record for verbose output."""
         return render(record, self.details, self.printers)
 
 
@@ -126,15 +129,15 @@ def render(
 
     Args:
         record: A dataclass or a mapping.
-        lines: Its templates.
-        printers: More of `PRINTED`, which these templates have alone.
+        lines: Line templates.
+        printers: Printers in addition to `PRINTED`.
 
     Raises:
-        AttributeError: A name is of no field.
+        AttributeError: No field has a name used in a template.
 
-    >>> render({"path": "a.bvh", "joints": 1, "odd": []}, ["{path}: {joints:n joint}", \
-"  odd  [{odd:list}|nothing]"])
-    ['a.bvh: 1 joint', '  odd  nothing']
+    >>> lines = ["{path}: {joints:n joint}", "  notes  [{notes:list}|none]"]
+    >>> render({"path": "a.bvh", "joints": 1, "notes": []}, lines)
+    ['a.bvh: 1 joint', '  notes  none']
     """
     return list(_Renderer({**PRINTED, **(printers or {})}).lines((record,), lines))
 
@@ -144,7 +147,7 @@ def table_cells(
 ) -> tuple[list[list[str]], set[int]]:
     """Return the cells of a table, header first, and which columns align left.
 
-    Arguments are those of `render`.
+    Arguments as in `render`.
     """
     return _Renderer({**PRINTED, **(printers or {})}).cells((record,), table)
 
@@ -199,20 +202,22 @@ class _Renderer:
             for entry in self._entries(scope, table.name)
         ]
         shown = [
-            (i, head)
-            for i, head in enumerate(table.columns)
-            if head not in table.optional or any(row[i] for row in cells)
+            (i, header)
+            for i, header in enumerate(table.columns)
+            if header not in table.optional or any(row[i] for row in cells)
         ]
-        rows = [[head.strip() for _, head in shown]]
+        rows = [[header.strip() for _, header in shown]]
         rows += [[row[i] for i, _ in shown] for row in cells]
-        return rows, {i for i, (_, head) in enumerate(shown) if head in table.left}
+        return rows, {i for i, (_, header) in enumerate(shown) if header in table.left}
 
     def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of a part; None if one of its fields is missing."""
         texts = []
         for node in nodes:
-            if isinstance(node, _Choice):
-                texts_of_parts = (self.filled(scope, part) for part in node.parts)
+            if isinstance(node, _Alternatives):
+                texts_of_parts = (
+                    self.filled(scope, alternative) for alternative in node.parts
+                )
                 texts.append(
                     next((text for text in texts_of_parts if text is not None), "")
                 )
@@ -232,16 +237,16 @@ class _Renderer:
         for spec in node.spec.split(" | "):
             if value is None or (hasattr(value, "__len__") and not len(value)):
                 return None
-            word, *arguments = spec.split(" ")
-            if word not in self.printers:
+            printer_name, *arguments = spec.split(" ")
+            if printer_name not in self.printers:
                 return format(value, spec)
             width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
-            value = self.printers[word](value, *arguments)
+            value = self.printers[printer_name](value, *arguments)
         return format(value, width) or None
 
 
 def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Return rows of cells as aligned lines; some columns align left."""
+    """Return rows of cells as aligned lines, columns in ``left`` left-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
@@ -258,53 +263,53 @@ class _Field:
 
     name: str
     spec: str = ""
-    test: str = ""  # `?` where it has to be there, `!` where not, else printed
+    test: str = ""  # `?` tests that it is present, `!` that it is missing; else printed
 
 
 @dataclass(frozen=True, slots=True)
-class _Choice:
-    """Alternatives in brackets: the first with all its fields present is used."""
+class _Alternatives:
+    """Alternatives in brackets; the first with all its fields is used."""
 
     parts: tuple[tuple[_Node, ...], ...]
 
 
-_Node: TypeAlias = str | _Field | _Choice
+_Node: TypeAlias = str | _Field | _Alternatives
 _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)")
 
 
 @cache
 def _parsed(template: str) -> tuple[_Node, ...]:
-    return _choice(template, iter(_TOKEN.finditer(template)), top=True)[0]
+    return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
 
 
-def _choice(
+def _alternatives(
     template: str, tokens: Iterator[re.Match[str]], *, top: bool = False
 ) -> tuple[tuple[_Node, ...], ...]:
     """Return the alternatives between brackets, separated by bars."""
-    parts: list[list[_Node]] = [[]]
+    alternatives: list[list[_Node]] = [[]]
     for token in tokens:
         test, name, spec, sign, text = token.groups()
         if name is not None:
-            parts[-1].append(_Field(name, spec or "", test))
+            alternatives[-1].append(_Field(name, spec or "", test))
         elif text is not None:
-            parts[-1].append(text)
+            alternatives[-1].append(text)
         elif sign == "[":
-            parts[-1].append(_Choice(_choice(template, tokens)))
+            alternatives[-1].append(_Alternatives(_alternatives(template, tokens)))
         elif sign == "|" and not top:
-            parts.append([])
+            alternatives.append([])
         elif sign == "]" and not top:
             break
         else:
-            parts[-1].append(sign)
-    return tuple(tuple(nodes) for nodes in parts)
+            alternatives[-1].append(sign)
+    return tuple(tuple(nodes) for nodes in alternatives)
 
 
 def _value(scope: _Scope, name: str) -> Any:
     """Return a field of the innermost record that has it."""
-    first, _, others = name.partition(".")
+    first, _, nested = name.partition(".")
     for record in scope:
         if first == "self":
-            return at_path(record, others)
+            return at_path(record, nested)
         if first in record if isinstance(record, Mapping) else hasattr(record, first):
             return at_path(record, name)
     kinds = ", ".join(type(record).__name__ for record in scope)
@@ -328,7 +333,8 @@ def _digits(printer: Callable[..., str], scale: float = 1.0) -> Callable[..., st
     return print_value
 
 
-# How values are printed, by the first word of a template; others are arguments.
+# Printers by name, the first word after the colon in a template; the other words are
+# their arguments.
 PRINTED: dict[str, Callable[..., Any]] = {
     "n": _count,
     "len": lambda value: str(len(value)),

@@ -66,7 +66,7 @@ def _marks(row: TrialRow) -> str:
     return "".join(mark for mark, is_marked in marks.items() if is_marked)
 
 
-def _ending(row: TrialRow) -> str:
+def _missing_error(row: TrialRow) -> str:
     """Return why a row has no error; empty if it has one."""
     if not row.reason:
         return ""
@@ -79,10 +79,10 @@ def _ending(row: TrialRow) -> str:
     return text
 
 
-def _left_out(part: TrialTable) -> dict[str, list[str]]:
+def _excluded(table: TrialTable) -> dict[str, list[str]]:
     """Return why methods were excluded, each reason once."""
     causes: dict[str, dict[str, None]] = {}
-    for row in part.rows:
+    for row in table.rows:
         if row.status is None:
             method = row.setting.method
             reason = row.reason.removeprefix(method).strip()
@@ -90,19 +90,19 @@ def _left_out(part: TrialTable) -> dict[str, list[str]]:
     return {reason: list(methods) for reason, methods in causes.items()}
 
 
-def _advice(part: TrialTable) -> str:
+def _advice(table: TrialTable) -> str:
     """Return the setting to use instead of the chosen one; empty if unknown."""
-    if part.reference is None or part.reference.sensitive:
+    if table.reference is None or table.reference.sensitive:
         return ""
-    better, chosen = part.recommended, part.chosen
-    if part.budget is not None:
-        error = None if better is None else part.error_of(better)
+    better, chosen = table.recommended, table.chosen
+    if table.budget is not None:
+        error = None if better is None else table.error_of(better)
         if better is None or error is None:
             return ""
-        words = "the current setting" if better.chosen else str(better.setting)
+        setting = "the current setting" if better.chosen else str(better.setting)
         return (
-            f"cheapest within {length_text(part.budget)}: {words}, "
-            f"with {length_text(error)} ({part.error})"
+            f"cheapest within {length_text(table.budget)}: {setting}, "
+            f"with {length_text(error)} ({table.error})"
         )
     if better is None:
         return (
@@ -110,9 +110,9 @@ def _advice(part: TrialTable) -> str:
         )
     if chosen.error is None:
         return f"the current setting fails; {better.setting} works"
-    fraction = _cost(better, part.cost) / _cost(chosen, part.cost)
-    what = "time" if part.cost is CostMeasure.SECONDS else str(part.cost)
-    return f"{better.setting} is as accurate in {fraction:.0%} of the {what}"
+    fraction = _cost(better, table.cost) / _cost(chosen, table.cost)
+    quantity = "time" if table.cost is CostMeasure.SECONDS else str(table.cost)
+    return f"{better.setting} is as accurate in {fraction:.0%} of the {quantity}"
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
@@ -121,7 +121,7 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
 
 
 def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
-    """Return the formatter of a row's figure; empty if it has none."""
+    """Return a formatter of one figure of a row; it returns "" if the row has none."""
 
     def printed(row: TrialRow) -> str:
         value = row.figures.get(Figure(name))
@@ -132,10 +132,10 @@ def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
 
 _PRINTERS: dict[str, Callable[..., Any]] = {
     "marks": _marks,
-    "ending": _ending,
-    "left_out": _left_out,
+    "ending": _missing_error,
+    "left_out": _excluded,
     "advice": _advice,
-    # Errors go over many decades.
+    # Errors span many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",
     "share": lambda fraction: f"{1e2 * fraction:.3g}",
     "options": lambda options: ", ".join(
@@ -163,19 +163,21 @@ TABLES = Template(
 class TableParts:
     """Parts of a table for a page."""
 
-    head: list[str]  # what it is of, and what it was compared with
-    rows: list[list[str]]  # cells, heads first
-    left: set[int]  # columns that are flush left
-    classes: list[str]  # of each row below the heads, ``chosen`` or ``recommended``
+    head: list[str]  # what was measured, and the reference
+    rows: list[list[str]]  # cells, header row first
+    left: set[int]  # left-aligned columns
+    classes: list[
+        str
+    ]  # CSS classes of each row below the header: ``chosen`` or ``recommended``
     advice: list[str]
 
 
-def table_parts(part: TrialTable) -> TableParts:
+def table_parts(table: TrialTable) -> TableParts:
     """Return the parts of a table."""
-    rows, left = table_cells(part, _ROWS, _PRINTERS)
+    rows, left = table_cells(table, _ROWS, _PRINTERS)
     classes = [
         "chosen" if row.chosen else "recommended" if row.recommended else ""
-        for row in part.tried
+        for row in table.tried
     ]
-    head, advice = render(part, _HEAD, _PRINTERS), render(part, _ADVICE, _PRINTERS)
+    head, advice = render(table, _HEAD, _PRINTERS), render(table, _ADVICE, _PRINTERS)
     return TableParts(head, rows, left, classes, advice)

@@ -20,21 +20,20 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 class CharacterMesh:
     """A mesh or strands of a rig, with the rig's shapes that it uses."""
 
-    name: str  # as the rig names it
-    mesh: DeformedMesh  # what deforms, in [m]
-    # Index of the rig's shape for each of its shapes ``(S,)``; -1 for one that stays
-    # off.
+    name: str  # name in the rig
+    mesh: DeformedMesh  # prepared mesh, in [m]
+    # For each shape the index of the rig's shape ``(S,)``; -1 for one that is always 0.
     columns: IntArray
 
-    def weights(self, of_rig: FloatArray | None) -> FloatArray | None:
+    def weights(self, rig_weights: FloatArray | None) -> FloatArray | None:
         """Return the weights of its shapes ``(F, S)``; None if all are off.
 
         Args:
-            of_rig: Weights of the rig's shapes in its order ``(F, shapes)`` [1].
+            rig_weights: Weights of the rig's shapes, in rig order ``(F, shapes)`` [1].
         """
-        if of_rig is None or not (self.columns >= 0).any():
+        if rig_weights is None or not (self.columns >= 0).any():
             return None
-        mesh_weights = of_rig[:, self.columns]
+        mesh_weights = rig_weights[:, self.columns]
         mesh_weights[:, self.columns < 0] = 0.0
         return mesh_weights
 
@@ -50,13 +49,12 @@ def character_meshes(
     Args:
         surfaces: The meshes.
         joints: Names of the J joints of the skeleton.
-        bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
+        bind: World transforms of the joints at bind time ``(J, 4, 4)`` [m].
         shapes: Names of the weighted shapes.
 
     Raises:
-        FormatError: Every fault: lengths, indices of joints or vertices, values that
-            are not finite, weights (SKIN001 to SKIN006).
-
+        FormatError: All faults of the meshes: wrong lengths, unknown joints or
+            vertices, values that are not finite, invalid weights (SKIN001 to SKIN006).
     """
     joint_indices = {name: i for i, name in enumerate(joints)}
     columns = {name: i for i, name in enumerate(shapes)}
@@ -82,16 +80,15 @@ def character_strands(
     """Return strands prepared to follow their joint rigidly.
 
     Args:
-        strands: ``(S, K, 3)`` points each, which become one row of vertices.
-        joints: Names of the J joints that carry them.
-        bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
+        strands: ``(S, K, 3)`` points each, flattened to one row of vertices.
+        joints: Names of the J joints of the skeleton.
+        bind: World transforms of the joints at bind time ``(J, 4, 4)`` [m].
 
     Raises:
-        FormatError: A bind transform has no inverse, or is not finite (SKIN003,
-            USD226).
+        FormatError: A bind transform is singular or not finite (SKIN003, USD226).
     """
     meshes, faults = [], []
-    none = np.zeros(0, np.int64)
+    no_shapes = np.zeros(0, np.int64)
     for entry in strands:
         points = entry.points.reshape(-1, 3)
         carrier = np.array([joints.index(entry.joint)])
@@ -105,7 +102,7 @@ def character_strands(
             ]
             continue
         mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
-        meshes.append(CharacterMesh(entry.name, mesh, none))
+        meshes.append(CharacterMesh(entry.name, mesh, no_shapes))
     if faults:
         raise FormatError(faults)
     return meshes

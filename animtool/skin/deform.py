@@ -29,14 +29,14 @@ class DeformedMesh:
     """A mesh with its shapes and skin.
 
     Raises:
-        FormatError: Shapes, skin or normals have another number of vertices (SKIN001),
-            or points are not finite (SKIN003).
+        FormatError: Shapes, skin or normals do not match the number of vertices
+            (SKIN001), or points are not finite (SKIN003).
     """
 
     points: FloatArray  # ``(V, 3)`` at rest, mesh space
-    # Prepared on the same points (and normals); None for none.
+    # Prepared on the same points (and normals); None without shapes.
     shapes: PreparedShapes | None = None
-    skin: PreparedSkin | None = None  # prepared for as many vertices; None for none
+    skin: PreparedSkin | None = None  # prepared for V vertices; None if not skinned
     normals: FloatArray | None = None  # ``(N, 3)`` at rest; None without normals
     # The vertex of each normal ``(N,)``, for normals of face corners; None is one per
     # vertex. Shapes change vertex normals only.
@@ -47,13 +47,15 @@ class DeformedMesh:
         points = as_floats(self.points, ("V", 3), "points")
         object.__setattr__(self, "points", points)
         faults = [
-            Fault("SKIN001", f"{name} for {part.vertices} vertices, not {len(points)}")
-            for name, part in (("shapes", self.shapes), ("skin", self.skin))
-            if part is not None and part.vertices != len(points)
+            Fault(
+                "SKIN001", f"{name} for {prepared.vertices} vertices, not {len(points)}"
+            )
+            for name, prepared in (("shapes", self.shapes), ("skin", self.skin))
+            if prepared is not None and prepared.vertices != len(points)
         ]
-        wrong = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
-        if wrong:
-            faults.append(Fault("SKIN003", f"points not finite: {listed(wrong)}"))
+        not_finite = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
+        if not_finite:
+            faults.append(Fault("SKIN003", f"points not finite: {listed(not_finite)}"))
         faults += self._normal_faults()
         if faults:
             raise FormatError(faults)
@@ -84,14 +86,14 @@ class Deformed:
 
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
-    extents: FloatArray  # least and largest coordinates ``(F, 2, 3)``
+    extents: FloatArray  # smallest and largest coordinates ``(F, 2, 3)``
     # Unit, ``(F, N, 3)``; None unless requested.
     normals: FloatArray | None = None
-    # ``(F, V, 3)`` [unit of the points / s]; None likewise.
+    # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
     velocities: FloatArray | None = None
 
     def select(self, frames: slice) -> Deformed:
-        """Return some of the frames."""
+        """Return a range of the frames."""
         return Deformed(
             self.points[frames],
             self.extents[frames],
@@ -117,8 +119,9 @@ def deform(
         world: World transforms of the skeleton's joints in F frames; None is the bind
             pose.
         normals: Deform the normals too.
-        times: Times of the frames ``(F,)`` [s], ascending, for velocities by central
-            differences of second order, one-sided at the ends; None for none.
+        times: Times of the frames ``(F,)`` [s], ascending, to compute velocities by
+            second-order central differences, one-sided at the ends; None for no
+            velocities.
 
     Raises:
         ValueError: Neither weights nor joints, different numbers of frames, or normals
@@ -138,29 +141,29 @@ def _deform(
     world: WorldTransforms | None,
     normals: bool,
     times: FloatArray | None,
-    space: _Space | None,
+    buffers: _Buffers | None,
 ) -> Deformed:
-    """Return the deformed mesh as `deform`, in reused memory if there is a space."""
+    """Return the deformed mesh like `deform`, in the buffers if given."""
     frames = _frames(values, world)
-    points = _points(mesh, values, world, frames, space)
+    points = _points(mesh, values, world, frames, buffers)
     return Deformed(
         points,
         extents(points),
-        _normals(mesh, values, world, frames, space) if normals else None,
+        _normals(mesh, values, world, frames, buffers) if normals else None,
         None if times is None else _velocities(points, times),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Space:
-    """Memory reused from block to block."""
+class _Buffers:
+    """Buffers reused from block to block."""
 
     shaped: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
     normals: FloatArray  # ``(F, N, 3)``
 
     @classmethod
-    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _Space:
+    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _Buffers:
         count = 0 if mesh.normals is None or not normals else len(mesh.normals)
         shape = (frames, *mesh.points.shape)
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((frames, count, 3)))
@@ -197,21 +200,21 @@ def deform_blocks(
     # Central differences need the frame on either side.
     seconds = _seconds(times)
     margin = 0 if seconds is None else 1
-    space = _Space.of(mesh, min(frames, size + 2 * margin), normals=normals)
+    buffers = _Buffers.of(mesh, min(frames, size + 2 * margin), normals=normals)
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
-        low, high = max(begin - margin, 0), min(end + margin, frames)
+        first, stop = max(begin - margin, 0), min(end + margin, frames)
         deformed = _deform(
             mesh,
-            None if values is None else values[low:high],
+            None if values is None else values[first:stop],
             None
             if world is None
-            else WorldTransforms(world.positions[low:high], world.linear[low:high]),
+            else WorldTransforms(world.positions[first:stop], world.linear[first:stop]),
             normals,
-            None if seconds is None else seconds[low:high],
-            space,
+            None if seconds is None else seconds[first:stop],
+            buffers,
         )
-        yield deformed.select(slice(begin - low, end - low))
+        yield deformed.select(slice(begin - first, end - first))
 
 
 def block_frames(vertices: int) -> int:
@@ -249,13 +252,13 @@ def _points(
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
-    space: _Space | None,
+    buffers: _Buffers | None,
 ) -> FloatArray:
     points = mesh.points[None]
-    skinned = mesh.skin is not None and world is not None
-    out = None if space is None else space.points[:frames]
+    is_skinned = mesh.skin is not None and world is not None
+    out = None if buffers is None else buffers.points[:frames]
     if mesh.shapes is not None and weights is not None and weights.any():
-        shaped = space.shaped[:frames] if skinned and space is not None else out
+        shaped = buffers.shaped[:frames] if is_skinned and buffers is not None else out
         points = blend_points(mesh.shapes, weights, out=shaped)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world, out=out)
@@ -267,19 +270,19 @@ def _normals(
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
-    space: _Space | None,
+    buffers: _Buffers | None,
 ) -> FloatArray:
     if mesh.normals is None:
         raise ValueError("the mesh has no normals")
     normals = np.asarray(mesh.normals, np.float64)[None]
     shapes = mesh.shapes
-    shaped = shapes is not None and shapes.normals is not None
-    if shaped and weights is not None and weights.any():
+    has_normal_offsets = shapes is not None and shapes.normals is not None
+    if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        shaped_out = None if space is None else space.shaped[:frames]
+        shaped_out = None if buffers is None else buffers.shaped[:frames]
         normals = blend_normals(shapes, weights, out=shaped_out)
     if mesh.skin is not None and world is not None:
-        out = None if space is None else space.normals[:frames]
+        out = None if buffers is None else buffers.normals[:frames]
         return skin_normals(
             mesh.skin, normals, world, vertices=mesh.normal_vertices, out=out
         )
@@ -310,28 +313,28 @@ def displaced_points(
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 
     Args:
-        deformed: The frames deformed by joints.
-        points: Points of all frames ``(F, V, 3)`` [m].
-        frames: The frames among these.
-        surface: Its faces; None for strands.
+        deformed: The frames, deformed by joints.
+        points: Replacement points of all frames ``(F, V, 3)`` [m].
+        frames: Range of the deformed frames within all frames.
+        surface: Mesh with the faces; None for strands.
         times: Times of all frames ``(F,)`` [s]; None for no velocities.
 
-    >>> still = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
+    >>> static = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
     >>> up = Channel(np.zeros((2, 3)), np.arange(2), np.ones((3, 2, 3)))
-    >>> displaced_points(still, up, slice(1, 2), None, None).extents.tolist()
+    >>> displaced_points(static, up, slice(1, 2), None, None).extents.tolist()
     [[[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]]
     """
     margin = 0 if times is None else 1
-    low = max(frames.start - margin, 0)
-    high = min(frames.stop + margin, len(points.values))
-    with_margin = points.select(slice(low, high)).dense()
-    inner = slice(frames.start - low, frames.stop - low)
-    values = np.ascontiguousarray(with_margin[inner])
+    first = max(frames.start - margin, 0)
+    stop = min(frames.stop + margin, len(points.values))
+    with_margin = points.select(slice(first, stop)).dense()
+    requested = slice(frames.start - first, frames.stop - first)
+    values = np.ascontiguousarray(with_margin[requested])
     velocities = deformed.velocities
     if times is not None:
         velocities = np.zeros_like(values)
         if len(with_margin) > 1:
-            velocities = np.gradient(with_margin, times[low:high], axis=0)[inner]
+            velocities = np.gradient(with_margin, times[first:stop], axis=0)[requested]
     normals = deformed.normals
     if normals is not None and surface is not None:
         differ = (values != deformed.points).any(axis=(1, 2))
@@ -347,16 +350,16 @@ def displaced_points(
 
 
 def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
-    """Return unit vertex normals ``(F, V, 3)``, faces weighted by area.
+    """Return unit vertex normals ``(F, V, 3)``, the mean of face normals by area.
 
     ``points`` ``(F, V, 3)``.
     """
     corners = triangulated(surface.counts, surface.indices)
     a, b, c = (points[:, corners[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
-    sums = np.zeros_like(points)
-    by_vertex = np.moveaxis(sums, 1, 0)
+    area_normals = np.zeros_like(points)
+    by_vertex = np.moveaxis(area_normals, 1, 0)
     for k in range(3):
         np.add.at(by_vertex, corners[:, k], np.moveaxis(areas, 1, 0))
-    length = np.linalg.norm(sums, axis=-1, keepdims=True)
-    return np.asarray(sums / np.where(length > 0, length, 1.0))
+    length = np.linalg.norm(area_normals, axis=-1, keepdims=True)
+    return np.asarray(area_normals / np.where(length > 0, length, 1.0))

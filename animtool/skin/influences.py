@@ -15,12 +15,12 @@ SUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """The joints of every vertex, those of vertex v from ``first[v]``."""
+    """Joint influences; those of vertex v are ``first[v]`` to ``first[v + 1]``."""
 
     first: IntArray  # ``(V + 1,)``, ascending from 0
-    # ``(K,)`` int32, the strongest of a vertex first, none twice.
+    # ``(K,)`` int32, per vertex the strongest first, without duplicates.
     joints: npt.NDArray[np.int32]
-    weights: FloatArray  # ``(K,)`` [1], not zero, each vertex's sum is 1
+    weights: FloatArray  # ``(K,)`` [1], not zero; they sum to 1 per vertex
 
     @property
     def vertices(self) -> int:
@@ -28,10 +28,10 @@ class Influences:
         return len(self.first) - 1
 
     def rows(self, vertices: IntArray) -> Influences:
-        """Return the influences of some vertices, in their order.
+        """Return the influences of selected vertices, in their order.
 
         Args:
-            vertices: ``(N,)``, possibly repeated.
+            vertices: Vertex indices ``(N,)``, possibly repeated.
         """
         counts = np.diff(self.first)[vertices]
         first = np.concatenate([[0], np.cumsum(counts)])
@@ -46,11 +46,11 @@ class InfluenceReport:
     """Corrections applied to influences on reading."""
 
     normalized: int  # vertices whose weights differ from the sum 1 by more than 1e-6
-    pruned: int  # vertices that lost weights to the limit of influences
+    pruned: int  # vertices with weights dropped by the limit of influences
     zeros: int  # influences of zero weight, removed
     merged: int  # duplicate influences of a joint, merged
     sum_error: float  # largest difference of a vertex's weight sum from 1, as read
-    sum_vertex: int  # the vertex it is at
+    sum_vertex: int  # the vertex with that difference
 
 
 def read_influences(
@@ -59,7 +59,7 @@ def read_influences(
     joints: int,
     *,
     vertices: int | None = None,
-    most: int | None = None,
+    max_influences: int | None = None,
 ) -> tuple[Influences, InfluenceReport]:
     """Return the influences of a mesh, and the corrections applied.
 
@@ -67,19 +67,20 @@ def read_influences(
     the weights of each vertex are normalised to the sum 1.
 
     Args:
-        indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices.
+        indices: ``(V, I)`` joint indices, or ``(1, I)`` for all vertices.
         weights: The same shape [1].
         joints: Number of joints.
         vertices: Expected number of vertices; None is the number of rows.
-        most: Number of the strongest influences to keep per vertex; None keeps all.
+        max_influences: Number of the strongest influences to keep per vertex;
+            None keeps all.
 
     Raises:
         FormatError: Every fault: arrays that do not match each other or the vertices
             (SKIN001), an invalid joint index (SKIN002), a weight that is not finite
             (SKIN003), a vertex without weight (SKIN004).
 
-    >>> found, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
-    >>> found.weights.tolist(), report.normalized, report.sum_error
+    >>> influences, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
+    >>> influences.weights.tolist(), report.normalized, report.sum_error
     ([0.75, 0.25], 1, 3.0)
     """
     numbers, values = np.asarray(indices), np.asarray(weights, np.float64)
@@ -89,73 +90,73 @@ def read_influences(
         values = np.broadcast_to(values, numbers.shape)
     _check_values(numbers, values, joints)
     count = len(numbers)
-    rows, joints_of_rows, strengths = _merged(
+    rows, joints_of_rows, strengths = _merge_duplicates(
         numbers.astype(np.int64), values, max(joints, 1)
     )
-    sums = np.bincount(rows, strengths, count).astype(np.float64)
-    kept = _strongest(rows, count, most)
-    lost = np.bincount(rows[~kept], minlength=count) > 0
-    used, merged = int(np.count_nonzero(values)), len(rows)
+    weight_sums = np.bincount(rows, strengths, count).astype(np.float64)
+    kept = _strongest(rows, count, max_influences)
+    is_pruned = np.bincount(rows[~kept], minlength=count) > 0
+    nonzero, merged = int(np.count_nonzero(values)), len(rows)
     rows, joints_of_rows, strengths = rows[kept], joints_of_rows[kept], strengths[kept]
     totals = np.bincount(rows, strengths, count).astype(np.float64)
-    _check_sums(sums, totals)
-    errors = np.abs(sums - 1)
+    _check_sums(weight_sums, totals)
+    errors = np.abs(weight_sums - 1)
     report = InfluenceReport(
         normalized=int(np.count_nonzero(errors > SUM_TOLERANCE)),
-        pruned=int(np.count_nonzero(lost)),
-        zeros=values.size - used,
-        merged=used - merged,
+        pruned=int(np.count_nonzero(is_pruned)),
+        zeros=values.size - nonzero,
+        merged=nonzero - merged,
         sum_error=float(errors.max(initial=0.0)),
         sum_vertex=int(np.argmax(errors)) if count else 0,
     )
-    weighted = strengths / totals[rows]
+    normalized = strengths / totals[rows]
     return Influences(
-        _firsts(rows, count), joints_of_rows.astype(np.int32), weighted
+        _row_starts(rows, count), joints_of_rows.astype(np.int32), normalized
     ), report
 
 
-def _merged(
+def _merge_duplicates(
     numbers: IntArray, values: FloatArray, joints: int
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return vertex, joint and weight of every influence, without duplicates.
 
-    By vertex, the strongest first; ties in the order read, as UsdSkel's pivot.
+    Sorted by vertex, then by descending weight; ties keep the order of the input.
     """
     order = np.argsort(-values, axis=1, kind="stable")
     strengths = np.take_along_axis(values, order, axis=1)
     sorted_joints = np.take_along_axis(numbers, order, axis=1)
-    kept = strengths != 0
-    rows = np.nonzero(kept)[0]
-    sorted_joints, strengths = sorted_joints[kept], strengths[kept]
-    if not _repeats(numbers, values):
+    is_nonzero = strengths != 0
+    rows = np.nonzero(is_nonzero)[0]
+    sorted_joints, strengths = sorted_joints[is_nonzero], strengths[is_nonzero]
+    if not _has_duplicates(numbers, values):
         return rows, sorted_joints, strengths
     pairs = rows * joints + sorted_joints
     unique, at, inverse = np.unique(pairs, return_index=True, return_inverse=True)
-    sums = np.bincount(inverse, strengths, len(unique)).astype(np.float64)
+    merged_weights = np.bincount(inverse, strengths, len(unique)).astype(np.float64)
     order = np.argsort(at)
-    return unique[order] // joints, unique[order] % joints, sums[order]
+    return unique[order] // joints, unique[order] % joints, merged_weights[order]
 
 
-def _repeats(numbers: IntArray, values: FloatArray) -> bool:
+def _has_duplicates(numbers: IntArray, values: FloatArray) -> bool:
     """Return whether a vertex has a joint twice with weight."""
-    # Placeholders of zero weights differ from all joints.
+    # Entries of zero weight get a placeholder that differs from all joints.
     placeholders = -1 - np.arange(numbers.shape[1])
-    ordered = np.sort(np.where(values != 0, numbers, placeholders), axis=1)
-    return bool((ordered[:, 1:] == ordered[:, :-1]).any())
+    in_order = np.sort(np.where(values != 0, numbers, placeholders), axis=1)
+    return bool((in_order[:, 1:] == in_order[:, :-1]).any())
 
 
-def _firsts(rows: IntArray, count: int) -> IntArray:
+def _row_starts(rows: IntArray, count: int) -> IntArray:
     """Return the first entry of each row, and the end ``(count + 1,)``."""
     counts = np.bincount(rows, minlength=count)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _strongest(rows: IntArray, count: int, most: int | None) -> BoolArray:
-    """Return a mask of the first ``most`` entries of each row."""
-    if most is None:
+def _strongest(rows: IntArray, count: int, max_count: int | None) -> BoolArray:
+    """Return a mask of the first ``max_count`` entries of each row."""
+    if max_count is None:
         return np.ones(len(rows), np.bool_)
-    ranks = np.arange(len(rows)) - _firsts(rows, count)[rows]
-    return np.asarray(ranks < most, np.bool_)
+    ranks = np.arange(len(rows)) - _row_starts(rows, count)[rows]
+    return np.asarray(ranks < max_count, np.bool_)
 
 
 def _check_shapes(
@@ -183,17 +184,21 @@ def _check_values(
     numbers: npt.NDArray[np.generic], values: FloatArray, joints: int
 ) -> None:
     integers = numbers.astype(np.int64)
-    outside = (integers < 0) | (integers >= joints)
+    out_of_range = (integers < 0) | (integers >= joints)
     infinite = ~np.isfinite(values)
     faults = [
-        *_faults("SKIN002", _any(outside), f"a joint index outside 0…{joints - 1}"),
-        *_faults("SKIN003", _any(infinite), "a weight that is not finite"),
+        *_faults(
+            "SKIN002",
+            _any_per_vertex(out_of_range),
+            f"a joint index outside 0…{joints - 1}",
+        ),
+        *_faults("SKIN003", _any_per_vertex(infinite), "a weight that is not finite"),
     ]
     if faults:
         raise FormatError(faults)
 
 
-def _any(wrong: BoolArray) -> BoolArray:
+def _any_per_vertex(wrong: BoolArray) -> BoolArray:
     return np.asarray(wrong.any(axis=1), np.bool_)
 
 

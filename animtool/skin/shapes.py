@@ -1,9 +1,9 @@
 """Blend shapes: prepared once, then evaluated over frames of weights.
 
-A shape is offsets at weight 1, and at any inbetween weights. Points are linear in the
-columns, one for each of these, so that frames are a product of column weights and
-offsets: a dense one for shapes that move most of the mesh, a sparse one for those that
-move a part.
+A shape has offsets at weight 1, and possibly at inbetween weights. Each of these is a
+column, and points are linear in the columns: frames are a product of column weights
+and offsets. It is dense for shapes that move most of the mesh, and sparse for those
+that move a region.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 from animtool.skin.skinning import result
 
-# Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
+# Minimum distance of inbetween weights from 0, 1 and each other; UsdSkel skips closer
+# ones.
 NEAREST_INBETWEEN = 1e-6
 
-# Relative cost of the two products, measured per frame over 10 000 vertices on one
-# thread (tests/bench/deform.py): a column of the dense product 1.75 us for any number
-# of offsets; a full column of the sparse one 4.3 us, in proportion to its offsets;
-# another pass over the points, where both are used, 11.6 us. So sparse is cheaper while
-# fewer than 40 % of the vertices move.
+# Cost of the sparse relative to the dense product, measured per frame over 10 000
+# vertices on one thread (tests/bench/deform.py): a dense column takes 1.75 us for any
+# number of offsets; a full sparse column 4.3 us, in proportion to its offsets; using
+# both takes another pass over the points, 11.6 us. So sparse is cheaper while fewer
+# than 40 % of the vertices move.
 SPARSE_COST = 2.5
 PASS_COLUMNS = 6.6
 
-# Rows of the dense table are copied to leave out inactive columns. A copy costs as much
-# as the product of a column over this many frames (measured: 6.7).
+# Rows of the dense table are copied to leave out inactive columns. Copying a row costs
+# as much as its product over this many frames (measured: 6.7).
 COPY_FRAMES = 7
 
 
@@ -47,10 +48,10 @@ COPY_FRAMES = 7
 class InbetweenDeltas:
     """The offsets of a shape at an inbetween weight."""
 
-    at: float  # weight [1], any but 0 and 1
-    # ``(D, 3)`` at the vertices of the shape; None moves none of them.
+    at: float  # weight [1], neither 0 nor 1
+    # ``(D, 3)`` at the vertices of the shape; None moves no points.
     offsets: ArrayLike | None
-    normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None leaves normals
+    normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None keeps normals
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +59,12 @@ class ShapeDeltas:
     """A blend shape as stored in files."""
 
     name: str  # for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None for a
-    # shape of normals only.
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None if the
+    # shape changes normals only.
     offsets: ArrayLike | None
-    # ``(D,)`` vertices they are added to; None is every vertex.
+    # Vertices of the offsets ``(D,)``; None is every vertex.
     indices: ArrayLike | None = None
-    # ``(D, 3)`` added to normals; None leaves them.
+    # ``(D, 3)`` added to normals; None keeps them.
     normal_offsets: ArrayLike | None = None
     # Offsets at other weights, in any order.
     inbetweens: tuple[InbetweenDeltas, ...] = ()
@@ -85,10 +86,10 @@ class _Columns:
 class PreparedShapes:
     """The shapes of a mesh, ready to be evaluated."""
 
-    names: tuple[str, ...]  # of the S shapes, in the order of the weights
-    # For each shape, its weights with offsets, 0 and 1 included, ascending.
+    names: tuple[str, ...]  # names of the S shapes, in the order of the weights
+    # For each shape the weights that have offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
-    points: _Columns  # columns of the points: for each shape its knots but 0
+    points: _Columns  # columns of the points: one per shape and knot, except knot 0
     normals: _Columns | None  # columns of the normals; None without normals
 
     @property
@@ -113,17 +114,27 @@ def prepare_shapes(
     faults = [fault for shape in shapes for fault in _faults(shape, len(rest))]
     if faults:
         raise FormatError(faults)
-    sorted_shapes = [_parts(shape) for shape in shapes]
-    knots = tuple(np.array([part.at for part in parts]) for parts in sorted_shapes)
+    sorted_shapes = [_all_offsets(shape) for shape in shapes]
+    knots = tuple(
+        np.array([offset.at for offset in shape_offsets])
+        for shape_offsets in sorted_shapes
+    )
     return PreparedShapes(
         tuple(shape.name for shape in shapes),
         tuple(np.sort(np.append(weights, 0.0)) for weights in knots),
-        _columns(shapes, [[p.offsets for p in parts] for parts in sorted_shapes], rest),
+        _columns(
+            shapes,
+            [[p.offsets for p in shape_offsets] for shape_offsets in sorted_shapes],
+            rest,
+        ),
         None
         if normals is None
         else _columns(
             shapes,
-            [[p.normal_offsets for p in parts] for parts in sorted_shapes],
+            [
+                [p.normal_offsets for p in shape_offsets]
+                for shape_offsets in sorted_shapes
+            ],
             as_floats(normals, (len(rest), 3), "normals"),
         ),
     )
@@ -132,17 +143,17 @@ def prepare_shapes(
 def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     """Return the weight of each column of offsets ``(F, C)``.
 
-    A shape is piecewise linear through nothing at 0, its offsets at 1 and its
-    inbetweens; the first and the last piece go on beyond, as in UsdSkel.
+    A shape is piecewise linear through zero at 0, its offsets at 1 and its inbetweens;
+    beyond them the first and last segment continue, as in UsdSkel.
 
     ``weights`` ``(F, S)`` [1].
     """
     values = as_floats(weights, ("F", len(shapes.names)), "weights")
-    parts = [
-        values[:, i : i + 1] if len(knots) == 2 else _hats(knots, values[:, i])
+    weights_per_shape = [
+        values[:, i : i + 1] if len(knots) == 2 else _hat_weights(knots, values[:, i])
         for i, knots in enumerate(shapes.knots)
     ]
-    return np.concatenate([np.zeros((len(values), 0)), *parts], axis=1)
+    return np.concatenate([np.zeros((len(values), 0)), *weights_per_shape], axis=1)
 
 
 def blend_points(
@@ -172,47 +183,51 @@ def blend_normals(
 def _blend(
     columns: _Columns, weights: FloatArray, out: FloatArray | None
 ) -> FloatArray:
-    shows = np.asarray(weights.any(axis=0), np.bool_)
-    dense = np.asarray(columns.dense & shows, np.bool_)
-    sparse = np.asarray(~columns.dense & shows, np.bool_)
+    active = np.asarray(weights.any(axis=0), np.bool_)
+    active_dense = np.asarray(columns.dense & active, np.bool_)
+    active_sparse = np.asarray(~columns.dense & active, np.bool_)
     blended = result(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
-    if dense.any():
-        _product(columns, weights, shows, blended.reshape(len(blended), -1))
+    if active_dense.any():
+        _product(columns, weights, active, blended.reshape(len(blended), -1))
         points = blended
-    if sparse.any():
-        first, numbers, offsets = _showing(columns, sparse)
+    if active_sparse.any():
+        first, numbers, offsets = _active_offsets(columns, active_sparse)
         _kernels.add_sparse(points, weights, first, numbers, offsets, blended)
-    elif not dense.any():
+    elif not active_dense.any():
         blended[:] = points
     return blended
 
 
 def _product(
-    columns: _Columns, weights: FloatArray, shows: BoolArray, out: FloatArray
+    columns: _Columns, weights: FloatArray, active: BoolArray, out: FloatArray
 ) -> None:
     """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
-    dense_weights, used = weights[:, columns.dense], shows[columns.dense]
+    dense_weights, used = weights[:, columns.dense], active[columns.dense]
     table = columns.table
-    hidden = len(used) - int(used.sum())
-    if hidden * len(weights) > COPY_FRAMES * (len(used) - hidden + 1):
+    inactive = len(used) - int(used.sum())
+    if inactive * len(weights) > COPY_FRAMES * (len(used) - inactive + 1):
         table, dense_weights = table[np.append(True, used)], dense_weights[:, used]
     factors = np.concatenate([np.ones((len(dense_weights), 1)), dense_weights], axis=1)
     np.matmul(factors, table, out=out)
 
 
-def _showing(
-    columns: _Columns, shows: BoolArray
+def _active_offsets(
+    columns: _Columns, active: BoolArray
 ) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
     """Return the sparse offsets of the active columns."""
-    kept = shows[columns.columns]
-    if kept.all():
+    is_active = active[columns.columns]
+    if is_active.all():
         return columns.first, columns.columns, columns.offsets
-    before = np.concatenate([[0], np.cumsum(kept)])
-    return before[columns.first], columns.columns[kept], columns.offsets[kept]
+    new_first = np.concatenate([[0], np.cumsum(is_active)])
+    return (
+        new_first[columns.first],
+        columns.columns[is_active],
+        columns.offsets[is_active],
+    )
 
 
-def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
+def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the piecewise linear weights of all knots but 0 ``(F, knots - 1)``."""
     last = len(knots) - 2
     at = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last)
@@ -224,8 +239,8 @@ def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
     return hats[:, knots != 0]
 
 
-def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape, its full ones included, by weight.
+def _all_offsets(shape: ShapeDeltas) -> list[InbetweenDeltas]:
+    """Return the offsets of a shape at all its weights, 1 included, by weight.
 
     Empty offsets with normal offsets mean a shape of normals only.
     """
@@ -244,24 +259,26 @@ def _columns(
     offsets: Sequence[Sequence[ArrayLike | None]],
     rest: FloatArray,
 ) -> _Columns:
-    moved: list[tuple[IntArray, FloatArray]] = []
-    for shape, parts in zip(shapes, offsets, strict=True):
-        for values in parts:
-            moved.append(_moved(shape, values, len(rest)))
-    density = np.array([len(at) for at, _ in moved]) / max(len(rest), 1)
+    nonzero: list[tuple[IntArray, FloatArray]] = []
+    for shape, shape_offsets in zip(shapes, offsets, strict=True):
+        for values in shape_offsets:
+            nonzero.append(_nonzero_offsets(shape, values, len(rest)))
+    density = np.array([len(at) for at, _ in nonzero]) / max(len(rest), 1)
     dense = _dense(density)
     table = np.zeros((1 + int(dense.sum()), *rest.shape))
     table[0] = rest
     for row, i in enumerate(np.flatnonzero(dense), 1):
-        at, values = moved[i]
+        at, values = nonzero[i]
         if (at[1:] > at[:-1]).all():
             table[row, at] = values
         else:
             np.add.at(table[row], at, values)
     sparse = np.flatnonzero(~dense)
-    vertices = np.concatenate([np.zeros(0, np.int64), *(moved[i][0] for i in sparse)])
-    added = np.concatenate([np.zeros((0, 3)), *(moved[i][1] for i in sparse)])
-    numbers = np.repeat(sparse, [len(moved[i][0]) for i in sparse]).astype(np.int32)
+    vertices = np.concatenate([np.zeros(0, np.int64), *(nonzero[i][0] for i in sparse)])
+    sparse_offsets = np.concatenate(
+        [np.zeros((0, 3)), *(nonzero[i][1] for i in sparse)]
+    )
+    numbers = np.repeat(sparse, [len(nonzero[i][0]) for i in sparse]).astype(np.int32)
     order = np.argsort(vertices, kind="stable")
     counts = np.bincount(vertices, minlength=len(rest))
     return _Columns(
@@ -270,7 +287,7 @@ def _columns(
         table.reshape(len(table), -1),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         numbers[order],
-        added[order],
+        sparse_offsets[order],
     )
 
 
@@ -278,13 +295,13 @@ def _dense(density: FloatArray) -> BoolArray:
     """Return a mask of the columns that are faster in the dense product."""
     cost = density * SPARSE_COST
     dense = np.asarray(cost >= 1.0)
-    saved = float((1.0 - cost[~dense]).sum())
-    if dense.any() and saved < PASS_COLUMNS:
+    saved_cost = float((1.0 - cost[~dense]).sum())
+    if dense.any() and saved_cost < PASS_COLUMNS:
         return np.ones(len(density), np.bool_)
     return dense
 
 
-def _moved(
+def _nonzero_offsets(
     shape: ShapeDeltas, values: ArrayLike | None, count: int
 ) -> tuple[IntArray, FloatArray]:
     """Return the vertices that offsets move, and their nonzero offsets."""
@@ -293,10 +310,10 @@ def _moved(
     offsets = np.asarray(values, np.float64)
     at = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
     x, y, z = offsets.T
-    moves = (x != 0) | (y != 0) | (z != 0)
-    if moves.all():
+    is_nonzero = (x != 0) | (y != 0) | (z != 0)
+    if is_nonzero.all():
         return at.astype(np.int64), offsets
-    return at[moves].astype(np.int64), offsets[moves]
+    return at[is_nonzero].astype(np.int64), offsets[is_nonzero]
 
 
 def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
@@ -311,17 +328,19 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
             )
             return [Fault("SKIN001", message)]
         length = len(at)
-        outside = at[(at < 0) | (at >= count)].tolist()
-        if outside:
-            message = f"{where} moves vertices outside 0…{count - 1}: {listed(outside)}"
+        out_of_range = at[(at < 0) | (at >= count)].tolist()
+        if out_of_range:
+            message = (
+                f"{where} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
+            )
             faults.append(Fault("SKIN002", message))
-    for part in _parts(shape):
+    for offset in _all_offsets(shape):
         for what, values in (
-            ("offsets", part.offsets),
-            ("normal offsets", part.normal_offsets),
+            ("offsets", offset.offsets),
+            ("normal offsets", offset.normal_offsets),
         ):
             if values is not None:
-                name = f"{where}: {what} at {part.at:g}"
+                name = f"{where}: {what} at {offset.at:g}"
                 faults += _offset_faults(name, values, length)
     return faults + _knot_faults(where, shape)
 
@@ -334,8 +353,8 @@ def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     finite = np.isfinite(array)
     if finite.all():
         return []
-    wrong = np.flatnonzero(~finite.all(axis=1)).tolist()
-    return [Fault("SKIN003", f"{name} are not finite in rows {listed(wrong)}")]
+    not_finite = np.flatnonzero(~finite.all(axis=1)).tolist()
+    return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
 
 
 def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:

@@ -1,6 +1,6 @@
-"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them.
+"""Skinning over frames: linear blend and dual quaternions, as in UsdSkel.
 
-Everything is for column vectors, in the space of the skeleton: the rig's world.
+Everything is for column vectors, in skeleton space, which is the rig's world.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     return out
 
 
-# A bind matrix whose linear part has a smaller determinant, relative to the cube of its
-# largest number, is singular.
+# A bind matrix is singular if the determinant of its linear part, relative to the cube
+# of its largest element, is smaller than this.
 SINGULAR = 1e-12
 
-# Stretches within this of identity are rounding and ignored, as in UsdSkel.
+# Stretches closer to identity are rounding and ignored, as in UsdSkel.
 STRETCH_TOLERANCE = 1e-6
 
 
@@ -56,7 +56,7 @@ class Binding:
 
     # Joint indices ``(V, I)``, or ``(1, I)`` for all vertices.
     indices: ArrayLike
-    weights: ArrayLike  # the same shape [1]
+    weights: ArrayLike  # same shape as the indices [1]
     # World transforms of the skeleton's J joints at bind time ``(J, 4, 4)``.
     bind: ArrayLike
     # Skeleton joint of each index ``(U,)``; None if indices are skeleton joints.
@@ -71,11 +71,13 @@ class PreparedSkin:
     """A binding prepared for evaluation."""
 
     method: SkinMethod  # linear blend or dual quaternions
-    influences: Influences  # of every vertex; indices into ``joints``
+    influences: Influences  # per vertex; their joints are indices into ``joints``
     report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
-    joint_from_world: FloatArray  # inverse bind transforms of these ``(U, 4, 4)``
-    world_from_points: FloatArray  # the points at bind time ``(4, 4)``
+    joint_from_world: (
+        FloatArray  # inverse bind transforms of the used joints ``(U, 4, 4)``
+    )
+    world_from_points: FloatArray  # transform of the points at bind time ``(4, 4)``
 
     @property
     def vertices(self) -> int:
@@ -96,8 +98,8 @@ def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
     influences, report = read_influences(
         binding.indices, binding.weights, len(order), vertices=vertices
     )
-    used, numbers = np.unique(influences.joints, return_inverse=True)
-    joints = order[used].astype(np.int64)
+    used_joints, numbers = np.unique(influences.joints, return_inverse=True)
+    joints = order[used_joints].astype(np.int64)
     _check_regular(bind, joints)
     compact = Influences(influences.first, numbers.astype(np.int32), influences.weights)
     inverse = np.linalg.inv(bind[joints]).astype(np.float64)
@@ -116,16 +118,15 @@ def skin_points(
     Linear blend: ``p' = Σ w · world_from_joint · joint_from_world · geom_bind · p``.
     Dual quaternions: each joint's transform from the bind pose is a rotation after a
     stretch (the polar decomposition; a mirror is a negative stretch). Stretches are
-    blended linearly and move the point first; the rigid parts are blended as dual
-    quaternions, signs those nearest to the strongest joint's.
+    blended linearly and move the point first; the rigid transforms are blended as dual
+    quaternions, each with the sign nearest to the strongest joint's.
 
     Limits of the method: linear blend loses volume at bends and collapses at rotations
-        of
-    180 degrees. With dual quaternions, as in UsdSkel, a joint whose transform has a
+    of 180 degrees. With dual quaternions, as in UsdSkel, a joint whose transform has a
     determinant below 1e-10 is dropped from the blend, so that a point without other
     joints stays at its bind position.
 
-    ``points``: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames;
+    ``points``: ``(F, V, 3)``, or ``(1, V, 3)`` if they are equal in all frames;
     ``out`` ``(F, V, 3)``.
     """
     source = as_floats(points, ("F", skin.vertices, 3), "points")
@@ -146,7 +147,7 @@ def skin_normals(
     quaternions rotate by the blended rotation, after the inverse stretch. A normal that
     a joint of zero scale leaves without direction is zero.
 
-    ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames;
+    ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` if they are equal in all frames;
     ``vertices`` ``(N,)``; ``out`` ``(F, N, 3)``.
     """
     influences = skin.influences if vertices is None else skin.influences.rows(vertices)
@@ -191,7 +192,7 @@ def _skin(
         stretches = _inverse_transposes(stretches)
         translations[:] = 0.0
     else:
-        source = _placed(source, skin.world_from_points)
+        source = _to_world(source, skin.world_from_points)
     _kernels.skin_dual_quaternion(
         source,
         influences.first,
@@ -206,7 +207,7 @@ def _skin(
     return skinned
 
 
-def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
+def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
     if (world_from_points == np.eye(4)).all():
         return points
     return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
@@ -225,11 +226,11 @@ def _transforms(
 
 def _without_rounding(stretches: FloatArray) -> FloatArray | None:
     """Return stretches with rounding removed; None if no frame is stretched."""
-    off = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
-    stretched = off > STRETCH_TOLERANCE
-    if not stretched.any():
+    distance = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
+    is_stretched = distance > STRETCH_TOLERANCE
+    if not is_stretched.any():
         return None
-    stretches[~stretched] = np.eye(3)
+    stretches[~is_stretched] = np.eye(3)
     return stretches
 
 

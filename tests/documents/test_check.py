@@ -9,7 +9,7 @@ from pydantic import Field
 
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
-from animtool.documents.check import MAX_MENDED, FileModel, check_version, validated
+from animtool.documents.check import MAX_REPLACED, FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.forms import Forms
 
@@ -207,11 +207,11 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
         rows = "".join("- {type: square, side: x}\n" for _ in range(count))
         return document(tmp_path, f"rig: x\nitems:\n{rows}")
 
-    most = read(MAX_MENDED // 2)
-    assert len(validated(most, Box).items) == MAX_MENDED // 2
-    assert len(most.faults) == MAX_MENDED // 2
+    most = read(MAX_REPLACED // 2)
+    assert len(validated(most, Box).items) == MAX_REPLACED // 2
+    assert len(most.faults) == MAX_REPLACED // 2
     with pytest.raises(FormatError):
-        validated(read(MAX_MENDED // 2 + 1), Box)
+        validated(read(MAX_REPLACED // 2 + 1), Box)
 
 
 @pytest.mark.parametrize(

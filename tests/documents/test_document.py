@@ -336,13 +336,13 @@ def test_a_file_is_numbered_once_for_many_faults(
     text = "a:\n" + "".join(f"- {{n: {i}}}\n" for i in range(20_000))
     document = read_document(written(tmp_path, text))
     calls: list[int] = []
-    number = Document._number
+    number = Document._index_nodes
 
     def counted(self: Document, node: Any, index: int) -> int:
         calls.append(index)
         return number(self, node, index)
 
-    monkeypatch.setattr(Document, "_number", counted)
+    monkeypatch.setattr(Document, "_index_nodes", counted)
     for i in range(20_000):
         document.warn("DOC022", ("a", i, "n"), "x")
     assert len(calls) == 2 + 2 * 20_000

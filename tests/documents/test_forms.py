@@ -30,4 +30,4 @@ class Shown(BaseModel):
     ],
 )
 def test_a_hint_is_made_of_what_was_written(key: str, given: Any, hint: str) -> None:
-    assert form_hint(Shown, {key: given}, (key,), listed=True) == hint
+    assert form_hint(Shown, {key: given}, (key,), expects_list=True) == hint

@@ -70,6 +70,7 @@ def run(
     cells: int = 4,
     substeps: int = 3,
     way: np.ndarray | None = None,
+    own: tuple[int, int] = (0, 0),
     **numbers: float,
 ) -> tuple[np.ndarray, int, int, float]:
     """Return positions and velocities ``(2, S, P, 3)``, and what was counted."""
@@ -77,7 +78,7 @@ def run(
     speeds = np.zeros_like(flat) if velocities is None else velocities.reshape(-1, 3)
     state, *counts = _kernels.follow_strands(
         made(places, **numbers), checkpoint(places, cells, way),
-        np.stack([flat, speeds]), SPAN, substeps, colliders,
+        np.stack([flat, speeds]), SPAN, substeps, colliders, own=own,
     )  # fmt: skip
     return state.reshape(2, *places.shape), *counts
 
@@ -273,7 +274,8 @@ def test_a_mesh_that_does_not_move_is_a_collider() -> None:
     arrays, poses, *others = met([Collider(solid_box, friction=0.0)], 4)
     poses[..., :3] = at
     fixed = arrays, poses, *others
-    solid = run(places, velocities=thrown, colliders=fixed)
+    # Its edges are for particles alone, as those of moving meshes are.
+    solid = run(places, velocities=thrown, colliders=fixed, own=(0, 1))
     moving = run(places, velocities=thrown, colliders=moving_mesh(4, at, at))
     assert moving[1] == solid[1] > 0
     assert_allclose(moving[0][0], solid[0][0], atol=1e-9)

@@ -16,7 +16,7 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.motion.reorient import reorient
 from animtool.preview.build import make_page, write_page
-from animtool.preview.open_file import resting
+from animtool.preview.open_file import rest_take
 from animtool.preview.options import PreviewOptions
 from animtool.preview.show import show
 from animtool.rig.kinematics import forward
@@ -116,7 +116,7 @@ HOSTILE = [
 
 def test_hostile_names_stay_names(tmp_path: Path) -> None:
     joints = tuple(Joint(name, -1) for name in HOSTILE)
-    page = ReadPage(show(resting(Rig(HOSTILE[0], joints)).collect()).page.html())
+    page = ReadPage(show(rest_take(Rig(HOSTILE[0], joints)).collect()).page.html())
     assert page.manifest["takes"][0]["skeleton"]["names"] == HOSTILE
     assert page.manifest["title"] == HOSTILE[0]
     folder = tmp_path / "<img src=x onerror=alert(1)>{{title}}"
@@ -167,7 +167,7 @@ def test_one_frame_and_no_joints(tmp_path: Path) -> None:
     page = page_of(still)
     assert page.manifest["time"]["count"] == 1
     assert page.manifest["takes"][0]["moving"] == {"t": [], "r": [], "s": []}
-    nobody = resting(Rig("nobody", ())).collect()
+    nobody = rest_take(Rig("nobody", ())).collect()
     made = ReadPage(show(nobody).page.html())
     assert made.manifest["takes"][0]["skeleton"]["names"] == []
     assert made.manifest["time"]["count"] == 1

@@ -199,7 +199,7 @@ class _Checker:
 
     def _part(self, scope: tuple[Any, ...], nodes: tuple[Any, ...]) -> None:
         for node in nodes:
-            if isinstance(node, text._Choice):
+            if isinstance(node, text._Alternatives):
                 for part in node.parts:
                     self._part(scope, part)
             elif isinstance(node, text._Field):

@@ -40,7 +40,7 @@ def test_a_joint_named_twice_counts_once() -> None:
 
 def test_pruning_keeps_the_strongest_and_normalises() -> None:
     found, report = read_influences(
-        [[0, 1, 2], [0, 1, 2]], [[1, 3, 0], [1, 1, 2]], 3, most=2
+        [[0, 1, 2], [0, 1, 2]], [[1, 3, 0], [1, 1, 2]], 3, max_influences=2
     )
     assert_array_equal(found.first, [0, 2, 4])
     assert_array_equal(found.joints, [1, 0, 2, 0])

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.formats.characters.choice import choose_character
-from animtool.formats.fbx.curves import Outside
+from animtool.formats.fbx.curves import FbxExtrapolation
 from animtool.formats.fbx.poses import NodeTransforms
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import FbxSampler
@@ -72,7 +72,7 @@ class FbxCharacter:
         if joint < 0:
             return None
         back = self.scene.settings.basis.T
-        linear = posed.world.linear[0, joint] * made.folded[node]
+        linear = posed.world.linear[0, joint] * made.folded_scales[node]
         place = posed.world.positions[0, joint] / made.rig.meters_per_unit
         return np.concatenate([back @ linear, (back @ place)[:, None]], axis=1)
 
@@ -269,7 +269,9 @@ def _held(take: AnimTake) -> AnimTake:
     for track in held.tracks.values():
         for one in track.layers:
             one.curves = [
-                None if c is None else replace(c, pre=Outside(), post=Outside())
+                None
+                if c is None
+                else replace(c, pre=FbxExtrapolation(), post=FbxExtrapolation())
                 for c in one.curves
             ]
     return held

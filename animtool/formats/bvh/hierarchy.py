@@ -15,8 +15,9 @@ from animtool.rig.skeleton import CHANNEL_NAMES
 
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
-# Slower than stop motion on sixes, or faster than any capture system: rather a
-# rate written for a time, or milliseconds for seconds.
+# Rates outside this range are implausible: slower than stop motion on sixes, or faster
+# than any capture system. Likely a rate was written as a time, or milliseconds as
+# seconds.
 PLAUSIBLE_RATES = (4, 1000)
 
 _AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
@@ -27,7 +28,7 @@ _WORDS = re.compile(r"[{}]|[^\s{}]+")
 
 @dataclass(slots=True)
 class BvhJoint:
-    """A joint as the file states it, in file units."""
+    """A joint as stated in the file, in file units."""
 
     name: str
     parent: int
@@ -42,10 +43,10 @@ class BvhHeader:
     """Hierarchy, frame count and frame time: everything above the rows."""
 
     joints: list[BvhJoint]  # in file order, parents first
-    declared_frames: int = 0  # what ``Frames:`` says
+    declared_frames: int = 0  # value of ``Frames:``
     frames_line: int = 0  # 1-based line of ``Frames:``
-    frame_time: str = ""  # what ``Frame Time:`` says, as printed
-    rate: RateChoice | None = None  # the frame rate chosen for it
+    frame_time: str = ""  # text of ``Frame Time:``
+    rate: RateChoice | None = None  # frame rate chosen for the frame time
 
 
 @dataclass(slots=True)
@@ -86,14 +87,14 @@ class _Hierarchy:
         )
 
     def _after_start(self) -> str:
-        """Return what follows HIERARCHY on its line."""
+        """Return the text after HIERARCHY on its line."""
         while (line := self.lines.next()) is not None and not line.strip():
             continue
-        word, _, rest = (line or "").strip().partition(" ")
-        if word.upper() != "HIERARCHY":
+        keyword, _, remaining_text = (line or "").strip().partition(" ")
+        if keyword.upper() != "HIERARCHY":
             excess = f", not {excerpt(line.strip())}" if line else ""
             self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{excess}")
-        return rest
+        return remaining_text
 
     def _statement(self, keyword: str, words: list[str]) -> None:
         upper = keyword.upper()
@@ -244,8 +245,10 @@ class _Hierarchy:
     def _open_blocks(self) -> str | None:
         if not self.stack:
             return None
-        inner = self.stack[-1]
-        return f"{len(self.stack)} '}}' missing, the innermost for {self._name(inner)}"
+        innermost = self.stack[-1]
+        return (
+            f"{len(self.stack)} '}}' missing, the innermost for {self._name(innermost)}"
+        )
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
@@ -278,7 +281,7 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
 
 
 def _field(lines: HeaderLines, name: str) -> str:
-    """Return what follows ``name:`` on the next line that is not blank."""
+    """Return the text after ``name:`` on the next line that is not blank."""
     while (line := lines.next()) is not None and not line.strip():
         continue
     if line is None:
@@ -313,13 +316,13 @@ def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
 def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     rate, text = header.rate, header.frame_time
     assert rate is not None
-    low, high = PLAUSIBLE_RATES
+    slowest, fastest = PLAUSIBLE_RATES
     hint = f"set the real rate with {argument('source.fps')}"
     severity = Severity.WARNING
-    if not low <= rate.fps <= high:
+    if not slowest <= rate.fps <= fastest:
         code = "BVH105"
         message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
-        if low <= float(text) <= high:
+        if slowest <= float(text) <= fastest:
             hint = (
                 "is it a rate instead of a time? then set "
                 f"{argument('source.fps', text)}"
@@ -331,9 +334,9 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
         )
     elif rate.rivals:
         code, severity = "BVH107", Severity.NOTE
-        others = listed(rate.rivals, 6)
+        rivals = listed(rate.rivals, 6)
         message = (
-            f"Frame Time {text} is rounded: {others} fps would be printed the same"
+            f"Frame Time {text} is rounded: {rivals} fps would be printed the same"
         )
         message += f"; using {rate_label(rate.fps)}"
     else:

@@ -1,6 +1,6 @@
 """The lines of a BVH file: its header's, and rows of finite numbers, block by block.
 
-The file may hold anything.
+The file may contain anything.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from animtool.core.files.reading import (
 from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
-# A header line names one joint or its channels; BVH files have no longer lines.
+# Longest header line, which names one joint or its channels.
 LONGEST_LINE_BYTES = 1 << 16
-# A joint has five or six of them.
+# Most header lines; a joint has five or six.
 MAX_LINES = 1_000_000
-# A quarter of a megabyte of float64 a block: it stays in the processor's cache from
-# the parser to the writer.
+# Values per block, a quarter of a megabyte of float64, which stays in the processor's
+# cache from parser to writer.
 BLOCK_VALUES = 1 << 15
-# The longest number in characters, blanks included.
+# Longest number, blanks included [byte].
 LONGEST_NUMBER_BYTES = 1024
-# A channel may lose this many samples, or this share of them, before filling them
-# in would be inventing motion.
+# Most missing samples of a channel, and their largest fraction, to fill by
+# interpolation. More would be invented motion.
 MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
 MAX_NAMED = 20
@@ -60,8 +60,8 @@ class HeaderLines:
         self._check_text()
 
     @property
-    def rest(self) -> bytes:
-        """Bytes read from the file and not yet returned as lines."""
+    def unread(self) -> bytes:
+        """Bytes read from the file but not yet returned as lines."""
         return self._data[self._at :]
 
     def _check_text(self) -> None:
@@ -81,21 +81,23 @@ class HeaderLines:
         while True:
             match = _LINE_END.search(self._data, self._at)
             at_end = match is not None and match.end() == len(self._data)
-            # A CR that ends the chunk may be half of a CR LF.
+            # A CR at the end of the chunk may be half of a CR LF.
             if match is not None and not (at_end and match.group() == b"\r"):
                 break
             if len(self._data) - self._at > LONGEST_LINE_BYTES and match is None:
                 self._fail_long()
-            more = self._file.read(CHUNK_BYTES)
-            if not more:
+            chunk = self._file.read(CHUNK_BYTES)
+            if not chunk:
                 break
-            self._data, self._at = self.rest + more, 0
+            self._data, self._at = self.unread + chunk, 0
         if self._at == len(self._data):
             return None
-        stop, after = match.span() if match else (len(self._data), len(self._data))
-        if stop - self._at > LONGEST_LINE_BYTES:
+        line_end, next_line = (
+            match.span() if match else (len(self._data), len(self._data))
+        )
+        if line_end - self._at > LONGEST_LINE_BYTES:
             self._fail_long()
-        line, self._at = self._data[self._at : stop], after
+        line, self._at = self._data[self._at : line_end], next_line
         self.number += 1
         if self.number > MAX_LINES:
             message = f"more than {MAX_LINES} lines before the rows of numbers"
@@ -103,7 +105,7 @@ class HeaderLines:
         try:
             return line.decode("utf-8")
         except UnicodeDecodeError:
-            # Of Windows: it has letters where Latin-1 has control characters.
+            # Windows-1252 has letters where Latin-1 has control characters.
             return line.decode("cp1252", "replace")
 
     def _fail_long(self) -> NoReturn:
@@ -126,14 +128,14 @@ class HeaderLines:
 class RowSource:
     """File, byte offset and channel names that rows are read from."""
 
-    path: Path  # the file
-    state: FileState  # what it was when its header was read
-    start: int  # byte at which they start
-    line: int  # lines before the rows
-    channels: list[str]  # what each column is called, ``joint.Xposition``
-    declared: int  # frames that the header promises
-    declared_line: int  # where it does
-    # Called with the share of the file read, if given.
+    path: Path  # path of the file
+    state: FileState  # state of the file when its header was read
+    start: int  # offset of the first row [byte]
+    line: int  # number of lines before the rows
+    channels: list[str]  # name of each column, ``joint.Xposition``
+    declared: int  # number of frames in the header
+    declared_line: int  # line of the header with that number
+    # Called with the fraction of the file read so far.
     progress: Callable[[float], None] | None = None
 
 
@@ -141,7 +143,7 @@ class RowReader:
     """Reader of blocks of rows ``(F, C)``, all values finite and within float32.
 
     Attributes:
-        notices: What was repaired or does not fit, complete after the last block.
+        notices: Repairs and mismatches; complete after the last block.
     """
 
     def __init__(self, source: RowSource) -> None:
@@ -150,33 +152,33 @@ class RowReader:
         self._path = str(source.path)
         self._width = len(source.channels)
         self._count = 0
-        self._extra_line: int | None = None
-        self._last: FloatArray | None = None
+        self._surplus_line: int | None = None
+        self._last_row: FloatArray | None = None
         self._missing: dict[int, list[int]] = {}
-        self._beyond: dict[int, list[int]] = {}
+        self._beyond_float32: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
         """Yield the rows of the file."""
-        pending: list[FloatArray] = []
+        waiting: list[FloatArray] = []
         for rows, lines in self._parsed():
             self._note_count(lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
                 self._note_unusable(rows, lines)
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
-            if pending or np.isnan(block).any():
-                pending.append(block)
-                # A gap that reaches the block's end waits for the next block.
+            if waiting or np.isnan(block).any():
+                waiting.append(block)
+                # A gap at the end of the block is filled with the next block.
                 if np.isnan(block[-1]).any():
                     continue
-                block = np.concatenate(pending)
-                pending.clear()
+                block = np.concatenate(waiting)
+                waiting.clear()
                 self._fill(block)
-            self._last = block[-1].copy()
+            self._last_row = block[-1].copy()
             yield block
         self._check()
-        if pending:
-            block = np.concatenate(pending)
+        if waiting:
+            block = np.concatenate(waiting)
             self._fill(block)
             yield block
         self._report()
@@ -198,9 +200,9 @@ class RowReader:
         size = max(1, file.state.size)
         limit = max(1, BLOCK_VALUES // self._width)
         longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
-        text, line, final, starved = b"", self.source.line + 1, False, True
+        text, line, final, needs_data = b"", self.source.line + 1, False, True
         while True:
-            if starved:
+            if needs_data:
                 chunk = file.read(CHUNK_BYTES)
                 final = not chunk
                 text += chunk
@@ -214,31 +216,33 @@ class RowReader:
             line += lines
             text = text[consumed:]
             if fault:
-                last = final and len(text.splitlines()) <= 1
-                raise FormatError(self._row_fault(fault, line, column, token, last))
+                is_last_line = final and len(text.splitlines()) <= 1
+                raise FormatError(
+                    self._row_fault(fault, line, column, token, is_last_line)
+                )
             if final and not text:
                 return
             if len(text) > longest and not consumed:
                 message = "the line is too long for a row of numbers"
                 raise FormatError(Fault("BVH013", message, self._path, (line,)))
-            starved = len(rows) < limit
+            needs_data = len(rows) < limit
 
     def _row_fault(
-        self, fault: int, line: int, column: int, token: bytes, last: bool
+        self, fault: int, line: int, column: int, token: bytes, is_last_line: bool
     ) -> Fault:
         path = self._path
         if fault == 2:
-            word = token.decode("utf-8", "replace")
+            text = token.decode("utf-8", "replace")
             name = (
                 self.source.channels[column] if column < self._width else "another word"
             )
-            hint = "write decimals with a point" if "," in word else None
-            message = f"{excerpt(word)} is not a number ({excerpt(name)})"
+            hint = "write decimals with a point" if "," in text else None
+            message = f"{excerpt(text)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
         hint = "each frame must be one line; are these rows wrapped?"
         if column > self._width:
             hint = "does the HIERARCHY name every channel?"
-        elif last:
+        elif is_last_line:
             hint = "this is the last line of the file: is it truncated?"
         message = (
             f"the row has {counted(column, 'number')}, but the channels need "
@@ -247,16 +251,16 @@ class RowReader:
         return Fault("BVH010", message, path, (line,), hint)
 
     def _note_count(self, lines: IntArray) -> None:
-        before, self._count = self._count, self._count + len(lines)
-        if self._extra_line is None and self._count > self.source.declared:
-            self._extra_line = int(lines[self.source.declared - before])
+        first_row, self._count = self._count, self._count + len(lines)
+        if self._surplus_line is None and self._count > self.source.declared:
+            self._surplus_line = int(lines[self.source.declared - first_row])
 
     def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
             beyond = np.abs(rows) > FLOAT32_MAX
         for fault_lines, mask in (
             (self._missing, np.isnan(rows)),
-            (self._beyond, beyond),
+            (self._beyond_float32, beyond),
         ):
             self._collect(fault_lines, mask, lines)
 
@@ -273,16 +277,17 @@ class RowReader:
         """Fill NaN: linear between finite neighbours, nearest value at both ends."""
         for column in np.flatnonzero(np.isnan(block).any(axis=0)):
             values = block[:, column]
-            if self._last is not None:
-                values = np.concatenate([self._last[column : column + 1], values])
+            if self._last_row is not None:
+                values = np.concatenate([self._last_row[column : column + 1], values])
             finite = np.flatnonzero(np.isfinite(values))
-            known = values[finite]
+            finite_values = values[finite]
             if self.source.channels[column].endswith("rotation"):
-                # From 179 to -179 degrees is a step of 2, not of 358.
-                known = np.unwrap(known, period=360.0)
-            filled = np.interp(np.arange(len(values)), finite, known)
-            filled[finite] = values[finite]
-            block[:, column] = filled[-len(block) :]
+                # Angles are unwrapped: from 179 to -179 degrees is a step of 2, not of
+                # 358.
+                finite_values = np.unwrap(finite_values, period=360.0)
+            interpolated = np.interp(np.arange(len(values)), finite, finite_values)
+            interpolated[finite] = values[finite]
+            block[:, column] = interpolated[-len(block) :]
 
     def _check(self) -> None:
         """Raise for a file without rows, or a channel with too many lost values."""
@@ -293,13 +298,14 @@ class RowReader:
             raise FormatError(Fault("BVH014", message, path, (line,)))
         faults = []
         for column, lines in sorted(self._missing.items()):
-            lost = len(lines)
+            lost_count = len(lines)
             too_many = (
-                lost > MAX_FILLED_SAMPLES and lost > MAX_FILLED_FRACTION * self._count
+                lost_count > MAX_FILLED_SAMPLES
+                and lost_count > MAX_FILLED_FRACTION * self._count
             )
-            if too_many or lost == self._count:
+            if too_many or lost_count == self._count:
                 name = self.source.channels[column]
-                message = f"{name}: {lost} of {self._count} values are not finite"
+                message = f"{name}: {lost_count} of {self._count} values are not finite"
                 hint = "too many to interpolate"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:
@@ -308,7 +314,7 @@ class RowReader:
     def _report(self) -> None:
         declared, count, path = self.source.declared, self._count, self._path
         if declared != count:
-            line = self._extra_line or self.source.declared_line
+            line = self._surplus_line or self.source.declared_line
             message = f"Frames states {declared}, but there are {count} rows"
             hint = "all rows are read"
             if declared > count:
@@ -321,19 +327,19 @@ class RowReader:
         )
         self._name_all(
             "BVH104",
-            self._beyond,
+            self._beyond_float32,
             "beyond float32",
             "the largest float32 is written; the reported error does not count them",
         )
 
     def _name_all(
-        self, code: str, fault_lines: dict[int, list[int]], what: str, hint: str
+        self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
     ) -> None:
         for column, lines in sorted(fault_lines.items())[:MAX_NAMED]:
             numbers = listed(lines, 10)
             name = self.source.channels[column]
             values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
-            message = f"{name}: {values} {what}, on line {numbers}"
+            message = f"{name}: {values} {problem}, on line {numbers}"
             self.notices.append(
                 Fault(
                     code,
@@ -345,7 +351,9 @@ class RowReader:
                 )
             )
         if len(fault_lines) > MAX_NAMED:
-            message = f"{len(fault_lines) - MAX_NAMED} more channels have values {what}"
+            message = (
+                f"{len(fault_lines) - MAX_NAMED} more channels have values {problem}"
+            )
             self.notices.append(
                 Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

@@ -26,14 +26,14 @@ from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# A character spans between these at rest; the skeleton of a person between those.
+# Plausible size at rest of any character, and of a person [m].
 LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
-# Fewer joints may as well be a prop.
+# Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
 MAX_NAMED = 4
-# Shares of their OFFSETs that bones keep at most that have no length [1].
-NO_LENGTH = 1e-4
+# Bones shorter than this fraction of their OFFSET have collapsed [1].
+MIN_LENGTH_FRACTION = 1e-4
 
 
 @expects("BVH001", "a BVH file")
@@ -46,29 +46,32 @@ def read_bvh(
     positions: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
-    """Open a BVH file as a stream; rows are parsed as blocks are taken.
+    """Open a BVH file as a stream; rows are parsed as blocks are read.
 
-    Position channels replace the OFFSET on their axes. Rotations multiply left to
-    right in the order of the CHANNELS line, in front of them the translation,
-    wherever the position channels stand. Values that are not finite are filled in
-    by interpolation, those beyond float32 are cut to its largest number, and both
-    are named in the notices.
+    Position channels replace the OFFSET on their axes. Rotations multiply left to right
+    in
+    the order of the CHANNELS line, after the translation, wherever the position
+    channels
+    are listed. Values that are not finite are filled by interpolation, values beyond
+    float32 are clamped, and notices report both.
 
     Args:
         path: The file.
-        unit: What its numbers are in; None is centimetres, with a note where the
-            skeleton's size fits another unit better.
-        up: Which of its axes points up; None is Y, which it does not say.
-        fps: The real frame rate, where ``Frame Time`` is wrong.
-        positions: ``offsets``: the OFFSETs of joints below a root hold, whatever their
-            position channels say. None or ``channels``: these replace them; joints
-            whose channels are all 0 are named (BVH111).
-        progress: Called with the share of the file read, 0 to 1.
+        unit: Unit of its lengths; None is centimetres, with a note if the skeleton's
+            size
+            fits another unit better.
+        up: Its up axis; None is Y. The file does not state it.
+        fps: The actual frame rate, if ``Frame Time`` is wrong.
+        positions: ``offsets`` keeps the OFFSETs of joints below a root and ignores
+            their
+            position channels. None or ``channels`` lets channels replace them; joints
+            whose channels are all 0 are reported (BVH111).
+        progress: Called with the fraction of the file read, 0 to 1.
 
     Raises:
-        FormatError: The file cannot be read, or is malformed. The rows raise it
-            when they are reached.
-        OptionError: fps is no rate (SCN022).
+        FormatError: The file cannot be read, or is malformed. Faults of rows are raised
+            when the rows are read.
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -76,7 +79,7 @@ def read_bvh(
         try:
             lines = HeaderLines(file, path)
             header, notices = read_header(lines, str(path))
-            rows_start = file.tell() - len(lines.rest)
+            rows_start = file.tell() - len(lines.unread)
         except OSError as error:
             raise unreadable(path, error) from error
     rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
@@ -130,16 +133,18 @@ def read_bvh_rig(path: Path) -> Rig:
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
-def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
+def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
     """Return a note about a skeleton whose size suggests another unit."""
     size = rest_size(rig)
-    low, high = LIKELY_METERS
-    if len(rig.joints) < MIN_JOINTS or low <= size <= high:
+    smallest, largest = LIKELY_METERS
+    if len(rig.joints) < MIN_JOINTS or smallest <= size <= largest:
         return []
     numbers = size / rig.meters_per_unit
-    low, high = PERSON_METERS
-    fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
-    unit = stated or LengthUnit.CM
+    smallest, largest = PERSON_METERS
+    fitting = [
+        unit for unit in LengthUnit if smallest <= numbers * unit.meters <= largest
+    ]
+    unit = option or LengthUnit.CM
     message = (
         f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
         f"{unit}"
@@ -150,7 +155,7 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
             f"with {argument('source.unit', fitting[0])} it would be "
             f"{numbers * fitting[0].meters:.2g} m"
         )
-    severity = Severity.NOTE if stated is None else Severity.WARNING
+    severity = Severity.NOTE if option is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]
 
 
@@ -201,9 +206,9 @@ class _Layout:
     """Column indices of each joint's position and rotation channels."""
 
     def __init__(self, header: BvhHeader, *, offsets: bool = False) -> None:
-        """Assign the columns of a hierarchy; ``offsets`` apply below roots."""
-        self.moving: list[int] = []
-        self.turning: list[int] = []
+        """Assign columns to joints; ``offsets`` skips position channels below roots."""
+        self.position_joints: list[int] = []
+        self.rotation_joints: list[int] = []
         slots: list[int] = []
         columns: list[int] = []
         rotation_columns: list[list[int]] = []
@@ -211,22 +216,22 @@ class _Layout:
         column = 0
         for j, joint in enumerate(header.joints):
             rotations: list[tuple[int, int]] = []
-            moves = False
+            has_positions = False
             for name in joint.channels or ():
                 axis = "XYZ".index(name[0])
                 if name.endswith("position") and offsets and joint.parent >= 0:
                     pass
                 elif name.endswith("position"):
-                    slots.append(3 * len(self.moving) + axis)
+                    slots.append(3 * len(self.position_joints) + axis)
                     columns.append(column)
-                    moves = True
+                    has_positions = True
                 else:
                     rotations.append((column, axis))
                 column += 1
-            if moves:
-                self.moving.append(j)
+            if has_positions:
+                self.position_joints.append(j)
             if rotations:
-                self.turning.append(j)
+                self.rotation_joints.append(j)
                 rotations += [(-1, 0)] * (3 - len(rotations))
                 rotation_columns.append([c for c, _ in rotations])
                 rotation_axes.append([a for _, a in rotations])
@@ -240,11 +245,11 @@ def _blocks(
     source: RowSource, layout: _Layout, rig: Rig, notices: list[Fault]
 ) -> Iterator[Motion]:
     reader, farthest = RowReader(source), np.zeros(len(layout.columns))
-    moving = np.array(layout.moving, np.int64)
-    turning = np.array(layout.turning, np.int64)
-    rest = rig.rest_translations[moving].ravel()
+    position_joints = np.array(layout.position_joints, np.int64)
+    rotation_joints = np.array(layout.rotation_joints, np.int64)
+    rest = rig.rest_translations[position_joints].ravel()
     identity = rig.rest_rotations
-    previous: FloatArray = np.tile(IDENTITY, (len(turning), 1))
+    previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     for rows in reader.blocks():
         translations = np.repeat(rest[None], len(rows), axis=0)
         farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
@@ -256,51 +261,62 @@ def _blocks(
         yield Motion(
             Channel(
                 rig.rest_translations,
-                moving,
+                position_joints,
                 translations.reshape(len(rows), -1, 3),
             ),
-            Channel(identity, turning, rotations),
+            Channel(identity, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
-    reaches = np.zeros(3 * len(moving))
+    reaches = np.zeros(3 * len(position_joints))
     reaches[layout.slots] = farthest
-    named = np.zeros(3 * len(moving), np.bool_)
-    named[layout.slots] = True
-    faults = _zero_length_warning(rig, moving, reaches, named, str(source.path))
+    has_channel = np.zeros(3 * len(position_joints), np.bool_)
+    has_channel[layout.slots] = True
+    faults = _zero_length_warning(
+        rig, position_joints, reaches, has_channel, str(source.path)
+    )
     notices.extend(faults)
 
 
 def _zero_length_warning(
-    rig: Rig, moving: IntArray, reaches: FloatArray, named: BoolArray, path: str
+    rig: Rig,
+    position_joints: IntArray,
+    reaches: FloatArray,
+    has_channel: BoolArray,
+    path: str,
 ) -> list[Fault]:
     """Return a warning about joints whose zero position channels collapse bones.
 
     Args:
         rig: The skeleton.
-        moving: Joints with position channels ``(M,)``.
-        reaches: How far each of these goes from 0 along each axis ``(3 M,)``.
-        named: Which axes have a channel ``(3 M,)``.
+        position_joints: Joints with position channels ``(M,)``.
+        reaches: Largest absolute value of each position along each axis ``(3 M,)``.
+        has_channel: Whether each axis has a channel ``(3 M,)``.
         path: The file.
     """
-    offsets = rig.rest_translations[moving]
-    left = np.where(named.reshape(-1, 3), reaches.reshape(-1, 3), np.abs(offsets))
+    offsets = rig.rest_translations[position_joints]
+    extents = np.where(
+        has_channel.reshape(-1, 3), reaches.reshape(-1, 3), np.abs(offsets)
+    )
     sizes = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
-    lengths = np.linalg.norm(left, axis=1) * rig.meters_per_unit
-    short = lengths <= NO_LENGTH * sizes * rig.meters_per_unit
-    below = (sizes > 0) & (rig.parents[moving] >= 0)
-    lost = short & below
-    if not lost.any():
+    lengths = np.linalg.norm(extents, axis=1) * rig.meters_per_unit
+    is_short = lengths <= MIN_LENGTH_FRACTION * sizes * rig.meters_per_unit
+    has_length = (sizes > 0) & (rig.parents[position_joints] >= 0)
+    collapsed = is_short & has_length
+    if not collapsed.any():
         return []
-    names = [rig.names[j] for j in moving[lost].tolist()]
+    names = [rig.names[j] for j in position_joints[collapsed].tolist()]
+    reach = sizes[collapsed].max()
     message = (
         f"the position channels of {counted(len(names), 'joint')} are 0 in all "
-        f"frames, but their OFFSETs reach {sizes[lost].max():.4g}: the joints are at "
+        f"frames, but their OFFSETs reach {reach:.4g}: the joints are at "
         f"their parents, without a bone ({listed(names, MAX_NAMED)})"
     )
     hint = (
         "position channels replace OFFSETs; "
         f"{argument('source.positions', 'offsets')} keeps the OFFSETs"
     )
-    # Where channels of other joints are filled in, these may be meant as well.
-    severity = Severity.WARNING if lost.sum() == below.sum() else Severity.NOTE
+    # If channels of other joints have values, the zeros may be intended as well.
+    severity = (
+        Severity.WARNING if collapsed.sum() == has_length.sum() else Severity.NOTE
+    )
     return [Fault("BVH111", message, path, (), hint, severity)]

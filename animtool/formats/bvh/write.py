@@ -19,11 +19,11 @@ from animtool.maths.euler import axes_of
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
 
-# Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
-# below what float32 holds.
+# Angles in degrees to 7 places are exact to 1e-9 rad, lengths to 9 places to 1e-9
+# units: both far finer than float32.
 ANGLE_DECIMALS = 7
 LENGTH_DECIMALS = 9
-# A float32 quaternion is off by up to 1e-5 degrees about axes that do not turn.
+# A float32 quaternion has errors up to 1e-5 degrees about axes without rotation.
 UNUSED_AXIS_TOLERANCE = 1e-4
 # The same for lengths, relative to the largest offset.
 UNUSED_LENGTH_TOLERANCE = 1e-6
@@ -36,12 +36,12 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
     """Write a take as a BVH file, in the unit of its rig; see `bvh_text`.
 
     Args:
-        take: What to write.
-        path: ``.bvh``.
-        overwrite: Replace a file that exists.
+        take: The take.
+        path: Path of the file, ``.bvh``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold.
+        Warnings about data that BVH cannot store.
 
     Raises:
         OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
@@ -53,10 +53,11 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 def bvh_text(take: Take) -> TakeText:
     """Return a take as BVH text in its rig's unit (RIG044 without joints).
 
-    Joints keep the channels and names that they were read with where these can hold the
-    motion; others get ``Zrotation Xrotation Yrotation``, roots and joints that move
-    also positions. Angles are continuous along time. The start time code and scales
-    have no place in the format; scales are named in the notices.
+    Joints keep the channels and names they were read with if these can represent the
+    motion; other joints get ``Zrotation Xrotation Yrotation``, and roots and translated
+    joints also positions. Angles are continuous over time. BVH cannot store the start
+    time
+    code and scales; notices report scales.
     """
     if not take.rig.joints:
         message = f"{take.rig.name!r} has no joints, and a BVH can hold only joints"
@@ -81,7 +82,7 @@ def bvh_text(take: Take) -> TakeText:
         tolerance = UNUSED_LENGTH_TOLERANCE * size
         positions = _positions(joint, translations[:, j], offsets[j], tolerance)
         rotation_names, angles = _rotations(joint, rotations[:, j])
-        order = _ordered(joint, positions, rotation_names)
+        order = _declared_order(joint, positions, rotation_names)
         layouts[j] = order
         for name in order:
             if name in positions:
@@ -114,10 +115,10 @@ def _positions(
     """Return the position channels that a joint needs."""
     declared = tuple(name for name in joint.channels or () if name.endswith("position"))
     off_rest = np.abs(values - offset).max(axis=0) > tolerance
-    covered = all(
+    is_covered = all(
         not off_rest[axis] or _POSITIONS[axis] in declared for axis in range(3)
     )
-    if joint.channels is not None and covered:
+    if joint.channels is not None and is_covered:
         return declared
     if joint.parent < 0 or off_rest.any():
         return _POSITIONS
@@ -134,14 +135,14 @@ def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], Float
     angles = _kernels.quaternion_to_euler(np.ascontiguousarray(values[:, None]), axes)[
         :, 0
     ]
-    used = len(names)
-    unused = np.abs(angles[:, used:]).max(initial=0.0)
-    if used == 3 or unused <= UNUSED_AXIS_TOLERANCE:
-        return names, angles[:, :used]
+    stated_count = len(names)
+    unused_angle = np.abs(angles[:, stated_count:]).max(initial=0.0)
+    if stated_count == 3 or unused_angle <= UNUSED_AXIS_TOLERANCE:
+        return names, angles[:, :stated_count]
     return tuple(f"{letter}rotation" for letter in order), angles
 
 
-def _ordered(
+def _declared_order(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return the channels in the order the joint declares, if it does."""
@@ -159,7 +160,7 @@ def _header(
     layouts: dict[int, tuple[str, ...]],
 ) -> Iterator[str]:
     yield "HIERARCHY"
-    # A stack in place of recursion: chains may be thousands of joints long.
+    # A stack replaces recursion: chains may be thousands of joints long.
     pending: list[tuple[int, int] | str] = [(root, 0) for root in take.rig.roots[::-1]]
     while pending:
         item = pending.pop()
@@ -188,7 +189,7 @@ def _header(
 
 
 def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:
-    """Return End Sites: leaf joints get one unless their source decided."""
+    """Return End Sites: leaf joints get one unless their source stored tips or none."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)
@@ -235,8 +236,8 @@ def _scale_notices(take: Take) -> list[Fault]:
     scales = take.motion.scales
     if scales is None:
         return []
-    off = np.abs(scales.dense() - 1.0).max(axis=(0, 2)) > 1e-3
-    names = [take.rig.names[j] for j in np.flatnonzero(off)]
+    has_scale = np.abs(scales.dense() - 1.0).max(axis=(0, 2)) > 1e-3
+    names = [take.rig.names[j] for j in np.flatnonzero(has_scale)]
     if not names:
         return []
     message = (

@@ -1,4 +1,4 @@
-"""Layout claims: what header and parameters of a C3D state about its points."""
+"""Layout claims: values that header and parameters of a C3D state for its layout."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from animtool.core.record import dataclass
 from animtool.formats.c3d.sections import BLOCK, Sections
 
-# Counts in 16 bits: a take may be longer where one of these is stated.
+# Full 16-bit counts: a take that states one of these may be longer.
 FULL_COUNTS = (32767, 65535)
-WORD = 65536
+WORD_VALUES = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +18,12 @@ class Claim:
     """A value of a layout quantity, stated by one field of the file.
 
     Attributes:
-        source: The field, as a message names it.
-        value: What it states.
-        weight: What it costs to read the file against it; below 0.5 it is a hint that
-            nobody is told about.
-        full: The field can state no more than this.
-        wraps: The field has 16 bits, and longer takes begin again at 0.
+        source: The field, as named in messages.
+        value: The stated value.
+        weight: Cost of reading the file against it; claims below 0.5 are hints that
+            messages do not mention.
+        full: Whether the field cannot state a larger value.
+        wraps: Whether the field has 16 bits and wraps to 0 for longer takes.
     """
 
     source: str
@@ -36,7 +36,11 @@ class Claim:
         """Return the cost of reading a value other than this claim's."""
         if value == self.value or (self.full and value > self.value):
             return 0.0
-        if self.wraps and value >= WORD and value % WORD == self.value % WORD:
+        if (
+            self.wraps
+            and value >= WORD_VALUES
+            and value % WORD_VALUES == self.value % WORD_VALUES
+        ):
             return 0.25
         return self.weight
 
@@ -46,13 +50,13 @@ class Claims:
     """All stated values, by quantity.
 
     Attributes:
-        begin: Byte of the first frame.
-        width: Bytes of a number: 2 for integers, 4 for floats.
-        points: Points of a frame.
-        analog: Analogue numbers of a frame, all samples of all channels.
-        frames: Frames.
-        others: Further numbers of analogue numbers that are tried.
-        after: Byte behind the parameters; data lie nowhere between it and `begin`.
+        begin: Offset of the first frame [byte].
+        width: Size of a number [byte]: 2 for integers, 4 for floats.
+        points: Points per frame.
+        analog: Analogue values per frame, all samples of all channels.
+        frames: Number of frames.
+        others: Further candidates for `analog` that no field states.
+        after: End of the parameters [byte]; no data lie between it and `begin`.
     """
 
     begin: tuple[Claim, ...]
@@ -66,14 +70,14 @@ class Claims:
 
 def claims_of(sections: Sections) -> Claims:
     """Return the layout values that a file states."""
-    analog, others = _analog(sections)
+    analog, candidates = _analog(sections)
     return Claims(
         tuple(_begin(sections)),
         tuple(_width(sections)),
         tuple(_points(sections)),
         analog,
         tuple(_frames(sections)),
-        others,
+        candidates,
         BLOCK * (sections.end_block - 1),
     )
 
@@ -83,19 +87,19 @@ def word_of(sections: Sections, group: str, name: str) -> int | None:
     stated = sections.number(group, name)
     if stated is None or not math.isfinite(stated):
         return None
-    return int(stated) if stated >= WORD else int(stated) & (WORD - 1)
+    return int(stated) if stated >= WORD_VALUES else int(stated) & (WORD_VALUES - 1)
 
 
 def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
     """Return the first and last frame numbers of the trial."""
-    start, end = (
-        _long(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
+    first, last = (
+        _joined_words(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
         for name in ("START", "END")
     )
-    return start, end
+    return first, last
 
 
-def _long(words: list[float]) -> int | None:
+def _joined_words(words: list[float]) -> int | None:
     """Return a number stored as two 16-bit words, low word first."""
     if not words or not all(map(math.isfinite, words)):
         return None
@@ -127,14 +131,14 @@ def _width(sections: Sections) -> Iterable[Claim]:
 
 def _points(sections: Sections) -> Iterable[Claim]:
     yield Claim("header word 2", sections.header.points, 1.0)
-    used = word_of(sections, "POINT", "USED")
-    if used is not None:
-        yield Claim("POINT:USED", used, 1.0)
+    stated = word_of(sections, "POINT", "USED")
+    if stated is not None:
+        yield Claim("POINT:USED", stated, 1.0)
     labels = sections.texts("POINT", "LABELS")
     while labels and not labels[-1]:
         labels.pop()
     if labels:
-        # Many writers name the first 255 alone.
+        # Many writers only label the first 255 points.
         yield Claim("POINT:LABELS", len(labels), 0.25, full=len(labels) == 255)
 
 
@@ -156,8 +160,8 @@ def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
             claims.append(Claim(of_rate, used * ratio, 0.75))
     channels = {used or 0, stated, len(sections.texts("ANALOG", "LABELS"))}
     times = {1, samples, ratio or 0}
-    others = {0, *(a * b for a in channels for b in times)}
-    return tuple(claims), tuple(sorted(others - {claim.value for claim in claims}))
+    candidates = {0, *(a * b for a in channels for b in times)}
+    return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 
 def _ratio(analog: float | None, point: float | None) -> int | None:
@@ -165,7 +169,7 @@ def _ratio(analog: float | None, point: float | None) -> int | None:
     if not analog or not point or not math.isfinite(analog) or not point > 0:
         return None
     ratio = analog / point
-    in_range = math.isfinite(ratio) and 0.5 < ratio < WORD
+    in_range = math.isfinite(ratio) and 0.5 < ratio < WORD_VALUES
     return (
         round(ratio) if in_range and abs(ratio - round(ratio)) < 1e-3 * ratio else None
     )
@@ -174,7 +178,7 @@ def _ratio(analog: float | None, point: float | None) -> int | None:
 def _frames(sections: Sections) -> Iterable[Claim]:
     header = sections.header
     if not (header.first == 0 and header.last == 0):
-        count = (header.last - header.first + 1) % WORD
+        count = (header.last - header.first + 1) % WORD_VALUES
         full = header.last in FULL_COUNTS or count in FULL_COUNTS
         if count:
             yield Claim("header words 4 and 5", count, 1.0, full, wraps=True)
@@ -191,4 +195,4 @@ def _frames(sections: Sections) -> Iterable[Claim]:
     stated = word_of(sections, "POINT", "FRAMES")
     if stated:
         full = stated in FULL_COUNTS
-        yield Claim("POINT:FRAMES", stated, 0.5, full, wraps=stated < WORD)
+        yield Claim("POINT:FRAMES", stated, 0.5, full, wraps=stated < WORD_VALUES)

@@ -10,35 +10,37 @@ from animtool.core.record import dataclass
 from animtool.formats.c3d.claims import Claim, Claims
 from animtool.formats.c3d.sections import BLOCK
 
-# Costs, beside those of the claims that are contradicted: bytes behind the last frame
-# that are padding but not zero, bytes there that are none, bytes before the first frame
-# that are not zero, a count that nothing states, a number of frames that only the size
-# of the file gives, and other counts that only it gives.
-DIRTY, REST, SKIPPED, OTHER, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
-# Evidence of positions: fraction of odd points, and steps of smooth ones and of noise.
+# Costs in addition to those of contradicted claims: padding after the last frame that
+# is not zero (DIRTY), bytes after the last frame that are not padding (TRAILING), bytes
+# before the first frame that are not zero (SKIPPED), a count that no field states
+# (UNSTATED), a number of frames solved from the file size (FITTED), and other counts
+# solved from it (SOLVED).
+DIRTY, TRAILING, SKIPPED, UNSTATED, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
+# Evidence of positions: largest fraction of outliers, and largest mean step of smooth
+# motion and smallest of noise.
 MAX_OUTLIERS, SMOOTH, NOISE = 0.1, 0.25, 0.5
-# What decides for one combination against another.
+# Difference of scores that decides for a combination.
 DECISIVE = 0.2
 # Number of combinations whose values are judged.
 MAX_JUDGED = 16
-# Claims of less weight are hints.
-HEAVY = 0.5
+# Claims with less weight are hints.
+MIN_CLAIM_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Counts of points, analogue values and frames, and where the data begins.
+    """Counts of points, analogue values and frames, and the start of the data.
 
     Attributes:
-        begin: Byte of the first frame.
-        width: Bytes of a number.
-        points: Points of a frame.
-        analog: Numbers behind the points of a frame.
-        frames: Frames.
-        rest: Bytes behind the last frame, but for zeros up to a full block.
-        cost: What is contradicted, summed.
-        proof: It is read only where its numbers look like positions.
-        solved: One of its counts is stated nowhere.
+        begin: Offset of the first frame [byte].
+        width: Size of a number [byte].
+        points: Points per frame.
+        analog: Numbers after the points of a frame.
+        frames: Number of frames.
+        trailing: Bytes after the last frame, except zeros up to a full block.
+        cost: Total cost of contradicted claims.
+        needs_evidence: Whether it is used only if its numbers look like positions.
+        solved: Whether one of its counts is not stated by any field.
     """
 
     begin: int
@@ -46,9 +48,9 @@ class Layout:
     points: int
     analog: int
     frames: int
-    rest: int = 0
+    trailing: int = 0
     cost: float = 0.0
-    proof: bool = False
+    needs_evidence: bool = False
     solved: bool = False
 
     @property
@@ -72,12 +74,12 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How plausible the numbers of a layout are as positions over frames.
+    """Plausibility of a layout's numbers as positions over frames.
 
     Attributes:
-        outliers: Fraction of points that can be no positions.
-        rough: Mean step from frame to frame over the spread of all positions; NaN where
-            nothing moves or no two frames follow each other.
+        outliers: Fraction of points that cannot be positions.
+        rough: Mean step between frames relative to the spread of all positions; NaN if
+            nothing moves or no two frames are consecutive.
     """
 
     outliers: float
@@ -89,9 +91,10 @@ class LayoutResult:
     """The chosen layout, or why none fits.
 
     Attributes:
-        layout: The combination that is read; None if none fits.
-        short: The one that contradicts least and needs more bytes than there are.
-        rivals: Combinations between which nothing decides.
+        layout: The layout to read; None if none fits.
+        short: The layout with the least contradictions that needs more bytes than the
+            file has.
+        rivals: Layouts that the evidence cannot decide between.
     """
 
     layout: Layout | None
@@ -108,21 +111,21 @@ def choose_layout(
     """Return the combination of claims that fits the file at the lowest cost.
 
     Args:
-        claims: What the file states.
-        data: The file.
-        ends: Bytes at which the points may end; the last is the size of the file.
-        judge: Looks at the numbers of a combination.
+        claims: Values stated by the file.
+        data: Content of the file.
+        ends: Offsets at which the points may end [byte]; the last is the file size.
+        judge: Returns the evidence for a layout.
     """
     cheapest: dict[tuple[int, ...], Layout] = {}
     short: Layout | None = None
-    tail = _tail(data)
-    for layout in _combinations(claims, ends[-1], tail):
+    padding = _tail(data)
+    for layout in _combinations(claims, ends[-1], padding):
         if layout.end > ends[-1] or layout.begin > ends[-1]:
             if not layout.solved and (short is None or layout.cost < short.cost):
                 short = layout
             continue
-        candidate = min((_filled(layout, data, end) for end in ends), key=_order)
-        candidate = _skipping(candidate, claims.after, data)
+        candidate = min((_with_trailing(layout, data, end) for end in ends), key=_order)
+        candidate = _with_skipped(candidate, claims.after, data)
         key = (
             candidate.begin,
             candidate.width,
@@ -133,19 +136,23 @@ def choose_layout(
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
     ranked = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
-    if short is not None and short.cost < HEAVY:
-        # Where all claims agree but the file is too small, it is truncated, unless
-        # other claims fill it.
-        ranked = [each for each in ranked if each.rest == 0 and not each.solved]
+    if short is not None and short.cost < MIN_CLAIM_WEIGHT:
+        # If all claims agree but the file is too small, it is truncated, unless other
+        # claims fill it.
+        ranked = [
+            layout_
+            for layout_ in ranked
+            if layout_.trailing == 0 and not layout_.solved
+        ]
     if not ranked:
         return LayoutResult(None, short)
-    if ranked[0].cost < HEAVY:
+    if ranked[0].cost < MIN_CLAIM_WEIGHT:
         return LayoutResult(ranked[0])
     outcome = _decide(ranked, short, judge)
     best = outcome.layout
     if best is None:
         return outcome
-    if best.rest and short is not None and short.cost < best.cost - REST:
+    if best.trailing and short is not None and short.cost < best.cost - TRAILING:
         return LayoutResult(None, short)
     return outcome
 
@@ -154,8 +161,8 @@ def _tail(data: bytes) -> int:
     """Return the number of trailing zero bytes, if the last block is full."""
     if len(data) % BLOCK:
         return 0
-    last = data[-BLOCK:]
-    return min(BLOCK - 1, len(last) - len(last.rstrip(b"\0")))
+    last_block = data[-BLOCK:]
+    return min(BLOCK - 1, len(last_block) - len(last_block.rstrip(b"\0")))
 
 
 def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Claim]]]:
@@ -163,16 +170,18 @@ def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Cl
     contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
         value = getattr(layout, name)
-        against = [
+        contradicting = [
             claim
             for claim in getattr(claims, name)
-            if claim.weight >= HEAVY and claim.value != value
+            if claim.weight >= MIN_CLAIM_WEIGHT and claim.value != value
         ]
         stated = [claim for claim in getattr(claims, name) if claim.value == value]
-        # Counts that end at 16 bits contradict nothing where another states the rest.
-        against = [c for c in against if c.cost(value) >= HEAVY or not stated]
-        if against:
-            contradictions.append((name, value, against))
+        # Full 16-bit counts do not contradict a larger count that another claim states.
+        contradicting = [
+            c for c in contradicting if c.cost(value) >= MIN_CLAIM_WEIGHT or not stated
+        ]
+        if contradicting:
+            contradictions.append((name, value, contradicting))
     return contradictions
 
 
@@ -186,57 +195,61 @@ def _order(layout: Layout) -> tuple[float, ...]:
 def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
     """Yield combinations of stated counts, one of them solved from the size.
 
-    size, tail: Of the file, and of the zeros that it ends in [byte].
+    ``size`` is that of the file, ``tail`` that of the zeros at its end [byte].
     """
-    widths = _priced(claims.width, (2, 4))
+    widths = _with_costs(claims.width, (2, 4))
     for (begin, by_b), (width, by_w) in itertools.product(
-        _priced(claims.begin), widths
+        _with_costs(claims.begin), widths
     ):
-        flipped = by_w >= HEAVY and _agreed(claims.width)
-        room = ((size - begin) // width, (size - begin - tail) // width)
-        for p, a, f, counts, solved in _counts(claims, *room):
-            cost, proof = by_b + by_w + counts, flipped or solved
-            yield Layout(begin, width, p, a, f, 0, cost, proof, solved)
+        against_width = by_w >= MIN_CLAIM_WEIGHT and _all_agree(claims.width)
+        capacity = ((size - begin) // width, (size - begin - tail) // width)
+        for p, a, f, counts, solved in _counts(claims, *capacity):
+            cost, needs_evidence = by_b + by_w + counts, against_width or solved
+            yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, solved)
 
 
 def _counts(
-    claims: Claims, room: int, least: int
+    claims: Claims, capacity: int, min_numbers: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
     """Yield points, analogue values, frames, cost, and whether one is solved.
 
-    room, least: Numbers for which there is room, with and without zeros at the end.
+    The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
+    at its end.
     """
-    points, frames = _priced(claims.points), _priced(claims.frames)
-    analog = _priced(claims.analog, claims.others)
+    points, frames = _with_costs(claims.points), _with_costs(claims.frames)
+    analog = _with_costs(claims.analog, claims.others)
     stated = {claim.value for claim in claims.analog}
     for (p, by_p), (a, by_a) in itertools.product(points, analog):
-        row, tried = 4 * p + a, a not in stated
+        row, unstated = 4 * p + a, a not in stated
         for f, by_f in frames:
-            yield p, a, f, by_p + by_a + by_f, tried
-        fitted = _fitted(claims, -(-least // row)) if row and least > 0 else ()
-        for f, by_f, solved in fitted:
-            yield p, a, f, by_p + by_a + by_f, tried or solved
+            yield p, a, f, by_p + by_a + by_f, unstated
+        frame_counts = (
+            _fitted(claims, -(-min_numbers // row)) if row and min_numbers > 0 else ()
+        )
+        for f, by_f, solved in frame_counts:
+            yield p, a, f, by_p + by_a + by_f, unstated or solved
     for f, by_f in frames:
-        for p, by_p in points if _open(claims.analog) else ():
-            a = room // f - 4 * p
+        for p, by_p in points if _may_solve(claims.analog) else ():
+            a = capacity // f - 4 * p
             if a >= 0:
                 cost = by_p + by_f + _cost(claims.analog, a) + SOLVED
                 yield p, a, f, cost, True
-        for a, by_a in analog if _open(claims.points) else ():
-            p, more = divmod(room // f - a, 4)
-            if p > 0 and more == 0:
+        for a, by_a in analog if _may_solve(claims.points) else ():
+            p, remainder = divmod(capacity // f - a, 4)
+            if p > 0 and remainder == 0:
                 cost = by_a + by_f + _cost(claims.points, p) + SOLVED
                 yield p, a, f, cost, True
 
 
-def _priced(
-    claims: Sequence[Claim], others: Sequence[int] = ()
+def _with_costs(
+    claims: Sequence[Claim], unstated: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
     """Return candidate values, each with the cost of contradicted claims."""
     stated = {claim.value for claim in claims}
-    extra = OTHER if claims else 0.0
+    extra = UNSTATED if claims else 0.0
     return [(value, _cost(claims, value)) for value in sorted(stated)] + [
-        (value, _cost(claims, value) + extra) for value in sorted(set(others) - stated)
+        (value, _cost(claims, value) + extra)
+        for value in sorted(set(unstated) - stated)
     ]
 
 
@@ -244,59 +257,65 @@ def _cost(claims: Sequence[Claim], value: int) -> float:
     return sum(claim.cost(value) for claim in claims)
 
 
-def _agreed(claims: Sequence[Claim]) -> bool:
+def _all_agree(claims: Sequence[Claim]) -> bool:
     """Return whether all claims with weight state one value."""
-    return len({claim.value for claim in claims if claim.weight >= HEAVY}) == 1
+    return (
+        len({claim.value for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT}) == 1
+    )
 
 
-def _open(claims: Sequence[Claim]) -> bool:
+def _may_solve(claims: Sequence[Claim]) -> bool:
     """Return whether a value may be solved from the size: no claims settle it."""
-    decisive = [claim for claim in claims if claim.weight >= HEAVY]
-    return len(decisive) < 2 or not _agreed(claims)
+    decisive = [claim for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT]
+    return len(decisive) < 2 or not _all_agree(claims)
 
 
 def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
-    """Return frame counts that fit the size, their cost, and if solved.
+    """Return frame counts that fit the size, with cost and whether solved.
 
-    That is where stated counts end at 16 bits, begin again at 0 there, differ, or where
-    nothing is stated.
-
-    count: Frames for which there is room.
+    That is, if stated counts are full 16-bit values, wrap around, differ, or are
+    missing.
+    ``count`` is the number of frames that fit into the data.
     """
     frames = claims.frames
     if any(claim.value == count for claim in frames):
         return []
     cost = _cost(frames, count)
     if not frames or any(claim.full and count > claim.value for claim in frames):
-        return [(count, cost + OTHER, False)]
+        return [(count, cost + UNSTATED, False)]
     if any(claim.wraps and claim.cost(count) < claim.weight for claim in frames):
         return [(count, cost, False)]
-    return [] if _agreed(frames) else [(count, cost + FITTED, True)]
+    return [] if _all_agree(frames) else [(count, cost + FITTED, True)]
 
 
-def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
-    """Return a layout with the cost of skipped bytes that are not zero."""
+def _with_skipped(layout: Layout, after: int, data: bytes) -> Layout:
+    """Return a layout with the cost of skipped nonzero bytes."""
     gap = layout.begin - after
     if gap <= 0 or data.count(b"\0", after, layout.begin) == gap:
         return layout
     return replace(layout, cost=layout.cost + SKIPPED)
 
 
-def _filled(layout: Layout, data: bytes, end: int) -> Layout:
+def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
     """Return a layout with its count of unused bytes, and their cost."""
-    rest = end - layout.end
-    if rest < 0:
-        return replace(layout, rest=-rest, cost=layout.cost + REST)
-    padding = rest < BLOCK and end % BLOCK == 0
+    trailing = end - layout.end
+    if trailing < 0:
+        return replace(layout, trailing=-trailing, cost=layout.cost + TRAILING)
+    padding = trailing < BLOCK and end % BLOCK == 0
     size = layout.width * layout.row
-    if padding and data.count(b"\0", layout.end, end) == rest:
-        # A last frame of zeros is rather padding, too.
-        last = layout.end - size
-        zeros = 0 < size < BLOCK - rest and data.count(b"\0", last, layout.end) == size
+    if padding and data.count(b"\0", layout.end, end) == trailing:
+        # A last frame of zeros is more likely padding, too.
+        last_frame = layout.end - size
+        zeros = (
+            0 < size < BLOCK - trailing
+            and data.count(b"\0", last_frame, layout.end) == size
+        )
         return replace(layout, cost=layout.cost + DIRTY) if zeros else layout
-    if rest == 0:
+    if trailing == 0:
         return layout
-    return replace(layout, rest=rest, cost=layout.cost + (DIRTY if padding else REST))
+    return replace(
+        layout, trailing=trailing, cost=layout.cost + (DIRTY if padding else TRAILING)
+    )
 
 
 def _decide(
@@ -305,21 +324,23 @@ def _decide(
     judge: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the best of several layouts after judging their numbers."""
-    judged = [(layout, judge(layout)) for layout in ranked]
-    outliers = min(evidence.outliers for _, evidence in judged)
-    rough = min((e.rough for _, e in judged if e.rough >= 0), default=0.0)
+    with_evidence = [(layout, judge(layout)) for layout in ranked]
+    outliers = min(evidence.outliers for _, evidence in with_evidence)
+    smallest_step = min(
+        (e.rough for _, e in with_evidence if e.rough >= 0), default=0.0
+    )
     scored = []
-    for layout, evidence in judged:
-        if layout.solved and layout.rest:
+    for layout, evidence in with_evidence:
+        if layout.solved and layout.trailing:
             continue
-        if layout.proof and not (
+        if layout.needs_evidence and not (
             evidence.outliers <= MAX_OUTLIERS and evidence.rough <= SMOOTH
         ):
             continue
-        if layout.rest >= BLOCK and _is_noise(layout, evidence):
+        if layout.trailing >= BLOCK and _is_noise(layout, evidence):
             continue
         penalty = 4.0 * (evidence.outliers > outliers + 0.02)
-        penalty += 4.0 * (evidence.rough > 3.0 * rough + 0.02)
+        penalty += 4.0 * (evidence.rough > 3.0 * smallest_step + 0.02)
         scored.append(replace(layout, cost=layout.cost + penalty))
     if not scored:
         return LayoutResult(
@@ -345,5 +366,5 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:
-    """Return the values that decide which number is which coordinate."""
+    """Return the values that determine which number is which coordinate."""
     return layout.begin, layout.width, layout.points, layout.row

@@ -18,7 +18,13 @@ from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
+from animtool.formats.c3d.claims import (
+    WORD_VALUES,
+    Claim,
+    claims_of,
+    trial_fields,
+    word_of,
+)
 from animtool.formats.c3d.layout import (
     Evidence,
     Layout,
@@ -36,11 +42,11 @@ from animtool.formats.c3d.sections import (
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
 
-# The up axis of a C3D file, by which of its axes point right and up on a screen.
+# A C3D file states its up axis by the axes that point right and up on a screen.
 
 _AXIS = re.compile(r"([+-]?)([XYZ])")
-# For other up axes than +Y and +Z: the axis that is up once the positions are turned,
-# and which numbers, with which signs, are x, y and z then.
+# For other up axes than +Y and +Z: the up axis after conversion, and the order and
+# signs of the coordinates that become x, y and z.
 _UP_ROTATIONS = {
     "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
     "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
@@ -51,19 +57,19 @@ _UP_ROTATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The up axis, and the axis permutation that makes it up.
+    """The up axis, and the axis permutation that leads to it.
 
     Attributes:
-        up: The up axis of the turned positions.
-        order: Which coordinate of the file is x, y and z; None where nothing turns.
-        signs: By which they are multiplied.
+        up: The up axis of the converted positions.
+        order: File coordinates that become x, y and z; None without a conversion.
+        signs: Signs of the converted coordinates.
     """
 
     up: UpAxis
     order: IntArray | None = None
     signs: FloatArray | None = None
 
-    def turned(self, positions: FloatArray) -> FloatArray:
+    def converted(self, positions: FloatArray) -> FloatArray:
         """Return positions ``(..., 3)`` rotated so that `up` is up."""
         if self.order is None or self.signs is None:
             return positions
@@ -76,7 +82,7 @@ def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> 
         return Screen(UpAxis(option))
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
-        # Y points to the side, and cannot be assumed to point up.
+        # Y points sideways and cannot be the default up axis.
         message = f"the file states no up axis; using Z, as X_SCREEN is {right}"
         file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
         return Screen(UpAxis.Z)
@@ -115,12 +121,12 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
     return f"{match[1] or '+'}{match[2]}"
 
 
-# Whether numbers of a C3D file look like positions over frames.
+# Evidence that numbers of a C3D file are positions over frames.
 
-# Runs of consecutive frames that are judged, and their length.
+# Number and length of the runs of consecutive frames that are examined.
 RUNS = 8
 RUN_FRAMES = 8
-# Positions of captures, in whichever unit: beyond are numbers of something else.
+# Range of captured positions, in any unit; other magnitudes are not positions.
 MAX_COORDINATE = 1e6
 MIN_COORDINATE = 1e-12
 MAX_WORD = 32768.0
@@ -136,9 +142,9 @@ def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
     runs = []
     for begin in sorted(set(begins.tolist())):
         at = layout.begin + size * begin
-        piece = data[at : at + size * length]
-        kept = 4 * layout.points
-        rows = processor.rows(piece, layout.width, layout.row, kept)
+        run_bytes = data[at : at + size * length]
+        point_numbers = 4 * layout.points
+        rows = processor.rows(run_bytes, layout.width, layout.row, point_numbers)
         runs.append(rows.reshape(length, layout.points, 4))
     return _evidence(np.array(runs), layout.width)
 
@@ -148,26 +154,26 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
     positions, words = runs[..., :3], runs[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(positions)
-        wrong = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
+        invalid_word = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
         if width == 4:
-            beyond = ~(sizes < MAX_COORDINATE)
+            out_of_range = ~(sizes < MAX_COORDINATE)
             tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
-            wrong |= (beyond | tiny).any(axis=-1)
-        visible = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
+            invalid_word |= (out_of_range | tiny).any(axis=-1)
+        visible = ~invalid_word & (words > -0.5) & (sizes > 0).any(axis=-1)
     if not visible.any():
-        return Evidence(float(wrong.mean()), 1.0)
+        return Evidence(float(invalid_word.mean()), 1.0)
     spread = float(np.sqrt(positions[visible].var(axis=0).sum()))
-    both = visible[:, 1:] & visible[:, :-1]
-    if not both.any() or spread == 0.0:
-        return Evidence(float(wrong.mean()), math.nan)
+    visible_pair = visible[:, 1:] & visible[:, :-1]
+    if not visible_pair.any() or spread == 0.0:
+        return Evidence(float(invalid_word.mean()), math.nan)
     positions = np.where(visible[..., None], positions, 0.0)
-    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
-    return Evidence(float(wrong.mean()), float(steps.mean()) / spread)
+    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[visible_pair]
+    return Evidence(float(invalid_word.mean()), float(steps.mean()) / spread)
 
 
-# Groups of labels under which models write angles and forces as if they were points.
-MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-# The group in which `write_c3d` keeps which positions were filled.
+# Parameters that list the labels of model outputs, which are stored like points.
+MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+# Parameter group in which `write_c3d` lists filled positions.
 ANIMTOOL_GROUP = "ANIMTOOL"
 
 
@@ -182,31 +188,35 @@ def read_c3d(
 ) -> Markers:
     """Return the marker trajectories of a C3D file.
 
-    Integer and float files of Intel, DEC and SGI processors are read, and more than 255
-    labels. Where header, parameters and the size of the file disagree about counts,
-    those are read that fill the file (C3D101). Results of models (angles, forces) are
-    left out. A point with a negative residual, at exactly the origin or with a NaN was
-    not seen.
+    Reads integer and float files of Intel, DEC and SGI processors, and more than 255
+    labels. If header, parameters and file size disagree about counts, the counts that
+    fill
+    the file are used (C3D101). Model outputs (angles, forces) are skipped. A point with
+    a
+    negative residual, exactly at the origin, or with a NaN is not visible.
 
     Args:
         path: The file.
-        unit: What its numbers are in; None is what it states, millimetres without.
-        up: Which of its axes points up; None is what it states, Y without. Where it
-            states -Y, -Z or an X, positions are turned so that Y or Z is up.
-        fps: The frame rate, where the file states a wrong one or none.
-        subject: Whose prefix, as in ``Anna:LFHD``, is left out of names; None is the
-            only one, where there is only one.
+        unit: Unit of its lengths; None is the stated unit, or millimetres.
+        up: Its up axis; None is the stated axis, or Y. If the file states -Y, -Z or an
+            X
+            axis, positions are converted so that Y or Z is up.
+        fps: The frame rate, if the file states a wrong one or none.
+        subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names; None
+            is
+            the only subject, if there is only one.
 
     Raises:
-        FormatError: It cannot be read, is no C3D (C3D001), is cut short (C3D002),
-            has counts of which nothing decides which are right (C3D003), states no
-            rate (MKR010) or an unknown unit (MKR011), or has no points (MKR013).
-        OptionError: fps is no rate (SCN022).
+        FormatError: It cannot be read, is not a C3D (C3D001), is truncated (C3D002),
+            has
+            contradictory counts (C3D003), states no rate (MKR010) or an unknown unit
+            (MKR011), or has no points (MKR013).
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))
-    with open_input(path, MAX_INPUT_BYTES) as opened:
-        data = opened.read_all()
+    with open_input(path, MAX_INPUT_BYTES) as input_file:
+        data = input_file.read_all()
     try:
         sections = read_sections(data)
     except MalformedError as error:
@@ -221,14 +231,14 @@ def read_c3d(
     rate = file.rate(_rate(file, sections, fps), fps)
     screen = read_screen(file, sections, up)
     positions, words = _points(sections, layout, data)
-    names, kept = _names(file, sections, layout.points, subject)
-    positions, words = positions[:, kept], words[:, kept]
+    names, columns = _names(file, sections, layout.points, subject)
+    positions, words = positions[:, columns], words[:, columns]
     positions[words < 0] = np.nan
-    positions = screen.turned(file.cleaned(positions, length.meters))
+    positions = screen.converted(file.cleaned(positions, length.meters))
     visible = np.isfinite(positions[..., 0])
     scale = abs(_scale(sections)) * length.meters
-    first = _first(sections, layout.frames)
-    clock = Clock(rate, Fraction(first), Fraction(1), layout.frames)
+    first_frame = _first(sections, layout.frames)
+    clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frames)
     return Markers(
         names,
         clock,
@@ -236,7 +246,7 @@ def read_c3d(
         screen.up,
         _cameras(words, visible),
         _residuals(words, visible, scale),
-        _filled(sections, words, visible, kept),
+        _filled(sections, words, visible, columns),
         tuple(file.notices),
     )
 
@@ -246,29 +256,33 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     claims = claims_of(sections)
     ends = [*_ends(sections, len(data)), len(data)]
     outcome = choose_layout(
-        claims, data, ends, lambda each: judge(each, data, sections.processor)
+        claims,
+        data,
+        ends,
+        lambda contradiction: judge(contradiction, data, sections.processor),
     )
     layout = outcome.layout
     if layout is None:
         raise _layout_error(file, outcome, len(data))
     if layout.points == 0 or layout.frames == 0:
-        what = "points" if layout.points == 0 else "frames"
-        raise file.error("MKR013", f"has no {what}")
+        noun = "points" if layout.points == 0 else "frames"
+        raise file.error("MKR013", f"has no {noun}")
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
         raise file.error("C3D001", message + "above the limit")
     contradictions = [
-        _contradiction_text(*each) for each in contradicted(claims, layout)
+        _contradiction_text(*contradiction)
+        for contradiction in contradicted(claims, layout)
     ]
     if contradictions:
         message = (
             "its header, parameters and size disagree; what matches the file size is "
         )
         file.warn("C3D101", f"{message}read: {'; '.join(contradictions)}")
-    if layout.rest >= min(BLOCK, layout.width * layout.row) or (
-        layout.rest and len(data) % BLOCK
+    if layout.trailing >= min(BLOCK, layout.width * layout.row) or (
+        layout.trailing and len(data) % BLOCK
     ):
-        message = f"has {counted(layout.rest, 'byte')} after the last of "
+        message = f"has {counted(layout.trailing, 'byte')} after the last of "
         message += f"{counted(layout.frames, 'frame')}, which are ignored"
         file.warn("C3D108", message, "check the number of frames")
     return layout
@@ -277,18 +291,20 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
 def _ends(sections: Sections, size: int) -> list[int]:
     """Return offsets where points may end before the file does: at rotations."""
     block = word_of(sections, "ROTATION", "DATA_START")
-    used = sections.number("ROTATION", "USED")
-    if not block or not used or not block > 2:
+    rotations = sections.number("ROTATION", "USED")
+    if not block or not rotations or not block > 2:
         return []
     return [end for end in [BLOCK * (block - 1)] if end < size]
 
 
 def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
-    """Return the error of a file whose size fits no combination of counts."""
+    """Return the error for a file whose size fits no combination of counts."""
     if len(outcome.rivals) == 1:
-        (alone,) = outcome.rivals
-        message = f"its counts do not match its size of {size} bytes: {alone} end at "
-        message += f"{alone.end}, and are not positions"
+        (only_rival,) = outcome.rivals
+        message = (
+            f"its counts do not match its size of {size} bytes: {only_rival} end at "
+        )
+        message += f"{only_rival.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
     if outcome.rivals:
         message = "its header, parameters and size disagree, and nothing resolves it: "
@@ -297,9 +313,9 @@ def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatE
     short = outcome.short
     if short is None or not short.points or not short.frames:
         return file.error("MKR013", "has no points in frames")
-    room = max(0, size - short.begin)
+    available = max(0, size - short.begin)
     message = f"is truncated: it claims {short}, {short.end - short.begin} bytes; "
-    message += f"it has {room}, {room // (short.width * short.row)} frames"
+    message += f"it has {available}, {available // (short.width * short.row)} frames"
     return file.error("C3D002", message, "copy or export it again")
 
 
@@ -312,19 +328,19 @@ _QUANTITIES = {
 }
 
 
-def _contradiction_text(name: str, value: int, against: list[Claim]) -> str:
-    others = ", ".join(f"{claim.value} ({claim.source})" for claim in against)
-    return f"{value} {_QUANTITIES[name]}, not {others}"
+def _contradiction_text(name: str, value: int, contradicting: list[Claim]) -> str:
+    claims = ", ".join(f"{claim.value} ({claim.source})" for claim in contradicting)
+    return f"{value} {_QUANTITIES[name]}, not {claims}"
 
 
 def _first(sections: Sections, frames: int) -> int:
-    """Return the number of the first frame, which may not fit the header."""
+    """Return the number of the first frame, which may exceed the header's range."""
     header = sections.header
     start, end = trial_fields(sections)
     if start is None or end is None or end - start + 1 != frames:
         return header.first
-    shown = header.last - header.first + 1 == frames and end < WORD
-    return header.first if shown else start
+    header_fits = header.last - header.first + 1 == frames and end < WORD_VALUES
+    return header.first if header_fits else start
 
 
 def _scale(sections: Sections) -> float:
@@ -335,17 +351,17 @@ def _scale(sections: Sections) -> float:
 
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
-    """Warn about a scale that is missing or stated twice."""
+    """Warn about a scale that is missing or stated with two values."""
     header, stated = sections.header.scale, sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
-    both = [abs(s) for s in (stated, header) if s and np.isfinite(s)]
-    if not both:
+    scales = [abs(s) for s in (stated, header) if s and np.isfinite(s)]
+    if not scales:
         message = "has integers without a scale; they are read unscaled"
         file.warn("C3D101", message, "check the size of the captured subject")
-    elif len(both) == 2 and not math.isclose(both[0], both[1], rel_tol=1e-4):
+    elif len(scales) == 2 and not math.isclose(scales[0], scales[1], rel_tol=1e-4):
         message = (
-            f"its header has the scale {both[1]:g}, but its parameters {both[0]:g}"
+            f"its header has the scale {scales[1]:g}, but its parameters {scales[0]:g}"
         )
         file.warn("C3D101", f"{message}; using the parameters")
 
@@ -378,11 +394,13 @@ def _points(
     positions = np.ascontiguousarray(rows[..., :3])
     if layout.width == 2:
         positions *= abs(_scale(sections))
-    last = rows[..., 3]
-    usable = np.isfinite(last) & (np.abs(last) < 2**31)
+    fourth_words = rows[..., 3]
+    usable = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
     # The sign of the last word marks a point as not visible.
-    words = np.where(usable, last, np.where(last < 0, -1.0, 0.0)).astype(np.int64)
-    words[last < 0] = -1
+    words = np.where(
+        usable, fourth_words, np.where(fourth_words < 0, -1.0, 0.0)
+    ).astype(np.int64)
+    words[fourth_words < 0] = -1
     return positions, words
 
 
@@ -395,17 +413,20 @@ def _names(
         message = f"names {len(labels)} of {counted(points, 'point')}"
         file.warn("C3D102", f"{message}; the others are unlabelled points")
     labels = [*labels[:points], *[""] * (points - len(labels))]
-    modelled = {
-        label for group in MODELLED for label in sections.texts("POINT", group) if label
+    model_labels = {
+        label
+        for group in MODEL_OUTPUTS
+        for label in sections.texts("POINT", group)
+        if label
     }
-    kept = np.array([i for i, name in enumerate(labels) if name not in modelled])
-    if len(kept) < points:
-        left_out = [name for name in labels if name in modelled]
+    columns = np.array([i for i, name in enumerate(labels) if name not in model_labels])
+    if len(columns) < points:
+        left_out = [name for name in labels if name in model_labels]
         message = f"{counted(len(left_out), 'result')} of models skipped: "
         file.note("C3D103", message + listed(left_out))
-    if not len(kept):
+    if not len(columns):
         raise file.error("MKR013", "has no marker points")
-    return file.names([labels[i] for i in kept.tolist()], subject), kept
+    return file.names([labels[i] for i in columns.tolist()], subject), columns
 
 
 def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
@@ -418,33 +439,33 @@ def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
 
 def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
     """Return residuals [m]; 0 means the position was not measured."""
-    low = words & 0xFF
-    measured = visible & (low > 0)
-    return np.where(measured, low * scale, np.nan) if measured.any() else None
+    steps = words & 0xFF
+    is_measured = visible & (steps > 0)
+    return np.where(is_measured, steps * scale, np.nan) if is_measured.any() else None
 
 
 def _filled(
-    sections: Sections, words: IntArray, visible: BoolArray, kept: IntArray
+    sections: Sections, words: IntArray, visible: BoolArray, columns: IntArray
 ) -> BoolArray | None:
-    """Return which positions were filled in, not measured.
+    """Return which positions were filled, not measured ``(F, M)``.
 
-    Our own group says it; else the format does, with a residual and cameras of 0 in
-    a file that has others.
+    Our own parameter group lists them; in other files, residual and cameras of 0 mean
+    filled if other positions have nonzero ones.
     """
-    recorded = sections.groups.get(ANIMTOOL_GROUP)
-    if recorded is not None:
-        return _recorded_filled(sections, visible, kept)
+    animtool_group = sections.groups.get(ANIMTOOL_GROUP)
+    if animtool_group is not None:
+        return _recorded_filled(sections, visible, columns)
     if not (visible & (words > 0)).any():
         return None
-    filled = visible & (words == 0)
-    return filled if filled.any() else None
+    is_filled = visible & (words == 0)
+    return is_filled if is_filled.any() else None
 
 
 def _recorded_filled(
-    sections: Sections, visible: BoolArray, kept: IntArray
+    sections: Sections, visible: BoolArray, marker_columns: IntArray
 ) -> BoolArray | None:
     filled = np.zeros(visible.shape, bool)
-    columns = {point: column for column, point in enumerate(kept.tolist())}
+    columns = {point: column for column, point in enumerate(marker_columns.tolist())}
     number = 1
     while True:
         key = "FILLED" if number == 1 else f"FILLED{number}"

@@ -20,16 +20,16 @@ from animtool.core.record import dataclass
 
 BLOCK = 512
 MAGIC = 80
-# Groups and parameters of one file; the format allows 127 groups.
+# Limit of groups and parameters per file; the format allows 127 groups.
 MAX_PARAMETERS = 20_000
-# Between these are scales and rates [1/s] of captures; in the byte order of another
-# processor they are not.
+# Plausible scales, and rates [1/s], of captures; values read in the wrong byte order
+# are outside.
 MIN_SCALE, MAX_SCALE = 1e-8, 1e5
 MIN_RATE, MAX_RATE = 0.5, 1e5
 
 
 class MalformedError(ValueError):
-    """The bytes are not a C3D file; the text says why."""
+    """The bytes are not a C3D file; the message explains why."""
 
 
 class Processor(IntEnum):
@@ -51,27 +51,27 @@ class Processor(IntEnum):
     def floats(self, data: bytes) -> FloatArray:
         """Return 32-bit floats as float64; DEC's are VAX F: words swapped, times 4."""
         if self is not Processor.DEC:
-            # Bytes that are no number become NaN, signalling or not.
+            # Invalid bytes become NaN, signalling or quiet.
             with np.errstate(invalid="ignore"):
                 return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
         raw = np.ascontiguousarray(words).view("<u4").ravel()
         fraction = (raw & 0x7FFFFF) | 0x800000
         exponent = ((raw >> 23) & 0xFF).astype(np.int64)
-        # Without an exponent it is zero, and there is no infinity.
+        # An exponent of 0 means zero, and there is no infinity.
         size = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
         return np.where(raw >> 31, -size, size)
 
-    def rows(self, data: bytes, width: int, row: int, kept: int) -> FloatArray:
-        """Return the first numbers ``(F, kept)`` of rows of integers or floats."""
+    def rows(self, data: bytes, width: int, row: int, columns: int) -> FloatArray:
+        """Return the first numbers ``(F, columns)`` of rows of integers or floats."""
         if width == 4 and self is Processor.DEC:
-            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * row)[:, : 2 * kept]
-            return self.floats(pairs.tobytes()).reshape(-1, kept)
+            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * row)[:, : 2 * columns]
+            return self.floats(pairs.tobytes()).reshape(-1, columns)
         kind = f"{self.order}{'f4' if width == 4 else 'i2'}"
         numbers = np.frombuffer(data, kind).reshape(-1, row)
-        # Of other bytes than floats some are signalling NaNs.
+        # Arbitrary bytes may be signalling NaNs.
         with np.errstate(invalid="ignore"):
-            return numbers[:, :kept].astype(np.float64)
+            return numbers[:, :columns].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +79,12 @@ class Header:
     """The header block of a file."""
 
     points: int
-    analog: int  # analogue numbers of a frame, all samples
+    analog: int  # analogue values per frame, all samples
     first: int
     last: int
     scale: float
     data_block: int
-    samples: int  # analogue samples of a channel in a frame
+    samples: int  # analogue samples per channel and frame
     rate: float
 
 
@@ -94,11 +94,11 @@ class Sections:
 
     header: Header
     processor: Processor
-    # Block behind the parameters, as they state it; 2 without parameters.
+    # Block after the parameters, as stated by them; 2 without parameters.
     end_block: int = 2
-    # Whether the file states the processor.
+    # Whether the file states its processor.
     stated: bool = True
-    # Values by group and name, in capitals: arrays, or lists of texts.
+    # Parameter values by group and name in capitals: arrays or lists of texts.
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def number(self, group: str, name: str) -> float | None:
@@ -114,9 +114,9 @@ class Sections:
         return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 
     def texts(self, group: str, name: str) -> list[str]:
-        """Return the texts of a parameter and its continuations (NAME2, NAME3).
+        """Return the texts of a parameter and its continuations.
 
-        Names beyond 255 stand in ``LABELS2``, ``LABELS3`` and so on.
+        Labels after the first 255 are in ``LABELS2``, ``LABELS3`` and so on.
         """
         entries = self.groups.get(group, {})
         texts: list[str] = []
@@ -142,17 +142,17 @@ def read_sections(data: bytes) -> Sections:
     start = BLOCK * (data[0] - 1)
     has_parameters = data[0] >= 2 and start + 4 <= len(data)
     kind = data[start + 3] if has_parameters else 0
-    known = kind in {int(p) for p in Processor}
-    if known:
+    is_known = kind in {int(p) for p in Processor}
+    if is_known:
         processor = Processor(kind)
         sections = Sections(_header(data, processor), processor)
     else:
-        sections = Sections(*_lone_header(data, kind), stated=False)
+        sections = Sections(*_header_only(data, kind), stated=False)
     if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
-        sections = Sections(*_lone_header(data, kind), stated=known)
-    if known or sections.groups:
+        sections = Sections(*_header_only(data, kind), stated=is_known)
+    if is_known or sections.groups:
         sections.end_block = data[0] + data[start + 2]
     return sections
 
@@ -165,20 +165,20 @@ def _header(data: bytes, processor: Processor) -> Header:
     return Header(points, analog, first, last, scale, block, samples, rate)
 
 
-def _lone_header(data: bytes, kind: int) -> tuple[Header, Processor]:
+def _header_only(data: bytes, kind: int) -> tuple[Header, Processor]:
     """Return the header of a file without parameters, and its processor.
 
     Raises:
-        MalformedError: By no processor it is a header that can be.
+        MalformedError: The header is impossible for every processor.
     """
     for processor in sorted(Processor, key=lambda p: (p != kind, p)):
         header = _header(data, processor)
-        if _possible(header, len(data)):
+        if _is_possible(header, len(data)):
             return header, processor
     raise MalformedError("has no parameters where its header points")
 
 
-def _possible(header: Header, size: int) -> bool:
+def _is_possible(header: Header, size: int) -> bool:
     """Return whether a header's values are possible for a capture."""
     scale, rate = header.scale, header.rate
     return (
@@ -193,7 +193,7 @@ def _possible(header: Header, size: int) -> bool:
 def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
     """Follow the chain of groups and parameters until it ends or breaks."""
     names: dict[int, str] = {}
-    waiting: list[tuple[int, str, Any]] = []
+    before_group: list[tuple[int, str, Any]] = []
     for _ in range(MAX_PARAMETERS):
         if at + 2 > len(data):
             break
@@ -203,20 +203,22 @@ def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
         if length == 0 or number == 0 or body + 2 > len(data):
             break
         name = _text(data[at + 2 : body]).upper()
-        jump = int(sections.processor.integers(data[body : body + 2])[0]) & 0xFFFF
+        next_offset = (
+            int(sections.processor.integers(data[body : body + 2])[0]) & 0xFFFF
+        )
         if number < 0:
             names[-number] = name
         else:
             value = _value(sections.processor, data, body + 2)
             if value is not None:
-                waiting.append((number, name, value))
-        if jump == 0:
+                before_group.append((number, name, value))
+        if next_offset == 0:
             break
-        at = body + jump
-    # A group may follow its parameters.
+        at = body + next_offset
+    # A group may come after its parameters.
     for name in names.values():
         sections.groups.setdefault(name, {})
-    for number, name, value in waiting:
+    for number, name, value in before_group:
         if number in names:
             sections.groups[names[number]][name] = value
 
@@ -239,8 +241,8 @@ def _value(processor: Processor, data: bytes, at: int) -> Any:
         return _texts(raw, sizes)
     if kind == 1:
         return np.frombuffer(raw, np.int8).astype(np.int64).reshape(sizes[::-1])
-    read = processor.integers if kind == 2 else processor.floats
-    return read(raw).reshape(sizes[::-1])
+    convert = processor.integers if kind == 2 else processor.floats
+    return convert(raw).reshape(sizes[::-1])
 
 
 def _texts(raw: bytes, sizes: Sequence[int]) -> list[str]:

@@ -18,23 +18,23 @@ from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
-# Entries of a parameter: its dimensions are single bytes.
+# Maximum entries of a parameter, whose dimensions are single bytes.
 MAX_ENTRIES = 255
 MAX_NAME = 255
-# Header and parameters count in 16 bits.
+# Largest count in header and parameters, which are 16-bit.
 MAX_COUNT = 65535
 MAX_CAMERAS = 7
-# Bytes before the parameters: which block they begin in, blocks and the processor.
-_HEAD = 4
-# Blocks of parameters are counted in a byte.
+# Bytes before the parameters: first block, number of blocks, and processor.
+_PARAMETER_HEAD = 4
+# Maximum parameter blocks, counted in a byte.
 MAX_BLOCKS = 255
-# Steps of a residual, which is a byte; 0 says that a point was not measured.
+# Steps of a residual, which is a byte; 0 means that a point was not measured.
 RESIDUAL_STEPS = 255
-# What integers of the format could hold: the scale that readers expect of floats.
+# Integer range from which readers expect the scale of floats to be derived.
 INTEGER_RANGE = 32000
 FRAMES_AT_ONCE = 4096
-# Samples of an analogue channel in a frame, of which there are none: readers hold this
-# number against the rates.
+# Analogue samples per channel and frame. There are no channels, but readers compare
+# this number with the rates.
 ANALOG_SAMPLES = 1
 
 
@@ -43,47 +43,47 @@ def write_c3d(
 ) -> list[Fault]:
     """Write markers as a C3D file of Intel floats, in millimetres.
 
-    Residuals are kept to a 255th of the largest, cameras as their number up to seven.
-    Filled positions have a residual of 0, as the format says, and are listed in the
-    group ``ANIMTOOL``, so that reading the file gives them back. Longer takes than
-    65535 frames have their length in ``TRIAL:ACTUAL_END_FIELD`` and
-    ``POINT:LONG_FRAMES``, as usual.
+    Residuals are stored to 1/255 of the largest, and camera counts up to seven. Filled
+    positions have residual 0, as the format requires, and are listed in the group
+    ``ANIMTOOL``, so that reading the file restores them. Takes longer than 65535 frames
+    have their length in ``TRIAL:ACTUAL_END_FIELD`` and ``POINT:LONG_FRAMES``, as is
+    common.
 
     Args:
-        markers: What to write.
-        path: ``.c3d``.
-        overwrite: Replace a file that exists.
+        markers: The markers.
+        path: Path of the file, ``.c3d``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold.
+        Warnings about data that C3D cannot store.
 
     Raises:
-        OptionError: The file exists (OUT001), or the format cannot hold so many
-            markers or such names (C3D010).
+        OptionError: The file exists (OUT001), or there are more markers or longer names
+            than C3D can store (C3D010).
         OutputError: The file cannot be written (OUT002).
     """
     from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    head = _head(markers, path)
-    write_parts(path, _parts(markers, head))
-    return _lost(markers, str(path))
+    header = _file_head(markers, path)
+    write_parts(path, _parts(markers, header))
+    return _loss_warnings(markers, str(path))
 
 
-def _head(markers: Markers, path: Path) -> bytes:
+def _file_head(markers: Markers, path: Path) -> bytes:
     """Return header and parameters."""
     frames, count = markers.positions.shape[:2]
     blocks = 1
-    # Where the data begin is a parameter itself.
+    # The start of the data is a parameter itself.
     section = _parameters(markers, 2 + blocks)
-    blocks = -(-(_HEAD + len(section)) // BLOCK)
+    blocks = -(-(_PARAMETER_HEAD + len(section)) // BLOCK)
     if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
         message += f"and at least one frame, not {count} in {frames} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
     section = _parameters(markers, 2 + blocks)
-    first, last = _shown(markers.clock)
+    first, last = _clamped_range(markers.clock)
     scale = _scale(markers)
     header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
     rate = float(markers.clock.rate)
@@ -92,15 +92,15 @@ def _head(markers: Markers, path: Path) -> bytes:
     return header.ljust(BLOCK, b"\0") + text.ljust(BLOCK * blocks, b"\0")
 
 
-def _shown(clock: Clock) -> tuple[int, int]:
+def _clamped_range(clock: Clock) -> tuple[int, int]:
     """Return the first and last frame number, clamped to the header's range."""
-    first, last = _fields(clock)
+    first, last = _frame_range(clock)
     if last <= MAX_COUNT:
         return first, last
     return 1, min(clock.count, MAX_COUNT)
 
 
-def _fields(clock: Clock) -> tuple[int, int]:
+def _frame_range(clock: Clock) -> tuple[int, int]:
     first = int(clock.start) if clock.start.denominator == 1 else 1
     first = first if 0 <= first < 2**31 else 1
     return first, first + clock.count - 1
@@ -119,18 +119,18 @@ def _scale(markers: Markers) -> float:
 def _parameters(markers: Markers, data_block: int) -> bytes:
     """Return the parameter section without its first four bytes."""
     frames, count = markers.positions.shape[:2]
-    first, last = _fields(markers.clock)
-    shown = min(frames, MAX_COUNT)
-    right, up = ("+X", f"+{markers.up}")
+    first, last = _frame_range(markers.clock)
+    clamped_frames = min(frames, MAX_COUNT)
+    x_screen, y_screen = ("+X", f"+{markers.up}")
     point: dict[str, bytes] = {
         "USED": _integers([count]),
         "SCALE": _floats([_scale(markers)]),
         "RATE": _floats([float(markers.clock.rate)]),
         "DATA_START": _integers([data_block]),
-        "FRAMES": _integers([shown]),
+        "FRAMES": _integers([clamped_frames]),
         "UNITS": _texts([LengthUnit.MM.value]),
-        "X_SCREEN": _texts([right]),
-        "Y_SCREEN": _texts([up]),
+        "X_SCREEN": _texts([x_screen]),
+        "Y_SCREEN": _texts([y_screen]),
     }
     if frames > MAX_COUNT:
         point["LONG_FRAMES"] = _floats([frames])
@@ -208,15 +208,15 @@ def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
     return spans
 
 
-def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
-    yield head
-    size = len(head)
+def _parts(markers: Markers, header: bytes) -> Iterator[bytes]:
+    yield header
+    size = len(header)
     for begin in range(0, len(markers), FRAMES_AT_ONCE):
-        part = _rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
-        size += len(part)
-        yield part
-    # Readers take the size for the number of frames where the header has no room for
-    # it: zeros up to a full block would be frames.
+        rows = _rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
+        size += len(rows)
+        yield rows
+    # Readers derive the number of frames from the size if the header cannot store it:
+    # zeros up to a full block would become frames.
     if len(markers) < MAX_COUNT:
         yield b"\0" * (-size % BLOCK)
 
@@ -227,12 +227,14 @@ def _rows(markers: Markers, frames: slice) -> bytes:
     words = np.zeros(visible.shape, np.int64)
     if markers.residuals is not None:
         steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
-        known = np.isfinite(steps)
-        low = np.rint(np.where(known, steps, 0.0)).astype(np.int64)
-        words += np.where(known, np.clip(low, 1, RESIDUAL_STEPS), 0)
+        is_finite = np.isfinite(steps)
+        residual_steps = np.rint(np.where(is_finite, steps, 0.0)).astype(np.int64)
+        words += np.where(is_finite, np.clip(residual_steps, 1, RESIDUAL_STEPS), 0)
     if markers.cameras is not None:
-        some = np.clip(markers.cameras[frames], 0, MAX_CAMERAS).astype(np.int64)
-        words += ((1 << some) - 1) << 8
+        camera_counts = np.clip(markers.cameras[frames], 0, MAX_CAMERAS).astype(
+            np.int64
+        )
+        words += ((1 << camera_counts) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
     words[~visible] = -1
@@ -240,18 +242,18 @@ def _rows(markers: Markers, frames: slice) -> bytes:
     return np.concatenate([values, words[..., None]], -1).astype("<f4").tobytes()
 
 
-def _lost(markers: Markers, path: str) -> list[Fault]:
-    """Return warnings about data that C3D cannot hold."""
-    lost = []
+def _loss_warnings(markers: Markers, path: str) -> list[Fault]:
+    """Return warnings about data that C3D cannot store."""
+    notices = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        lost.append(f"a point has more than {MAX_CAMERAS} cameras")
+        notices.append(f"a point has more than {MAX_CAMERAS} cameras")
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
-        lost.append(f"the first frame {markers.clock.start}")
-    beyond = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
-    if beyond.any():
-        count = counted(int(beyond.sum()), "position")
-        lost.append(f"{count} beyond float32 in mm, written as not seen")
-    if not lost:
+        notices.append(f"the first frame {markers.clock.start}")
+    beyond_float32 = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
+    if beyond_float32.any():
+        count = counted(int(beyond_float32.sum()), "position")
+        notices.append(f"{count} beyond float32 in mm, written as not seen")
+    if not notices:
         return []
-    message = f"a C3D cannot hold {' and '.join(lost)}"
+    message = f"a C3D cannot hold {' and '.join(notices)}"
     return [Fault("C3D104", message, path, (), "write .npz", Severity.WARNING)]

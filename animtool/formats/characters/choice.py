@@ -17,15 +17,16 @@ MAX_NAMED = 8
 class CharacterNodes:
     """The nodes of a skeleton, or of everything else that moves."""
 
-    path: str  # such as ``/hero``; ``/`` is the whole file
-    nodes: tuple[int, ...]  # all below its roots, parents first
+    path: str  # such as ``/hero``; ``/`` is the complete file
+    nodes: tuple[int, ...]  # its nodes, parents first
 
 
 def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     """Return the characters of a file: one for the file, or one per skeleton.
 
-    Trees of nodes belong together where a skin names joints of one for a mesh of
-    another.
+    Node trees belong to the same character if a skin of a mesh in one uses joints of
+    the
+    other.
     """
     order, tree = parents_first(file.nodes), roots(file.nodes)
     group = {root: root for root in set(tree)}
@@ -37,10 +38,10 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         return root
 
     def join(a: int, b: int) -> None:
-        first, second = sorted((group_of(tree[a]), group_of(tree[b])))
-        group[second] = first
+        lower, upper = sorted((group_of(tree[a]), group_of(tree[b])))
+        group[upper] = lower
 
-    skinned: set[int] = set()
+    skin_nodes: set[int] = set()
     for skin in file.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
@@ -48,8 +49,8 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         if node_.skin >= 0:
             join(i, file.skins[node_.skin].joints[0])
     for skin in file.skins:
-        skinned.update(skin.joints[:1])
-    groups = sorted({group_of(tree[joint]) for joint in skinned})
+        skin_nodes.update(skin.joints[:1])
+    groups = sorted({group_of(tree[joint]) for joint in skin_nodes})
     if len(groups) < 2:
         return (CharacterNodes(FILE_PATH, tuple(order)),)
     members: dict[int, list[int]] = {root: [] for root in groups}
@@ -70,10 +71,10 @@ def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
     for root, nodes in members.items():
-        top = next((node for node in nodes if node in joints), root)
-        while file.nodes[top].parent >= 0:
-            top = file.nodes[top].parent
-        names.append(file.nodes[top].name or f"node_{top}")
+        top_joint = next((node for node in nodes if node in joints), root)
+        while file.nodes[top_joint].parent >= 0:
+            top_joint = file.nodes[top_joint].parent
+        names.append(file.nodes[top_joint].name or f"node_{top_joint}")
     return [f"/{name}" for name in distinct(names)]
 
 
@@ -87,13 +88,13 @@ def choose_character(
 
     Args:
         file: The file.
-        prim_path: Its path or name, or the name of a node in it; ``/`` is the whole
-            file. None is the first of the scene that is shown.
-        unknown: Code of a character that the file has not.
-        several: Code of the note.
+        prim_path: Path or name of the character, or the name of a node in it; ``/`` is
+            the complete file. None is the first character of the default scene.
+        unknown: Code of the error for an unknown character.
+        several: Code of the note about other characters.
 
     Raises:
-        FormatError: Nothing is called so, or there are no nodes (`unknown`).
+        FormatError: No character has that name, or the file has no nodes (`unknown`).
     """
     where = str(file.path)
     if not file.nodes:
@@ -103,33 +104,40 @@ def choose_character(
     if prim_path is None:
         best = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
-            shown = set(file.scenes[file.default_scene])
-            best = next((one for one in candidates if shown & set(one.nodes)), best)
-        return best, _others(candidates, best, where, several)
+            scene_roots = set(file.scenes[file.default_scene])
+            best = next(
+                (
+                    candidate
+                    for candidate in candidates
+                    if scene_roots & set(candidate.nodes)
+                ),
+                best,
+            )
+        return best, _others_note(candidates, best, where, several)
     if prim_path.strip() == FILE_PATH:
         return CharacterNodes(FILE_PATH, tuple(parents_first(file.nodes))), []
     name = prim_path.strip("/")
-    for one in candidates:
-        if one.path.strip("/") == name and len(candidates) > 1:
-            return one, []
-    for one in candidates:
-        if any(file.nodes[node].name == name for node in one.nodes):
-            return one, []
-    known = [one.path for one in candidates]
+    for candidate in candidates:
+        if candidate.path.strip("/") == name and len(candidates) > 1:
+            return candidate, []
+    for candidate in candidates:
+        if any(file.nodes[node].name == name for node in candidate.nodes):
+            return candidate, []
+    paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
-    raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, known)))
+    raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, paths)))
 
 
-def _others(
+def _others_note(
     candidates: tuple[CharacterNodes, ...],
     best: CharacterNodes,
     where: str,
     several: str,
 ) -> list[Fault]:
-    others = [one.path for one in candidates if one is not best]
-    if not others:
+    other_paths = [candidate.path for candidate in candidates if candidate is not best]
+    if not other_paths:
         return []
     message = f"reading {best.path} of {counted(len(candidates), 'character')}: "
-    message += f"others are {listed(others, MAX_NAMED)}"
+    message += f"others are {listed(other_paths, MAX_NAMED)}"
     hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
     return [Fault(several, message, where, (), hint, Severity.NOTE)]

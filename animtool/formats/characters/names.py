@@ -19,13 +19,13 @@ def joint_names(
 ) -> tuple[list[str], list[tuple[str, str]]]:
     """Return distinct joint names, and those that differ from the file's.
 
-    Characters that no file of text holds are replaced.
+    Characters that text files cannot contain are replaced.
     """
-    plain = []
+    valid_names = []
     for node, number in zip(nodes, numbers, strict=True):
         name = _CONTROL.sub("_", node.name or "").strip()
-        plain.append(name or f"node_{number}")
-    names = distinct(plain)
+        valid_names.append(name or f"node_{number}")
+    names = distinct(valid_names)
     renamed = [
         (node.name, name)
         for node, name in zip(nodes, names, strict=True)
@@ -51,7 +51,7 @@ def printable(text: str) -> str:
 def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
     """Return distinct shape names, prefixed with the mesh if ambiguous.
 
-    shapes: the name in the file, a default name, and the name of the mesh.
+    ``shapes`` has for each its name in the file, a default name, and its mesh's name.
     """
     taken: dict[str, None] = {}
     for text, default, mesh in shapes:

@@ -8,27 +8,28 @@ from typing import Protocol
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-# Scales that differ by less are the same: rounding of float32 [1].
+# Scales closer than this are equal up to float32 rounding [1].
 SAME_SCALE = 3e-7
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One node.
+    """A node of the file.
 
     Attributes:
-        name: As the file has it; None where it has none.
-        parent: Index of the node above, -1 for a root.
-        children: Indices of the nodes below.
-        translation: In the frame of the parent [m].
-        rotation: Likewise (x, y, z, w).
-        scale: Likewise [1].
-        mesh: Index; -1 for none.
-        skin: Index; -1 for none.
-        weights: Of the targets of its mesh; None leaves those of the mesh.
-        visible: Whether it is shown, if all above it are.
-        has_matrix: Whether its transform is a matrix in the file.
-        above: Whether animtool put it above the roots of a rig, of which it is none.
+        name: Name in the file; None without one.
+        parent: Index of the parent node; -1 for a root.
+        children: Indices of the child nodes.
+        translation: Relative to the parent [m].
+        rotation: Relative to the parent (x, y, z, w).
+        scale: Relative to the parent [1].
+        mesh: Index of its mesh; -1 without one.
+        skin: Index of its skin; -1 without one.
+        weights: Weights of its mesh's targets; None uses the mesh's own.
+        visible: Whether it is visible if all its ancestors are.
+        has_matrix: Whether the file stores its transform as a matrix.
+        is_inserted: Whether animtool inserted it above the roots of a rig, outside
+            the rig.
     """
 
     name: str | None
@@ -42,17 +43,17 @@ class Node:
     weights: tuple[float, ...] | None = None
     visible: bool = True
     has_matrix: bool = False
-    above: bool = False
+    is_inserted: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinEntry:
-    """A skin."""
+    """A skin of the file."""
 
     name: str | None
-    joints: tuple[int, ...]  # nodes
-    skeleton: int  # a node; -1 where none is named
-    inverse_bind: FloatArray  # ``(J, 4, 4)``, of column vectors
+    joints: tuple[int, ...]  # node indices
+    skeleton: int  # index of the root node; -1 if not stated
+    inverse_bind: FloatArray  # ``(J, 4, 4)``, for column vectors
     where: str
 
 

@@ -29,9 +29,9 @@ class TakeWords:
     """Words and codes of messages about the takes of a format.
 
     Attributes:
-        noun: What the format calls a take.
+        noun: The format's word for a take.
         static: Message for a character without a take.
-        unknown: Code of a name that no take has.
+        unknown: Code of the error for an unknown take.
         none: Code of the note that there is no take.
         several: Code of the note that one of several is read.
     """
@@ -51,14 +51,14 @@ def choose_take(
     candidates: Sequence[int],
     default: int,
 ) -> tuple[int, list[Fault]]:
-    """Return the index of the take to read, -1 for none, and a note about the others.
+    """Return the index of the take to read, -1 for none, and notes.
 
     Args:
-        words: Of the format.
+        words: Words and codes of the format.
         path: The file.
-        names: Of its takes.
-        take: The name that is asked for; None is the default.
-        candidates: Indices of takes that may be meant without a name.
+        names: Names of its takes.
+        take: Name of the requested take; None is the default.
+        candidates: Indices of takes that can be read without a name.
         default: Index of the default; the first candidate if it is none of them.
 
     Raises:
@@ -88,9 +88,9 @@ def sampled_stream(
 
     Args:
         rig: The rig.
-        clock: Its frames.
-        sample: From time codes ``(F,)`` to the motion there.
-        block: Frames of a block.
+        clock: Frames of the take.
+        sample: Returns the motion at time codes ``(F,)``.
+        block: Frames per block.
     """
     return TakeStream(
         rig,
@@ -131,11 +131,11 @@ def finish_stream(
 
     Args:
         stream: The stream.
-        format_name: Of the file.
-        names: Of the file's takes.
-        index: Of the take; -1 for none.
-        clip: From a name to the clip with the keys of the take, and its notices.
-        native: The keys as the file has them; see `KeyedCurve`.
+        format_name: Name of the file format.
+        names: Names of the file's takes.
+        index: Index of the take; -1 for none.
+        clip: Returns the take's keys as a clip of a given name, and notices.
+        native: Keys as stored in the file; see `KeyedCurve`.
     """
     name = names[index] if index >= 0 else None
     if name is not None:

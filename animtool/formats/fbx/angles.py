@@ -7,7 +7,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.maths import euler, so3
 
-# What XYZ is as a product: X turns first, so its factor is the last.
+# Order XYZ as a product: X rotates first, so its factor is last.
 XYZ = "ZYX"
 
 
@@ -21,13 +21,14 @@ def rotations_of(angles: FloatArray, order: str) -> FloatArray:
 
 
 def principal_angles(rotations: FloatArray) -> FloatArray:
-    """Return angles about X, Y and Z ``(F, 3)`` [deg] of quaternions, of order XYZ.
+    """Return XYZ angles ``(F, 3)`` [deg] of quaternions ``(F, 4)``.
 
-    Of the equal triples it is the one whose Y is within a quarter turn, whatever the
-    frames around: tools that read the angles by another order mean that one.
+    Of the equivalent triples, returns the one with Y within a quarter turn, independent
+    of
+    neighbouring frames: tools that read the angles in another order expect that one.
 
-    >>> turn = rotations_of(np.array([[10.0, 20, 30]]), XYZ)
-    >>> principal_angles(turn).round(6).tolist()
+    >>> rotations = rotations_of(np.array([[10.0, 20, 30]]), XYZ)
+    >>> principal_angles(rotations).round(6).tolist()
     [[10.0, 20.0, 30.0]]
     """
     m = so3.to_matrix(rotations)
@@ -35,8 +36,8 @@ def principal_angles(rotations: FloatArray) -> FloatArray:
     y = np.arctan2(sine, np.hypot(m[:, 2, 1], m[:, 2, 2]))
     x = np.arctan2(m[:, 2, 1], m[:, 2, 2])
     z = np.arctan2(m[:, 1, 0], m[:, 0, 0])
-    # At a quarter turn only the sum of the others is determined.
-    locked = np.abs(sine) > 1.0 - 1e-12
-    x = np.where(locked, 0.0, x)
-    z = np.where(locked, np.arctan2(-m[:, 0, 1], m[:, 1, 1]), z)
+    # In gimbal lock only the sum of the other two angles is determined.
+    in_gimbal_lock = np.abs(sine) > 1.0 - 1e-12
+    x = np.where(in_gimbal_lock, 0.0, x)
+    z = np.where(in_gimbal_lock, np.arctan2(-m[:, 0, 1], m[:, 1, 1]), z)
     return np.asarray(np.degrees(np.stack([x, y, z], axis=1)))

@@ -29,18 +29,18 @@ _SCALARS = {
     "B": struct.Struct("<B"),
 }
 _ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
-_SAME = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
+_BATCH_TYPES = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
 # The maximum ratio of deflate compression.
 MAX_INFLATION = 1032
-# Lists of single values as long as this are read at once.
-LONG = 12
+# Lists of at least this many single values are read at once.
+MIN_BATCH = 12
 
 
 def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and the root of a binary FBX.
 
     Raises:
-        FormatError: A length or an offset leads out of its record (FBX002).
+        FormatError: A length or an offset points outside its record (FBX002).
     """
     if len(content) < HEADER:
         _fail(
@@ -64,8 +64,8 @@ class _Records:
 
     def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
-        wide = version >= 7500
-        self.head = struct.Struct("<QQQB" if wide else "<IIIB")
+        has_64_bit_offsets = version >= 7500
+        self.head = struct.Struct("<QQQB" if has_64_bit_offsets else "<IIIB")
         self.count = 0
         self.array_bytes = 0
 
@@ -76,10 +76,14 @@ class _Records:
 
     def _children(self, parent: Element, at: int, end: int, depth: int) -> None:
         while at + self.head.size <= end:
-            stop, count, length, named = self.head.unpack_from(self.content, at)
-            if not stop:
+            record_end, count, length, name_length = self.head.unpack_from(
+                self.content, at
+            )
+            if not record_end:
                 return
-            at = self._record(parent, at, (stop, count, length, named), end, depth)
+            at = self._record(
+                parent, at, (record_end, count, length, name_length), end, depth
+            )
         if depth == 0 or at > end:
             _fail(self.notes, at, "the records of the file have no end")
 
@@ -87,32 +91,38 @@ class _Records:
         self,
         parent: Element,
         at: int,
-        head: tuple[int, int, int, int],
+        header: tuple[int, int, int, int],
         end: int,
         depth: int,
     ) -> int:
         """Read one record; return the offset of the next."""
-        stop, count, length, named = head
-        first = at + self.head.size + named
-        if not first <= stop <= end:
-            _fail(self.notes, at, f"a record ends at byte {stop}, outside its parent")
-        if length > stop - first or count > length:
+        record_end, count, length, name_length = header
+        values_start = at + self.head.size + name_length
+        if not values_start <= record_end <= end:
+            _fail(
+                self.notes,
+                at,
+                f"a record ends at byte {record_end}, outside its parent",
+            )
+        if length > record_end - values_start or count > length:
             message = f"{count} values of {length} bytes do not fit in their record"
             _fail(self.notes, at, message)
         self.count += 1
         if self.count > MAX_ELEMENTS or depth > MAX_DEPTH:
             message = f"more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels"
             self.notes.fail("FBX013", f"byte {at}", message)
-        name = self.content[first - named : first].decode("utf-8", "replace")
-        values = self._values(first, count, first + length)
+        name = self.content[values_start - name_length : values_start].decode(
+            "utf-8", "replace"
+        )
+        values = self._values(values_start, count, values_start + length)
         element = Element(name, values, f"byte {at}")
         parent.children.append(element)
-        if first + length < stop:
-            self._children(element, first + length, stop, depth + 1)
-        return stop
+        if values_start + length < record_end:
+            self._children(element, values_start + length, record_end, depth + 1)
+        return record_end
 
     def _values(self, at: int, count: int, end: int) -> list[Any]:
-        array = self._same(at, count, end)
+        array = self._value_batch(at, count, end)
         if array is not None:
             return [array]
         values: list[Any] = []
@@ -140,12 +150,12 @@ class _Records:
                 _fail(self.notes, at, f"unknown value type {excerpt(repr(kind))}")
         return values
 
-    def _same(self, at: int, count: int, end: int) -> Any:
+    def _value_batch(self, at: int, count: int, end: int) -> Any:
         """Return a long list of single numbers of one type; else None."""
-        kind = chr(self.content[at]) if count >= LONG and at < end else ""
-        if kind not in _SAME:
+        kind = chr(self.content[at]) if count >= MIN_BATCH and at < end else ""
+        if kind not in _BATCH_TYPES:
             return None
-        rows = np.dtype([("kind", "u1"), ("value", _SAME[kind])])
+        rows = np.dtype([("kind", "u1"), ("value", _BATCH_TYPES[kind])])
         if end - at != count * rows.itemsize:
             return None
         records = np.frombuffer(self.content, rows, count, at)
@@ -174,17 +184,19 @@ class _Records:
             self.notes.fail("FBX013", f"byte {at}", message)
         data: Any = memoryview(self.content)[first : first + stored]
         if how:
-            data = self._inflated(data, byte_count, at)
+            data = self._inflate(data, byte_count, at)
         return np.frombuffer(data, dtype, count), first + stored
 
-    def _inflated(self, data: memoryview, size: int, at: int) -> bytes:
+    def _inflate(self, data: memoryview, size: int, at: int) -> bytes:
         """Return an array inflated to exactly its stated size."""
         engine = zlib.decompressobj()
         try:
-            inflated = engine.decompress(data, size) if size else b""
+            array_bytes = engine.decompress(data, size) if size else b""
         except zlib.error as error:
             _fail(self.notes, at, f"an array cannot be inflated: {error}")
-        if len(inflated) != size:
-            message = f"an array inflates to {len(inflated)} bytes, but states {size}"
+        if len(array_bytes) != size:
+            message = (
+                f"an array inflates to {len(array_bytes)} bytes, but states {size}"
+            )
             _fail(self.notes, at, message)
-        return inflated
+        return array_bytes

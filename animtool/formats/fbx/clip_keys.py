@@ -30,36 +30,39 @@ from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
 _TARGETS = ("local_translation", "local_rotation", "scale")
-# A part of rest that is nearer than this is as it is at rest.
-SAME = 1e-12
+# Values closer to rest than this are at rest.
+REST_TOLERANCE = 1e-12
 
 
 def clip_of_fbx(
-    name: str, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames
+    name: str, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> tuple[Clip, list[Fault]]:
     """Return a clip of a take, and notices about channels that are sampled.
 
-    Translations, scales, Euler angles and shapes keep their keys where a take has one
-    layer; what a clip cannot say is a key a frame, and one at each key between frames.
+    Translations, scales, Euler angles and shapes keep their keys if a take has one
+    layer.
+    Other channels are sampled: a key per frame, and one at each key between frames.
 
     Args:
-        name: What the clip is called.
+        name: Name of the clip.
         fbx_rig: The rig.
-        moving: The take on it.
-        frames: When its frames are.
+        sampler: The take on the rig.
+        frames: Frames of the take.
     """
-    writer = _ClipBuilder(fbx_rig, moving, frames)
+    writer = _ClipBuilder(fbx_rig, sampler, frames)
     channels: list[ClipChannel] = []
-    for part in range(3):
-        channels += writer.part(part)
+    for component in range(3):
+        channels += writer.component_channels(component)
     channels += writer.shapes()
-    first = Fraction(frames.first)
-    last = first + frames.count - 1
-    return Clip(name, frames.fps, first, last, tuple(channels)), writer.notices()
+    first_frame = Fraction(frames.first)
+    last_frame = first_frame + frames.count - 1
+    return Clip(
+        name, frames.fps, first_frame, last_frame, tuple(channels)
+    ), writer.notices()
 
 
 @dataclass(slots=True, eq=False)
-class _Off:
+class _SamplingErrors:
     """Errors of sampled channels between their keys."""
 
     count: int = 0
@@ -71,87 +74,101 @@ class _Off:
 class _ClipBuilder:
     """Builder of a clip's channels from curves or samples."""
 
-    def __init__(self, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> None:
-        self.fbx_rig, self.moving, self.frames = fbx_rig, moving, frames
-        self.models = moving.scene.models
-        self.axes_rotation = so3.from_matrix(moving.scene.settings.basis)
-        self.off = _Off()
+    def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
+        self.fbx_rig, self.sampler, self.frames = (
+            fbx_rig,
+            sampler,
+            frames,
+        )
+        self.models = sampler.scene.models
+        self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
+        self.errors = _SamplingErrors()
         self.sampled: list[set[int]] = [set(), set(), set()]
         defaults = np.ones((len(fbx_rig.rig.joints), 3))
         rig = fbx_rig.rig
         self.defaults = (rig.rest_translations, rig.rest_rotations, defaults)
 
-    def part(self, part: int) -> list[ClipChannel]:
-        """Return the channels of translations, rotations or scales."""
+    def component_channels(self, component: int) -> list[ClipChannel]:
+        """Return the channels of translations (0), rotations (1) or scales (2)."""
         channels: list[ClipChannel] = []
-        animated = set(self.moving.moving[part].tolist())
-        rest = self.moving.rest[part]
+        animated = set(self.sampler.animated[component].tolist())
+        rest = self.sampler.rest[component]
         for j in range(len(rest)):
             if j in animated:
-                kept = self._kept(part, j)
+                kept = self._exact_channels(component, j)
                 if kept:
                     channels += kept
                 else:
-                    self.sampled[part].add(j)
-            elif np.abs(rest[j] - self.defaults[part][j]).max() > SAME:
-                channels.append(self._static_channel(self._target(j, part), rest[j]))
-        return channels + self._samples(part)
+                    self.sampled[component].add(j)
+            elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
+                channels.append(
+                    self._static_channel(self._target(j, component), rest[j])
+                )
+        return channels + self._samples(component)
 
     def shapes(self) -> list[ClipChannel]:
         """Return the channels of shapes."""
         channels = []
-        animated = set(self.moving.shapes.tolist())
+        animated = set(self.sampler.shapes.tolist())
         for row, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
             if row not in animated:
-                value = self.moving.rest[3][row]
+                value = self.sampler.rest[3][row]
                 if value.any():
                     channels.append(self._static_channel(target, value))
                 continue
-            channel, full = self.fbx_rig.shapes[row]
-            track = self.moving.track(row)
+            channel, full_percent = self.fbx_rig.shapes[row]
+            track = self.sampler.track(row)
             assert track is not None
             keys = joined_keys(track, np.array([channel.percent]))
             if keys is None:
                 ticks = self._times()
-                values = self.moving.weight(row, ticks)[:, None]
-                self.off.count += 1
-                channels.append(self._plain(target, ticks, values, Interp.LINEAR))
+                values = self.sampler.weight(row, ticks)[:, None]
+                self.errors.count += 1
+                channels.append(self._key_channel(target, ticks, values, Interp.LINEAR))
                 continue
-            channels.append(self._channel(target, keys, np.eye(1) / full, np.zeros(1)))
+            channels.append(
+                self._channel(target, keys, np.eye(1) / full_percent, np.zeros(1))
+            )
         return channels
 
-    def _target(self, j: int, part: int) -> str:
-        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[part]}"
+    def _target(self, j: int, component: int) -> str:
+        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[component]}"
 
-    def _kept(self, part: int, j: int) -> list[ClipChannel]:
-        """Return channels of a joint's part with the file's keys, if possible."""
+    def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
+        """Return channels of a joint's component with the file's keys, if possible."""
         model = self.models[self.fbx_rig.rows[j].model]
-        track = self._track(model, (TRANSLATION, ROTATION, SCALING)[part])
-        keys = None if track is None else joined_keys(track, model.base[part])
+        track = self._track(model, (TRANSLATION, ROTATION, SCALING)[component])
+        keys = None if track is None else joined_keys(track, model.base[component])
         if keys is None:
             return []
-        if part == 1:
-            return self._turned(j, model, keys)
-        return (self._moved if part == 0 else self._scaled)(j, model, keys)
+        if component == 1:
+            return self._rotation_channels(j, model, keys)
+        return (self._translation_channels if component == 0 else self._scale_channels)(
+            j, model, keys
+        )
 
-    def _moved(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+    def _translation_channels(
+        self, j: int, model: Model, keys: JoinedKeys
+    ) -> list[ClipChannel]:
         shift = self._shift(model)
         if shift is None:
             return []
         factor = self.fbx_rig.factors[j]
-        basis = self.moving.scene.settings.basis if model.parent < 0 else np.eye(3)
+        basis = self.sampler.scene.settings.basis if model.parent < 0 else np.eye(3)
         target = self._target(j, 0)
         return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
 
-    def _scaled(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+    def _scale_channels(
+        self, j: int, model: Model, keys: JoinedKeys
+    ) -> list[ClipChannel]:
         inherits = model.inherit == INHERIT or model.parent < 0
         if not inherits or self.fbx_rig.rows[j].kind is not RowKind.FULL:
             return []
         return [self._channel(self._target(j, 2), keys, np.eye(3), np.zeros(3))]
 
     def _track(self, model: Model, name: str) -> PropertyTrack | None:
-        take = self.moving.take
+        take = self.sampler.take
         return None if take is None else take.tracks.get((model.object.id, name))
 
     def _shift(self, model: Model) -> FloatArray | None:
@@ -168,19 +185,23 @@ class _ClipBuilder:
         ticks = np.zeros(1, np.int64)
         return np.asarray(model.local(None, ticks)[0][0] - model.base[0])
 
-    def _turned(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
+    def _rotation_channels(
+        self, j: int, model: Model, keys: JoinedKeys
+    ) -> list[ClipChannel]:
         """Return Euler angle channels after the constant pre-rotation."""
         if any(self._track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
-        if np.abs(model.post[:3]).max() > SAME:
+        if np.abs(model.post[:3]).max() > REST_TOLERANCE:
             return []
-        inner = self.fbx_rig.rows[j].kind is RowKind.INNER
-        is_root = model.parent < 0 and not inner
-        before = so3.multiply(self.axes_rotation, model.pre) if is_root else model.pre
-        before = so3.normalize(before)
+        is_inner = self.fbx_rig.rows[j].kind is RowKind.INNER
+        is_root = model.parent < 0 and not is_inner
+        pre_rotation = (
+            so3.multiply(self.axes_rotation, model.pre) if is_root else model.pre
+        )
+        pre_rotation = so3.normalize(pre_rotation)
         channels = []
-        if so3.angle_between(before, self.defaults[1][j]) > SAME:
-            channels.append(self._static_channel(self._target(j, 1), before))
+        if so3.angle_between(pre_rotation, self.defaults[1][j]) > REST_TOLERANCE:
+            channels.append(self._static_channel(self._target(j, 1), pre_rotation))
         order = np.eye(3)[list(euler.axes_of(model.order))] * (np.pi / 180.0)
         target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
         return [*channels, self._channel(target, keys, order, np.zeros(3), model.order)]
@@ -218,15 +239,15 @@ class _ClipBuilder:
         """Return key times [frames], snapped to a frame within a tick."""
         per_tick = float(self.frames.fps) / TICKS
         codes = ticks * per_tick
-        rounded = np.round(codes)
-        return np.where(np.abs(codes - rounded) <= 2.0 * per_tick, rounded, codes)
+        frames = np.round(codes)
+        return np.where(np.abs(codes - frames) <= 2.0 * per_tick, frames, codes)
 
     def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
         interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
         ticks = self.frames.ticks(np.array([float(self.frames.first)]))
-        return self._plain(target, ticks, value[None].copy(), interp)
+        return self._key_channel(target, ticks, value[None].copy(), interp)
 
-    def _plain(
+    def _key_channel(
         self, target: str, ticks: IntArray, values: FloatArray, interp: Interp
     ) -> ClipChannel:
         keys, width = values.shape
@@ -246,60 +267,68 @@ class _ClipBuilder:
         """Return the times of all frames and of keys between them [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
-        take = self.moving.take
+        take = self.sampler.take
         keys = np.zeros(0, np.int64) if take is None else take.key_times()
         keys = keys[(keys > ticks[0]) & (keys < ticks[-1])]
-        near = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
-        before = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1]
-        distance = np.minimum(np.abs(near - keys), np.abs(keys - before))
+        tick_after = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
+        tick_before = ticks[
+            np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1
+        ]
+        distance = np.minimum(np.abs(tick_after - keys), np.abs(keys - tick_before))
         keys = keys[distance > ON_FRAME * TICKS / float(self.frames.fps)]
         return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
 
-    def _samples(self, part: int) -> list[ClipChannel]:
+    def _samples(self, component: int) -> list[ClipChannel]:
         """Return sampled channels of a part; record their errors."""
-        rows = self.sampled[part]
+        rows = self.sampled[component]
         if not rows:
             return []
         ticks = self._times()
         middles = (ticks[1:] + ticks[:-1]) // 2
-        columns = self.moving.moving[part].tolist()
-        values, between = (self._values(part, at) for at in (ticks, middles))
+        columns = self.sampler.animated[component].tolist()
+        values, middle_values = (self._values(component, at) for at in (ticks, middles))
         channels = []
         for column, j in enumerate(columns):
             if j not in rows:
                 continue
-            samples, exact = values[:, column], between[:, column]
-            self.off.count += 1
-            if part == 1:
+            samples, exact = values[:, column], middle_values[:, column]
+            self.errors.count += 1
+            if component == 1:
                 samples = so3.align_signs(samples)
                 errors = so3.angle_between(
                     so3.slerp(samples[:-1], samples[1:], 0.5), exact
                 )
                 worst = float(errors.max(initial=0.0))
-                self.off.radians = max(self.off.radians, worst)
+                self.errors.radians = max(self.errors.radians, worst)
             else:
-                lost = np.abs((samples[:-1] + samples[1:]) / 2 - exact).max(initial=0.0)
-                if part == 0:
-                    self.off.metres = max(self.off.metres, float(lost))
+                error = np.abs((samples[:-1] + samples[1:]) / 2 - exact).max(
+                    initial=0.0
+                )
+                if component == 0:
+                    self.errors.metres = max(self.errors.metres, float(error))
                 else:
-                    self.off.scale = max(self.off.scale, float(lost))
-            interp = Interp.SLERP if part == 1 else Interp.LINEAR
-            channels.append(self._plain(self._target(j, part), ticks, samples, interp))
+                    self.errors.scale = max(self.errors.scale, float(error))
+            interp = Interp.SLERP if component == 1 else Interp.LINEAR
+            channels.append(
+                self._key_channel(self._target(j, component), ticks, samples, interp)
+            )
         return channels
 
-    def _values(self, part: int, ticks: IntArray) -> FloatArray:
-        motion = self.moving.at(ticks)
-        channel = (motion.translations, motion.rotations, motion.scales)[part]
+    def _values(self, component: int, ticks: IntArray) -> FloatArray:
+        motion = self.sampler.at(ticks)
+        channel = (motion.translations, motion.rotations, motion.scales)[component]
         assert channel is not None
         return np.asarray(channel.values)
 
     def notices(self) -> list[Fault]:
         """Return one notice with the count and errors of sampled channels."""
-        off = self.off
-        if not off.count:
+        errors = self.errors
+        if not errors.count:
             return []
-        message = f"{counted(off.count, 'channel')} sampled, as a clip has no such "
+        message = f"{counted(errors.count, 'channel')} sampled, as a clip has no such "
         message += "keys (layers, pivots, inherited scales, steps of one part): up to "
-        message += f"{off.metres * 1e3:.3g} mm, {np.degrees(off.radians):.3g} degrees "
-        message += f"and {off.scale:.3g} of scale off between keys"
+        message += (
+            f"{errors.metres * 1e3:.3g} mm, {np.degrees(errors.radians):.3g} degrees "
+        )
+        message += f"and {errors.scale:.3g} of scale off between keys"
         return [Fault("FBX121", message, severity=Severity.NOTE)]

@@ -1,8 +1,8 @@
 """FBX animation curves: keys, tangents and extrapolation.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurve` and `FbxAnimCurveKey`.
-Between two keys a cubic segment is a Bézier curve whose handles lie at a weight of the
-segment's time, a third where the key states none, along the slopes of the keys.
+Between two keys a cubic segment is a Bézier curve. Its handles lie along the slopes of
+the keys, at a weight of the segment's duration, which is a third by default.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from animtool.formats.fbx.settings import TICKS
 CONSTANT, NEXT, LINEAR, CUBIC = range(4)
 THIRD = 1.0 / 3.0
 MAX_KEYS = 20_000_000
-# Ticks of a time that is read; 2^62 leaves room for sums.
+# Largest time that is read [tick]; 2^62 leaves room for sums.
 MAX_TICKS = 2**61
 
 
 @dataclass(frozen=True, slots=True)
-class Outside:
+class FbxExtrapolation:
     """Extrapolation before the first or after the last key.
 
-    mode: C holds, R repeats, A repeats with offset, M mirrors, K goes on straight.
-    count: How often; below 0 without end.
+    mode: C constant, R repeat, A repeat with offset, M mirror, K keep slope.
+    count: Number of repetitions; below 0 is endless.
     """
 
     mode: str = "C"
@@ -37,68 +37,78 @@ class FbxCurve:
     """Keys of one scalar over time.
 
     Attributes:
-        times: Of its K keys, ascending ``(K,)`` [ticks].
+        times: Times of the K keys, ascending ``(K,)`` [tick].
         values: ``(K,)``.
-        modes: How each goes on to the next ``(K,)``.
-        right: Slope out of each key ``(K,)`` [1/s]; of straight segments theirs.
-        left: Slope into the next key ``(K,)`` [1/s], likewise.
-        weights: Of the handles out of each key and into the next, of the segment's
-            time ``(K, 2)``.
-        pre: Before the first key.
-        post: After the last key.
+        modes: Interpolation from each key to the next ``(K,)``.
+        out_slopes: Slope out of each key ``(K,)`` [1/s]; for linear
+            segments their slope.
+        in_slopes: Slope into the next key ``(K,)`` [1/s], likewise.
+        weights: Weights of the handles out of each key and into the next, as fractions
+            of
+            the segment's duration ``(K, 2)``.
+        pre: Extrapolation before the first key.
+        post: Extrapolation after the last key.
     """
 
     times: IntArray
     values: FloatArray
     modes: IntArray
-    right: FloatArray
-    left: FloatArray
+    out_slopes: FloatArray
+    in_slopes: FloatArray
     weights: FloatArray
-    pre: Outside = Outside()
-    post: Outside = Outside()
+    pre: FbxExtrapolation = FbxExtrapolation()
+    post: FbxExtrapolation = FbxExtrapolation()
 
     def is_static(self) -> bool:
         """Return whether the value never changes."""
         if (self.values != self.values[0]).any():
             return False
         cubic = self.modes[:-1] == CUBIC
-        sloped = (self.right[:-1] != 0) | (self.left[:-1] != 0)
+        has_slope = (self.out_slopes[:-1] != 0) | (self.in_slopes[:-1] != 0)
         straight = "K" in {self.pre.mode, self.post.mode} and len(self.times) > 1
-        return not (cubic & sloped).any() and not straight
+        return not (cubic & has_slope).any() and not straight
 
     def at(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F,)`` [ticks]."""
         first, last = int(self.times[0]), int(self.times[-1])
         values = self._inside(np.clip(ticks, first, last))
-        for outside, late in ((self.pre, False), (self.post, True)):
-            rows = ticks > last if late else ticks < first
-            if rows.any() and outside.mode != "C" and last > first:
-                values[rows] = self._outside(ticks[rows], outside, late=late)
+        for extrapolation, is_post in ((self.pre, False), (self.post, True)):
+            rows = ticks > last if is_post else ticks < first
+            if rows.any() and extrapolation.mode != "C" and last > first:
+                values[rows] = self._outside(
+                    ticks[rows], extrapolation, is_post=is_post
+                )
         return values
 
-    def _outside(self, ticks: IntArray, how: Outside, *, late: bool) -> FloatArray:
+    def _outside(
+        self, ticks: IntArray, extrapolation: FbxExtrapolation, *, is_post: bool
+    ) -> FloatArray:
         first, last = int(self.times[0]), int(self.times[-1])
         span = last - first
-        away = ticks - last if late else first - ticks
-        if how.mode == "K":
-            slope = self.left[-2] if late else self.right[0]
-            end = self.values[-1 if late else 0]
-            return np.asarray(end + slope * (ticks - (last if late else first)) / TICKS)
-        if how.count == 0:
-            return np.full(len(ticks), self.values[-1 if late else 0])
-        repeats, rest = np.divmod(away, span)
-        if how.count > 0:
-            over = repeats >= how.count
-            repeats = np.where(over, how.count - 1, repeats)
-            rest = np.where(over, span, rest)
-        back = np.full(len(ticks), not late)
-        if how.mode == "M":
-            back = (repeats % 2 == 0) == late
-        inside = self._inside(np.where(back, last - rest, first + rest))
-        if how.mode == "A":
+        distance = ticks - last if is_post else first - ticks
+        if extrapolation.mode == "K":
+            slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
+            end = self.values[-1 if is_post else 0]
+            return np.asarray(
+                end + slope * (ticks - (last if is_post else first)) / TICKS
+            )
+        if extrapolation.count == 0:
+            return np.full(len(ticks), self.values[-1 if is_post else 0])
+        repeats, remainder = np.divmod(distance, span)
+        if extrapolation.count > 0:
+            is_exhausted = repeats >= extrapolation.count
+            repeats = np.where(is_exhausted, extrapolation.count - 1, repeats)
+            remainder = np.where(is_exhausted, span, remainder)
+        is_backward = np.full(len(ticks), not is_post)
+        if extrapolation.mode == "M":
+            is_backward = (repeats % 2 == 0) == is_post
+        repeated = self._inside(
+            np.where(is_backward, last - remainder, first + remainder)
+        )
+        if extrapolation.mode == "A":
             step = self.values[-1] - self.values[0]
-            inside = inside + (repeats + 1) * (step if late else -step)
-        return inside
+            repeated = repeated + (repeats + 1) * (step if is_post else -step)
+        return repeated
 
     def _inside(self, ticks: IntArray) -> FloatArray:
         """Return the values at times between the first key and the last."""
@@ -107,54 +117,65 @@ class FbxCurve:
         k = np.searchsorted(self.times, ticks, "right") - 1
         k = np.clip(k, 0, len(self.times) - 1)
         values = self.values[k].copy()
-        between = ticks != self.times[k]
-        if not between.any():
+        off_key = ticks != self.times[k]
+        if not off_key.any():
             return values
-        rows = np.flatnonzero(between)
+        rows = np.flatnonzero(off_key)
         k = k[rows]
         mode = self.modes[k]
         span = (self.times[k + 1] - self.times[k]).astype(np.float64)
         fraction = (ticks[rows] - self.times[k]) / span
-        low, high = self.values[k], self.values[k + 1]
-        moved = np.where(mode == NEXT, high, low)
-        moved = np.where(mode == LINEAR, low + fraction * (high - low), moved)
+        start_values, end_values = self.values[k], self.values[k + 1]
+        stepped = np.where(mode == NEXT, end_values, start_values)
+        stepped = np.where(
+            mode == LINEAR,
+            start_values + fraction * (end_values - start_values),
+            stepped,
+        )
         cubic = mode == CUBIC
         if cubic.any():
             k, seconds = k[cubic], span[cubic] / TICKS
             weights = self.weights[k]
             u = bezier_parameter(fraction[cubic], weights)
-            a = low[cubic] + self.right[k] * weights[:, 0] * seconds
-            b = high[cubic] - self.left[k] * weights[:, 1] * seconds
+            a = start_values[cubic] + self.out_slopes[k] * weights[:, 0] * seconds
+            b = end_values[cubic] - self.in_slopes[k] * weights[:, 1] * seconds
             v = 1.0 - u
-            moved[cubic] = v * v * (v * low[cubic] + 3 * u * a)
-            moved[cubic] += u * u * (u * high[cubic] + 3 * v * b)
-        values[rows] = moved
+            stepped[cubic] = v * v * (v * start_values[cubic] + 3 * u * a)
+            stepped[cubic] += u * u * (u * end_values[cubic] + 3 * v * b)
+        values[rows] = stepped
         return values
 
 
 def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the Bézier parameter ``(F,)`` of time fractions of a segment.
 
-    By bisection, then Newton's method where it stays between the bounds.
+    Uses Newton's method, or bisection if that leaves the bounds.
     """
     u = fraction.copy()
-    weighted = np.flatnonzero(np.abs(weights - THIRD).max(axis=1) > 1e-9)
-    if not len(weighted):
+    has_weights = np.flatnonzero(np.abs(weights - THIRD).max(axis=1) > 1e-9)
+    if not len(has_weights):
         return u
-    s, a, b = fraction[weighted], weights[weighted, 0], 1.0 - weights[weighted, 1]
-    low, high = np.zeros(len(s)), np.ones(len(s))
+    s, a, b = (
+        fraction[has_weights],
+        weights[has_weights, 0],
+        1.0 - weights[has_weights, 1],
+    )
+    lower, upper = np.zeros(len(s)), np.ones(len(s))
     x = s.copy()
     for _ in range(60):
         y = 1.0 - x
-        off = 3 * y * y * x * a + 3 * y * x * x * b + x**3 - s
-        low, high = np.where(off <= 0, x, low), np.where(off >= 0, x, high)
+        residual = 3 * y * y * x * a + 3 * y * x * x * b + x**3 - s
+        lower, upper = (
+            np.where(residual <= 0, x, lower),
+            np.where(residual >= 0, x, upper),
+        )
         slope = 3 * y * y * a + 6 * y * x * (b - a) + 3 * x * x * (1 - b)
-        step = x - off / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
-        inside = (step > low) & (step < high)
-        after = np.where(inside, step, 0.5 * (low + high))
-        done = np.abs(after - x).max() < 1e-15
-        x = after
-        if done:
+        step = x - residual / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
+        in_bounds = (step > lower) & (step < upper)
+        next_x = np.where(in_bounds, step, 0.5 * (lower + upper))
+        is_converged = np.abs(next_x - x).max() < 1e-15
+        x = next_x
+        if is_converged:
             break
-    u[weighted] = x
+    u[has_weights] = x
     return u

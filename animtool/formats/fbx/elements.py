@@ -13,12 +13,12 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 
-# Elements nest four deep for an object's keys; a file that goes on is no scene.
+# Maximum nesting. Keys of an object are four deep; deeper files are not scenes.
 MAX_DEPTH = 48
 MAX_ELEMENTS = 3_000_000
-# What arrays of a file take, inflated [bytes].
+# Limit of all arrays of a file, inflated [byte].
 MAX_ARRAY_BYTES = 1_000_000_000
-# float32 as some tools write it; a number beyond is none.
+# Largest float32; larger numbers are invalid.
 FLOAT32_LIMIT = 3.4028234663852886e38
 
 
@@ -33,11 +33,11 @@ class Element:
 
     def find(self, name: str) -> Element | None:
         """Return the first child element of a name."""
-        return next((one for one in self.children if one.name == name), None)
+        return next((child for child in self.children if child.name == name), None)
 
     def all(self, name: str) -> Iterator[Element]:
         """Yield the child elements of a name."""
-        return (one for one in self.children if one.name == name)
+        return (child for child in self.children if child.name == name)
 
     def text(self, index: int) -> str:
         """Return a value that is text; else an empty string."""

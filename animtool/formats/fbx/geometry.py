@@ -16,7 +16,7 @@ from animtool.formats.fbx.takes import old_shapes, shape_id
 
 LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
 _BLENDER = "blender (stable fbx io)"
-# Cells of a table of faces or weights.
+# Maximum cells of a table of faces or weights.
 MAX_CELLS = 100_000_000
 
 
@@ -25,12 +25,12 @@ class Cluster:
     """Skin weights of one bone on a mesh.
 
     Attributes:
-        bone: Its node, by id.
-        from_mesh: From the mesh's node to the bone at bind time ``(4, 4)``.
-        world: Of the bone at bind time ``(4, 4)``.
+        bone: Id of the bone's node.
+        from_mesh: bone_from_mesh at bind time ``(4, 4)``.
+        world: world_from_bone at bind time ``(4, 4)``.
         indices: Control points ``(N,)``.
-        weights: Of these ``(N,)``.
-        where: Its element.
+        weights: Weights of these ``(N,)`` [1].
+        where: Location of its element in the file.
     """
 
     bone: Id
@@ -46,10 +46,10 @@ class ShapeChannel:
     """A blend shape channel with its in-between targets.
 
     Attributes:
-        id: Of the channel, whose percentage is animated.
-        name: As in the file.
-        percent: Its weight without animation [%].
-        targets: Weight at which each is full [%], and its offsets ``(V, 3)``.
+        id: Id of the channel, whose percentage is animated.
+        name: Name in the file.
+        percent: Weight without animation [%].
+        targets: For each target its full weight [%] and offsets ``(V, 3)``.
     """
 
     id: Id
@@ -63,12 +63,12 @@ class FbxGeometry:
     """A mesh, shown by one or several nodes.
 
     Attributes:
-        name: As in the file, often empty.
+        name: Name in the file, often empty.
         points: Control points ``(V, 3)``.
-        faces: Indices of them, -1 fills a face of fewer corners ``(N, K)``.
-        method: Of its skin.
-        clusters: Of its skin.
-        shapes: Its blend shapes.
+        faces: Control point indices, padded with -1 ``(N, K)``.
+        method: Skinning method.
+        clusters: Skin weights by bone.
+        shapes: Blend shapes.
     """
 
     name: str
@@ -83,72 +83,75 @@ def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
     """Return the mesh of each node that shows one, by node id.
 
     Raises:
-        FormatError: Numbers of a mesh, skin or shape are broken (FBX005, FBX008), or it
-            is deformed in a way that is not read (FBX004).
+        FormatError: Numbers of a mesh, skin or shape are invalid (FBX005, FBX008), or
+            it
+            is deformed in an unsupported way (FBX004).
     """
     if file.version < NUMBERED:
-        holders = [one for one in file.of_kind("Model") if one.element.find("Vertices")]
-        shown = [(one, one) for one in holders]
+        old_meshes = [
+            one for one in file.of_kind("Model") if one.element.find("Vertices")
+        ]
+        shown_meshes = [(one, one) for one in old_meshes]
         # Instances share the mesh of another object.
-        holders = file.of_kind("Geometry", "Mesh")
+        old_meshes = file.of_kind("Geometry", "Mesh")
     else:
-        shown, holders = [], file.of_kind("Geometry", "Mesh")
-    for one in holders:
-        shown += [(one, model) for model in file.targets(one.id, "Model")]
-    read: dict[Id, FbxGeometry | None] = {}
+        shown_meshes, old_meshes = [], file.of_kind("Geometry", "Mesh")
+    for one in old_meshes:
+        shown_meshes += [(one, model) for model in file.targets(one.id, "Model")]
+    meshes_by_id: dict[Id, FbxGeometry | None] = {}
     meshes: dict[Id, FbxGeometry] = {}
-    for holder, model in shown:
-        if holder.id not in read:
-            read[holder.id] = _geometry(file, holder, model)
-        mesh = read[holder.id]
+    for holder, model in shown_meshes:
+        if holder.id not in meshes_by_id:
+            meshes_by_id[holder.id] = _geometry(file, holder, model)
+        mesh = meshes_by_id[holder.id]
         if mesh is not None:
             meshes.setdefault(model.id, mesh)
     return meshes
 
 
-def _geometry(file: FbxFile, of: Object, model: Object) -> FbxGeometry | None:
-    notes, element, name = file.notes, of.element, model.name
-    flat = floats(element, "Vertices", notes)
+def _geometry(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry | None:
+    notes, element, name = file.notes, mesh_object.element, model.name
+    coordinates = floats(element, "Vertices", notes)
     corners = integers(element, "PolygonVertexIndex", notes)
-    if flat is None or not len(flat):
+    if coordinates is None or not len(coordinates):
         return None
-    if len(flat) % 3:
-        message = f"{len(flat)} numbers of {name!r} do not make points"
+    if len(coordinates) % 3:
+        message = f"{len(coordinates)} numbers of {name!r} do not make points"
         notes.fail("FBX008", element.where, message)
-    points = flat.reshape(-1, 3)
-    faces = _faces(file, of, corners, len(points), name)
-    geometry = FbxGeometry(of.name, points, faces)
-    _add_skin(file, of, geometry, name)
-    _add_shapes(file, of, geometry, model)
+    points = coordinates.reshape(-1, 3)
+    faces = _faces(file, mesh_object, corners, len(points), name)
+    geometry = FbxGeometry(mesh_object.name, points, faces)
+    _add_skin(file, mesh_object, geometry, name)
+    _add_shapes(file, mesh_object, geometry, model)
     return geometry
 
 
 def _faces(
-    file: FbxFile, of: Object, corners: IntArray | None, count: int, name: str
+    file: FbxFile, mesh_object: Object, corners: IntArray | None, count: int, name: str
 ) -> IntArray:
     """Return faces; FBX bit-inverts the last corner index of each."""
     if corners is None or not len(corners):
         return np.zeros((0, 3), np.int64)
-    ends = corners < 0
-    plain = np.where(ends, ~corners, corners)
-    if not ends[-1] or (plain >= count).any() or (plain < 0).any():
+    is_last = corners < 0
+    point_indices = np.where(is_last, ~corners, corners)
+    if not is_last[-1] or (point_indices >= count).any() or (point_indices < 0).any():
         message = f"a face of {name!r} has a corner outside its {count} points"
-        file.notes.fail("FBX008", of.element.where, message)
-    last = np.flatnonzero(ends)
-    sizes = np.diff(np.concatenate([[-1], last]))
+        file.notes.fail("FBX008", mesh_object.element.where, message)
+    last_corners = np.flatnonzero(is_last)
+    sizes = np.diff(np.concatenate([[-1], last_corners]))
     if int(sizes.max()) * len(sizes) > MAX_CELLS:
         message = f"faces of {name!r} have up to {int(sizes.max())} corners"
-        file.notes.fail("FBX013", of.element.where, message)
+        file.notes.fail("FBX013", mesh_object.element.where, message)
     rows = np.repeat(np.arange(len(sizes)), sizes)
-    columns = np.arange(len(plain)) - np.repeat(last + 1 - sizes, sizes)
+    columns = np.arange(len(point_indices)) - np.repeat(last_corners + 1 - sizes, sizes)
     faces = np.full((len(sizes), max(3, int(sizes.max()))), -1, np.int64)
-    faces[rows, columns] = plain
+    faces[rows, columns] = point_indices
     return faces[sizes >= 3]
 
 
-def _add_skin(file: FbxFile, of: Object, mesh: FbxGeometry, name: str) -> None:
+def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) -> None:
     notes = file.notes
-    deformers = file.sources(of.id, "Deformer")
+    deformers = file.sources(mesh_object.id, "Deformer")
     for one in deformers:
         if one.subtype not in {"Skin", "BlendShape"}:
             message = (
@@ -158,11 +161,13 @@ def _add_skin(file: FbxFile, of: Object, mesh: FbxGeometry, name: str) -> None:
             notes.warn("FBX107", one.element.where, message, hint)
     skins = [one for one in deformers if one.subtype == "Skin"]
     if len(skins) > 1:
-        # One that moves no point is none.
+        # A skin without weights has no effect.
         skins = [one for one in skins if _has_weights(file, one)]
     if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins on top of each other"
-        notes.fail("FBX004", of.element.where, message, "export it with one skin")
+        notes.fail(
+            "FBX004", mesh_object.element.where, message, "export it with one skin"
+        )
     for skin in skins:
         for one in file.sources(skin.id, "Deformer", "Cluster"):
             cluster = _cluster(file, one, len(mesh.points), name)
@@ -184,9 +189,9 @@ def _has_weights(file: FbxFile, skin: Object) -> bool:
     return any(one is not None and len(one) for one in indices)
 
 
-def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | None:
-    notes, element = file.notes, of.element
-    bones = [one for one in file.sources(of.id, "Model") if one.id not in ROOTS]
+def _cluster(file: FbxFile, source: Object, points: int, name: str) -> Cluster | None:
+    notes, element = file.notes, source.element
+    bones = [one for one in file.sources(source.id, "Model") if one.id not in ROOTS]
     indices = integers(element, "Indexes", notes)
     weights = floats(element, "Weights", notes)
     if indices is None or weights is None or not len(indices):
@@ -197,16 +202,20 @@ def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | Non
         return None
     mode = element.find("Mode")
     if mode is not None and mode.text(0) == "Additive":
-        message = f"skin of {name!r}: additive cluster {of.name!r} is not supported"
+        message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
         notes.fail("FBX004", element.where, message)
     if len(indices) != len(weights):
-        message = f"{len(indices)} indices of {of.name!r} have {len(weights)} weights"
+        message = (
+            f"{len(indices)} indices of {source.name!r} have {len(weights)} weights"
+        )
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= points).any():
-        message = f"cluster {of.name!r} refers to a point that {name!r} does not have"
+        message = (
+            f"cluster {source.name!r} refers to a point that {name!r} does not have"
+        )
         notes.fail("FBX008", element.where, message)
     if (weights < -1e-6).any():
-        message = f"cluster {of.name!r} has negative weights"
+        message = f"cluster {source.name!r} has negative weights"
         notes.fail("FBX008", element.where, message)
     matrices = [_matrix(file, element, key) for key in ("Transform", "TransformLink")]
     return Cluster(
@@ -221,10 +230,10 @@ def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | Non
 
 def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     """Return a column-vector matrix; files store row-vector ones."""
-    flat = floats(element, name, file.notes, 16)
-    if flat is None:
+    numbers = floats(element, name, file.notes, 16)
+    if numbers is None:
         return np.eye(4)
-    matrix = flat.reshape(4, 4).T.copy()
+    matrix = numbers.reshape(4, 4).T.copy()
     size = float(np.abs(matrix[:3, :3]).max())
     singular = not size or abs(np.linalg.det(matrix[:3, :3] / size)) < 1e-12
     if singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
@@ -237,39 +246,42 @@ def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     """Return cluster indices and weights of each point ``(V, I)``.
 
     Weights are normalised. The cluster after the last is the mesh's own node, which
-    points without a weight follow.
+    moves
+    points without weights.
     """
     count, clusters = len(mesh.points), len(mesh.clusters)
     points = np.concatenate([one.indices for one in mesh.clusters])
     weights = np.concatenate([one.weights for one in mesh.clusters])
     sizes = [len(one.indices) for one in mesh.clusters]
     of = np.repeat(np.arange(clusters), sizes)
-    shown = weights > 0
-    points, weights, of = points[shown], weights[shown], of[shown]
+    has_weight = weights > 0
+    points, weights, of = points[has_weight], weights[has_weight], of[has_weight]
     order = np.argsort(points, kind="stable")
     points, weights, of = points[order], weights[order], of[order]
-    many = np.bincount(points, minlength=count)
-    width = max(1, int(many.max(initial=0)))
-    starts = np.concatenate([[0], np.cumsum(many)[:-1]])
+    influence_counts = np.bincount(points, minlength=count)
+    width = max(1, int(influence_counts.max(initial=0)))
+    starts = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
     columns = np.arange(len(points)) - starts[points]
     indices = np.zeros((count, width), np.int64)
     table = np.zeros((count, width))
     indices[points, columns], table[points, columns] = of, weights
-    sums = table.sum(axis=1, keepdims=True)
-    free = sums[:, 0] <= 0
-    indices[free, 0], table[free, 0] = clusters, 1.0
-    return indices, table / np.where(sums <= 0, 1.0, sums)
+    weight_sums = table.sum(axis=1, keepdims=True)
+    is_unweighted = weight_sums[:, 0] <= 0
+    indices[is_unweighted, 0], table[is_unweighted, 0] = clusters, 1.0
+    return indices, table / np.where(weight_sums <= 0, 1.0, weight_sums)
 
 
 def has_free_points(mesh: FbxGeometry) -> bool:
     """Return whether some point of a skinned mesh has no weights."""
-    sums = np.zeros(len(mesh.points))
+    weight_sums = np.zeros(len(mesh.points))
     for one in mesh.clusters:
-        np.add.at(sums, one.indices, one.weights)
-    return bool((sums <= 0).any())
+        np.add.at(weight_sums, one.indices, one.weights)
+    return bool((weight_sums <= 0).any())
 
 
-def _add_shapes(file: FbxFile, of: Object, mesh: FbxGeometry, model: Object) -> None:
+def _add_shapes(
+    file: FbxFile, mesh_object: Object, mesh: FbxGeometry, model: Object
+) -> None:
     notes = file.notes
     for shape in old_shapes(file, model) if file.version < NUMBERED else ():
         offsets = _offsets(file, shape, shape.text(0), len(mesh.points))
@@ -278,39 +290,43 @@ def _add_shapes(file: FbxFile, of: Object, mesh: FbxGeometry, model: Object) -> 
         mesh.shapes.append(
             ShapeChannel(channel_id, shape.text(0), percent, [(100.0, offsets)])
         )
-    for group in file.sources(of.id, "Deformer", "BlendShape"):
+    for group in file.sources(mesh_object.id, "Deformer", "BlendShape"):
         for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
             channel_ = _channel(file, channel, len(mesh.points))
             if channel_ is not None:
                 mesh.shapes.append(channel_)
 
 
-def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
-    notes, element = file.notes, of.element
-    shapes = file.sources(of.id, "Geometry", "Shape")
+def _channel(file: FbxFile, source: Object, points: int) -> ShapeChannel | None:
+    notes, element = file.notes, source.element
+    shapes = file.sources(source.id, "Geometry", "Shape")
     if not shapes:
         return None
-    full = floats(element, "FullWeights", notes)
-    parts = None
-    if full is not None and _counts_points(file):
-        parts, full = full, None
+    full_weights = floats(element, "FullWeights", notes)
+    point_percents = None
+    if full_weights is not None and _counts_points(file):
+        point_percents, full_weights = full_weights, None
         if len(shapes) > 1:
-            full = np.full(len(shapes), 100.0)
-    if full is None or len(full) < len(shapes):
+            full_weights = np.full(len(shapes), 100.0)
+    if full_weights is None or len(full_weights) < len(shapes):
         if len(shapes) > 1:
-            message = f"{counted(len(shapes), 'shape')} of {of.name!r} have no weights"
+            message = (
+                f"{counted(len(shapes), 'shape')} of {source.name!r} have no weights"
+            )
             notes.fail("FBX008", element.where, message)
-        full = np.array([100.0])
-    percent = scalar(of, PERCENT, 0.0, notes)
-    if PERCENT not in of.properties:
-        stated = floats(element, PERCENT, notes)
-        percent = float(stated[0]) if stated is not None and len(stated) else percent
+        full_weights = np.array([100.0])
+    percent = scalar(source, PERCENT, 0.0, notes)
+    if PERCENT not in source.properties:
+        percents = floats(element, PERCENT, notes)
+        percent = (
+            float(percents[0]) if percents is not None and len(percents) else percent
+        )
     targets = []
-    for shape, at in zip(shapes, full.tolist(), strict=False):
-        offsets = _offsets(file, shape.element, shape.name, points, parts)
+    for shape, at in zip(shapes, full_weights.tolist(), strict=False):
+        offsets = _offsets(file, shape.element, shape.name, points, point_percents)
         targets.append((at, offsets))
     targets.sort(key=lambda one: one[0])
-    return ShapeChannel(of.id, of.name, percent, targets)
+    return ShapeChannel(source.id, source.name, percent, targets)
 
 
 def _counts_points(file: FbxFile) -> bool:
@@ -325,26 +341,28 @@ def _offsets(
     element: Element,
     name: str,
     points: int,
-    parts: FloatArray | None = None,
+    percents: FloatArray | None = None,
 ) -> FloatArray:
     """Return the point offsets of a shape ``(V, 3)``.
 
-    parts: How much of each offset that it states counts [%].
+    ``percents`` is the percentage of each stated offset that applies [%].
     """
     notes = file.notes
     table = np.zeros((points, 3))
     indices = integers(element, "Indexes", notes)
-    flat = floats(element, "Vertices", notes)
-    if indices is None or flat is None or not len(indices):
+    coordinates = floats(element, "Vertices", notes)
+    if indices is None or coordinates is None or not len(indices):
         return table
-    if len(flat) != 3 * len(indices):
-        message = f"{len(indices)} indices of shape {name!r} have {len(flat)} numbers"
+    if len(coordinates) != 3 * len(indices):
+        message = (
+            f"{len(indices)} indices of shape {name!r} have {len(coordinates)} numbers"
+        )
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= points).any():
         message = f"shape {name!r} counts a point that its mesh has not"
         notes.fail("FBX008", element.where, message)
-    offsets = flat.reshape(-1, 3)
-    if parts is not None and len(parts) == len(offsets):
-        offsets = offsets * (parts[:, None] / 100.0)
+    offsets = coordinates.reshape(-1, 3)
+    if percents is not None and len(percents) == len(offsets):
+        offsets = offsets * (percents[:, None] / 100.0)
     table[indices] = offsets
     return table

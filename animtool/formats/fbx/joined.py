@@ -1,4 +1,4 @@
-"""Curves of a property's components joined to keys of all components."""
+"""Curves of a property's components merged to keys of all components."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.curves import CONSTANT, CUBIC, NEXT, THIRD, FbxCurve, Outside
+from animtool.formats.fbx.curves import (
+    CONSTANT,
+    CUBIC,
+    NEXT,
+    THIRD,
+    FbxCurve,
+    FbxExtrapolation,
+)
 from animtool.formats.fbx.layers import PropertyTrack
 from animtool.formats.fbx.settings import TICKS
 from animtool.maths.curves import Extrapolation, Interp
 
-# Weights of handles that differ by less are one.
+# Handle weights closer than this are equal.
 SAME_WEIGHT = 1e-9
 _OUTSIDE = {
     "C": Extrapolation.HOLD,
@@ -26,16 +33,16 @@ _OUTSIDE = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedKeys:
-    """Keys of a property of D parts.
+    """Keys of a property of D components.
 
     Attributes:
         ticks: Times ``(K,)``.
         values: ``(K, D)``.
-        interps: Of the segment after each key, K long.
+        interps: Interpolation of the segment after each key, K entries.
         ins: Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
         outs: Handles after the keys, likewise.
-        pre: Before the first key.
-        post: After the last.
+        pre: Extrapolation before the first key.
+        post: Extrapolation after the last key.
     """
 
     ticks: IntArray
@@ -50,59 +57,63 @@ class JoinedKeys:
 def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     """Return keys of all components of a property; None if not exact.
 
-    Keys of one part alone split the segments of the others, which changes no value.
+    A key of one component splits the segments of the others without changing values.
 
-    base: What it is without animation ``(D,)``.
+    ``base`` is the value without animation ``(D,)``.
     """
     if len(track.layers) != 1 or not track.layers[0].is_first:
         return None
     curves = track.layers[0].curves
-    keyed = [one for one in curves if one is not None]
-    outside = _outside(keyed)
-    if not keyed or outside is None:
+    keyed_curves = [one for one in curves if one is not None]
+    extrapolation = _outside(keyed_curves)
+    if not keyed_curves or extrapolation is None:
         return None
-    ticks = np.unique(np.concatenate([one.times for one in keyed]))
-    parts = [_part(one, ticks) for one in curves if one is not None]
-    kinds = _kinds(parts, len(ticks) - 1)
-    weights = _weights(parts)
-    if kinds is None or weights is None:
+    ticks = np.unique(np.concatenate([one.times for one in keyed_curves]))
+    segmented = [_segmented(one, ticks) for one in curves if one is not None]
+    interps = _kinds(segmented, len(ticks) - 1)
+    weights = _weights(segmented)
+    if interps is None or weights is None:
         return None
     seconds = np.diff(ticks) / TICKS
     count, width = len(ticks), len(curves)
     ins, outs = np.zeros((count, 1 + width)), np.zeros((count, 1 + width))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
-    remaining = iter(parts)
-    for part, curve in enumerate(curves):
+    remaining = iter(segmented)
+    for component, curve in enumerate(curves):
         if curve is not None:
             one = next(remaining)
-            outs[:-1, 1 + part] = one.right * outs[:-1, 0]
-            ins[1:, 1 + part] = one.left * ins[1:, 0]
+            outs[:-1, 1 + component] = one.out_slopes * outs[:-1, 0]
+            ins[1:, 1 + component] = one.in_slopes * ins[1:, 0]
     values = track.at(base, ticks)
-    return JoinedKeys(ticks, values, (*kinds, Interp.LINEAR), ins, outs, *outside)
+    return JoinedKeys(
+        ticks, values, (*interps, Interp.LINEAR), ins, outs, *extrapolation
+    )
 
 
 def _outside(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
-    sides = []
+    extrapolations = []
     for side in ("pre", "post"):
-        kinds = {_extrapolation(one, getattr(one, side)) for one in curves}
-        if len(kinds) != 1 or None in kinds:
+        side_extrapolations = {
+            _extrapolation(one, getattr(one, side)) for one in curves
+        }
+        if len(side_extrapolations) != 1 or None in side_extrapolations:
             return None
-        sides += [one for one in kinds if one is not None]
-    if sides and set(sides) != {Extrapolation.HOLD}:
-        first = curves[0].times
-        if any(not np.array_equal(first, one.times) for one in curves):
+        extrapolations += [one for one in side_extrapolations if one is not None]
+    if extrapolations and set(extrapolations) != {Extrapolation.HOLD}:
+        times = curves[0].times
+        if any(not np.array_equal(times, one.times) for one in curves):
             return None
-    # Where a repeat jumps a clip has the other one of the two values.
+    # At a jump between repeats, a clip has the other of the two values.
     jumps = any(one.values[0] != one.values[-1] for one in curves)
-    if not sides or (jumps and Extrapolation.CYCLE in sides):
+    if not extrapolations or (jumps and Extrapolation.CYCLE in extrapolations):
         return None
-    return sides[0], sides[1]
+    return extrapolations[0], extrapolations[1]
 
 
-def _extrapolation(curve: FbxCurve, outside: Outside) -> Extrapolation | None:
+def _extrapolation(curve: FbxCurve, outside: FbxExtrapolation) -> Extrapolation | None:
     if len(curve.times) == 1 or (outside.count == 0 and outside.mode != "K"):
         return Extrapolation.HOLD
     if outside.count > 0 and outside.mode in "RAM":
@@ -112,56 +123,80 @@ def _extrapolation(curve: FbxCurve, outside: Outside) -> Extrapolation | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SegmentedCurve:
-    """A curve over the segments between N + 1 times that hold all of its keys."""
+    """A curve over the segments between N + 1 times that include all of its keys."""
 
-    curved: BoolArray  # ``(N,)``
-    stepped: BoolArray
-    flat: BoolArray  # one value in the segment and at its end
-    split: BoolArray  # whether a segment is a part of one of the curve's
+    is_cubic: BoolArray  # ``(N,)``
+    is_stepped: BoolArray
+    is_flat: BoolArray  # constant up to and including the end
+    is_split: BoolArray  # whether it is only a part of a segment of the curve
     weights: FloatArray  # ``(N, 2)``
-    right: FloatArray  # slopes [1/s]
-    left: FloatArray
+    out_slopes: FloatArray  # slopes [1/s]
+    in_slopes: FloatArray
 
 
-def _part(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
+def _segmented(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     starts, ends = ticks[:-1], ticks[1:]
     k = np.searchsorted(curve.times, starts, "right") - 1
-    inside = (k >= 0) & (k < len(curve.times) - 1)
+    in_range = (k >= 0) & (k < len(curve.times) - 1)
     k = np.clip(k, 0, max(len(curve.times) - 2, 0))
-    nothing = np.zeros(len(starts))
+    zeros = np.zeros(len(starts))
     if len(curve.times) < 2:
-        yes, no = np.ones(len(starts), bool), np.zeros(len(starts), bool)
+        all_true, all_false = np.ones(len(starts), bool), np.zeros(len(starts), bool)
         return _SegmentedCurve(
-            no, no, yes, no, np.full((len(k), 2), THIRD), nothing, nothing
+            all_false,
+            all_false,
+            all_true,
+            all_false,
+            np.full((len(k), 2), THIRD),
+            zeros,
+            zeros,
         )
-    low, high = curve.times[k], curve.times[k + 1]
+    key_ticks, next_ticks = curve.times[k], curve.times[k + 1]
     modes = curve.modes[k]
-    curved = inside & (modes == CUBIC)
-    stepped = inside & ((modes == CONSTANT) | (modes == NEXT))
-    split = inside & ((starts != low) | (ends != high))
-    span = (high - low) / TICKS
-    rise = curve.values[k + 1] - curve.values[k]
-    level = (rise == 0) & (~curved | ((curve.right[k] == 0) & (curve.left[k] == 0)))
-    slope = rise / span
+    is_cubic = in_range & (modes == CUBIC)
+    is_stepped = in_range & ((modes == CONSTANT) | (modes == NEXT))
+    is_split = in_range & ((starts != key_ticks) | (ends != next_ticks))
+    span = (next_ticks - key_ticks) / TICKS
+    value_change = curve.values[k + 1] - curve.values[k]
+    level = (value_change == 0) & (
+        ~is_cubic | ((curve.out_slopes[k] == 0) & (curve.in_slopes[k] == 0))
+    )
+    slope = value_change / span
     ends_of = [
-        np.where(curved, _slope_at(curve, k, (at - low) / TICKS / span, span), slope)
+        np.where(
+            is_cubic, _slope_at(curve, k, (at - key_ticks) / TICKS / span, span), slope
+        )
         for at in (starts, ends)
     ]
-    right, left = (np.where(inside & ~stepped, one, 0.0) for one in ends_of)
-    # Of whole segments the slopes are those of the keys, whatever the weights.
-    unsplit = curved & ~split
-    right = np.where(unsplit, curve.right[k], right)
-    left = np.where(unsplit, curve.left[k], left)
-    # A value that holds up to the next key, and is that of it only then.
-    late = stepped & (modes == NEXT) & ~level
-    if late.any():
-        stepped, level = stepped & ~late, level & ~late
+    out_slopes, in_slopes = (
+        np.where(in_range & ~is_stepped, one, 0.0) for one in ends_of
+    )
+    # Complete segments keep the slopes of the keys, whatever their weights.
+    is_complete = is_cubic & ~is_split
+    out_slopes = np.where(is_complete, curve.out_slopes[k], out_slopes)
+    in_slopes = np.where(is_complete, curve.in_slopes[k], in_slopes)
+    # The value of a NEXT segment applies from its start.
+    holds_next = is_stepped & (modes == NEXT) & ~level
+    if holds_next.any():
+        is_stepped, level = is_stepped & ~holds_next, level & ~holds_next
         return _SegmentedCurve(
-            curved | late, stepped, level, split | late, _never(k), right, left
+            is_cubic | holds_next,
+            is_stepped,
+            level,
+            is_split | holds_next,
+            _never(k),
+            out_slopes,
+            in_slopes,
         )
-    weights = np.where(curved[:, None], curve.weights[k], THIRD)
+    weights = np.where(is_cubic[:, None], curve.weights[k], THIRD)
     return _SegmentedCurve(
-        curved, stepped, level | ~inside, split, weights, right, left
+        is_cubic,
+        is_stepped,
+        level | ~in_range,
+        is_split,
+        weights,
+        out_slopes,
+        in_slopes,
     )
 
 
@@ -174,43 +209,43 @@ def _slope_at(
     curve: FbxCurve, k: IntArray, fraction: FloatArray, span: FloatArray
 ) -> FloatArray:
     """Return slopes within segments whose handles are at thirds [1/s]."""
-    right, left = curve.right[k], curve.left[k]
+    out_slopes, in_slopes = curve.out_slopes[k], curve.in_slopes[k]
     chord = (curve.values[k + 1] - curve.values[k]) / span
-    middle = 3.0 * chord - right - left
+    middle = 3.0 * chord - out_slopes - in_slopes
     v = 1.0 - fraction
     return np.asarray(
-        v * v * right + 2 * fraction * v * middle + fraction * fraction * left
+        v * v * out_slopes + 2 * fraction * v * middle + fraction * fraction * in_slopes
     )
 
 
-def _kinds(parts: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
+def _kinds(curves: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
     """Return the interpolation of each segment; None if components differ."""
-    curved = np.logical_or.reduce([one.curved & ~one.flat for one in parts])
-    moving = np.logical_or.reduce([~one.flat & ~one.stepped for one in parts])
-    stepped = np.logical_or.reduce([one.stepped & ~one.flat for one in parts])
-    if (stepped & moving).any():
+    is_cubic = np.logical_or.reduce([one.is_cubic & ~one.is_flat for one in curves])
+    is_moving = np.logical_or.reduce([~one.is_flat & ~one.is_stepped for one in curves])
+    is_stepped = np.logical_or.reduce([one.is_stepped & ~one.is_flat for one in curves])
+    if (is_stepped & is_moving).any():
         return None
-    # A step within a segment comes at the end of the curve's own.
-    steps = [one.stepped & one.split & ~one.flat for one in parts]
-    if len(parts) > 1 and np.logical_or.reduce(steps).any():
+    # A step of a split segment is at the end of the curve's own segment.
+    steps = [one.is_stepped & one.is_split & ~one.is_flat for one in curves]
+    if len(curves) > 1 and np.logical_or.reduce(steps).any():
         return None
-    kinds = np.where(curved, 2, np.where(stepped, 1, 0))
+    choices = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))
     interpolations = (Interp.LINEAR, Interp.STEP, Interp.BEZIER)
-    return [interpolations[kind] for kind in kinds.tolist()][:count]
+    return [interpolations[choice] for choice in choices.tolist()][:count]
 
 
-def _weights(parts: Sequence[_SegmentedCurve]) -> FloatArray | None:
+def _weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:
     """Return the tangent weights common to all components; else None."""
-    weights = np.full(parts[0].weights.shape, THIRD)
-    fixed = np.zeros(len(weights), bool)
-    for one in parts:
-        curved = one.curved & ~one.flat
-        thirds = np.abs(one.weights - THIRD).max(axis=1) <= SAME_WEIGHT
-        if not (thirds | ~one.split | ~curved).all():
+    weights = np.full(curves[0].weights.shape, THIRD)
+    is_fixed = np.zeros(len(weights), bool)
+    for one in curves:
+        is_cubic = one.is_cubic & ~one.is_flat
+        is_third = np.abs(one.weights - THIRD).max(axis=1) <= SAME_WEIGHT
+        if not (is_third | ~one.is_split | ~is_cubic).all():
             return None
-        off = np.abs(one.weights - weights).max(axis=1) > SAME_WEIGHT
-        if (fixed & curved & off).any():
+        differs = np.abs(one.weights - weights).max(axis=1) > SAME_WEIGHT
+        if (is_fixed & is_cubic & differs).any():
             return None
-        weights = np.where(curved[:, None], one.weights, weights)
-        fixed |= curved
+        weights = np.where(is_cubic[:, None], one.weights, weights)
+        is_fixed |= is_cubic
     return None if np.isnan(weights).any() else weights

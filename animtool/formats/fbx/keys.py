@@ -16,22 +16,22 @@ from animtool.formats.fbx.curves import (
     NEXT,
     THIRD,
     FbxCurve,
-    Outside,
+    FbxExtrapolation,
 )
 from animtool.formats.fbx.elements import Element, floats, integers, number
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.tangents import CURVED, NEXT_VALUE, STEPPED, TCB, key_slopes
 from animtool.formats.file_notices import FileNotices
 
-# What handles are counted in: 4 decimals, of which two fill 32 bits.
-WEIGHT = 1e-4
+# Unit of stored handle weights: 4 decimals, two of which fill 32 bits.
+WEIGHT_STEP = 1e-4
 
 
 def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
     """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
     Raises:
-        FormatError: Its arrays do not fit together, or times descend (FBX006).
+        FormatError: Its arrays do not match, or times descend (FBX006).
     """
     times = integers(element, "KeyTime", notes)
     if times is None or not len(times):
@@ -45,9 +45,11 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
     if values is None or flags is None or counts is None or data is None:
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     raw = _bits(data, notes)
-    fits = len(flags) == len(counts) and raw.size == 4 * len(flags)
-    fits = fits and bool((counts >= 0).all() and (counts <= count).all())
-    if not fits or int(counts.sum()) != count:
+    lengths_match = len(flags) == len(counts) and raw.size == 4 * len(flags)
+    lengths_match = lengths_match and bool(
+        (counts >= 0).all() and (counts <= count).all()
+    )
+    if not lengths_match or int(counts.sum()) != count:
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, counts)
@@ -55,21 +57,26 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
     stepped = flags & STEPPED != 0
     cubic = ~stepped & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
-    stated = rows[:, :3].copy().view(np.float32).astype(np.float64)
-    # The third is a bias of such tangents alone, and two weights of others.
-    if not np.isfinite(stated[cubic, :2]).all() or not np.isfinite(stated[tcb]).all():
+    key_data = rows[:, :3].copy().view(np.float32).astype(np.float64)
+    # The third number is the bias of TCB tangents, or two packed weights of others.
+    if (
+        not np.isfinite(key_data[cubic, :2]).all()
+        or not np.isfinite(key_data[tcb]).all()
+    ):
         notes.fail("FBX006", element.where, "a slope of a key is not finite")
-    packed = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
+    packed_weights = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
     weights = np.full((count, 2), THIRD)
     for side, (flag, numbers) in enumerate(
-        ((0x1000000, packed & 0xFFFF), (0x2000000, packed >> 16))
+        ((0x1000000, packed_weights & 0xFFFF), (0x2000000, packed_weights >> 16))
     ):
-        weighted = cubic & ~tcb & (flags & flag != 0)
-        weights[weighted, side] = np.minimum(numbers[weighted] * WEIGHT, 1.0)
+        is_weighted = cubic & ~tcb & (flags & flag != 0)
+        weights[is_weighted, side] = np.minimum(numbers[is_weighted] * WEIGHT_STEP, 1.0)
     modes = np.where(cubic, CUBIC, np.where(stepped, CONSTANT, LINEAR))
     modes[stepped & (flags & NEXT_VALUE != 0)] = NEXT
-    right, left = key_slopes(times / TICKS, values, flags, stated, weights)
-    return checked(FbxCurve(times, values, modes, right, left, weights), element, notes)
+    out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, key_data, weights)
+    return validated_curve(
+        FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
+    )
 
 
 def _bits(data: Element, notes: FileNotices) -> Any:
@@ -84,24 +91,27 @@ def _bits(data: Element, notes: FileNotices) -> Any:
     return array.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
-def checked(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
+def validated_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
     """Return a curve with its extrapolation; raise for invalid numbers."""
     times = curve.times
     check_times(times, element, notes)
-    for slopes in (curve.right, curve.left):
+    for slopes in (curve.out_slopes, curve.in_slopes):
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
-    pre, post = (_outside(element, f"{name}-Extrapolation", notes) for name in _SIDES)
-    right, left = curve.right, curve.left
+    pre, post = (
+        _outside(element, f"{name}-Extrapolation", notes)
+        for name in _EXTRAPOLATION_ENDS
+    )
+    out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
-        # Nothing asks for the slopes of straight segments.
-        right = left = np.zeros(len(times))
+        # Slopes of linear segments are not used.
+        out_slopes = in_slopes = np.zeros(len(times))
     return FbxCurve(
         times,
         curve.values,
         _shared_row(curve.modes),
-        _shared_row(right),
-        _shared_row(left),
+        _shared_row(out_slopes),
+        _shared_row(in_slopes),
         _shared_row(curve.weights),
         pre,
         post,
@@ -119,21 +129,21 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
     """Raise for key times that descend or are out of range."""
     if len(times) > MAX_KEYS:
         notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
-    # The least integer has no opposite.
+    # The smallest integer has no negative counterpart.
     if (times > MAX_TICKS).any() or (times < -MAX_TICKS).any():
         notes.fail("FBX006", element.where, "the time of a key is out of range")
     if (np.diff(times) < 0).any():
         notes.fail("FBX006", element.where, "the times of keys must not descend")
 
 
-_SIDES = ("Pre", "Post")
+_EXTRAPOLATION_ENDS = ("Pre", "Post")
 
 
-def _outside(element: Element, name: str, notes: FileNotices) -> Outside:
+def _outside(element: Element, name: str, notes: FileNotices) -> FbxExtrapolation:
     block = element.find(name)
     kind = None if block is None else block.find("Type")
     if block is None or kind is None or not kind.values:
-        return Outside()
+        return FbxExtrapolation()
     mode = kind.values[0]
     if isinstance(mode, int) and 0 <= mode < 256:
         mode = chr(mode)
@@ -142,4 +152,4 @@ def _outside(element: Element, name: str, notes: FileNotices) -> Outside:
         notes.fail("FBX006", kind.where, message)
     repeats = block.find("Repetition")
     count = -1.0 if repeats is None else number(repeats, 0, notes)
-    return Outside(str(mode), int(max(-1.0, min(count, 1e9))))
+    return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

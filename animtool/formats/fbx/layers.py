@@ -1,8 +1,8 @@
 """Animation layers: additive and override blending of a property.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
-scale accumulation mode. Rotations that accumulate by layer are composed as if of order
-XYZ, as Maya does; the node's own order counts for the result.
+scale accumulation mode. Rotations that accumulate by layer are composed in XYZ order,
+as in Maya; the node's own order applies to the result.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from animtool.maths import so3
 ADDITIVE, OVERRIDE, PASSTHROUGH = range(3)
 TRANSLATION, ROTATION, SCALING = "Lcl Translation", "Lcl Rotation", "Lcl Scaling"
 PERCENT = "DeformPercent"
-# What else of a transform moves: offset and pivot of rotations, then of scales, and
+# Other animatable transform properties: offsets and pivots of rotation and scaling, and
 # the rotations before and after.
 PIVOTS = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
 OUTER_ROTATIONS = ("PreRotation", "PostRotation")
-# From here on a weight is whole [1].
+# Weights from here on count as 1 [1].
 FULL_WEIGHT = 0.99999
 
 
@@ -33,10 +33,11 @@ class Layer:
     """An animation layer of a take.
 
     Attributes:
-        name: As in the file.
-        weight: 1 is whole [1].
-        curve: Its weight over time [%]; None is the one above.
-        mode: Additive; override, whatever its weight; passthrough, which mixes by it.
+        name: Name in the file.
+        weight: Weight without a curve [1].
+        curve: Weight over time [%]; None uses the constant weight.
+        mode: Additive; override, which ignores the weight; or passthrough, which
+            blends.
         by_layer: Whether rotations accumulate as quaternions.
         by_product: Whether scales accumulate as products.
     """
@@ -63,16 +64,16 @@ class LayerValues:
     """Curves and defaults of a property on one layer."""
 
     layer: Layer
-    is_first: bool  # of its take
-    defaults: list[float]  # of parts without a curve
+    is_first: bool  # whether it is the first layer of its take
+    defaults: list[float]  # values of components without a curve
     curves: list[FbxCurve | None]
 
     def at(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``."""
         values = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
-        for part, curve in enumerate(self.curves):
+        for component, curve in enumerate(self.curves):
             if curve is not None:
-                values[:, part] = curve.at(ticks)
+                values[:, component] = curve.at(ticks)
         return values
 
     def constant(self) -> FloatArray | None:
@@ -87,59 +88,61 @@ class PropertyTrack:
     """A property over time, all layers blended.
 
     Attributes:
-        of: The object, by its id.
-        name: As ``Lcl Rotation``.
-        layers: From the lowest up.
+        object_id: Id of the object.
+        name: Name such as ``Lcl Rotation``.
+        layers: Layers from bottom to top.
     """
 
-    of: int | str
+    object_id: int | str
     name: str
     layers: list[LayerValues] = field(default_factory=list)
 
     def constant(self, base: FloatArray) -> FloatArray | None:
         """Return its values if they never change, else None."""
-        for one in self.layers:
-            weighted = one.layer.mode != OVERRIDE and not one.is_first
-            if one.constant() is None or (weighted and one.layer.curve is not None):
+        for layer_values in self.layers:
+            blends = layer_values.layer.mode != OVERRIDE and not layer_values.is_first
+            if layer_values.constant() is None or (
+                blends and layer_values.layer.curve is not None
+            ):
                 return None
         return np.asarray(self.at(base, np.zeros(1, np.int64))[0])
 
     def at(self, base: FloatArray, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``.
 
-        base: what it is without animation ``(width,)``.
+        ``base`` is the value without animation ``(width,)``.
         """
         result = np.tile(base, (len(ticks), 1))
-        for one in self.layers:
-            values = one.at(ticks)
-            if one.is_first or one.layer.mode == OVERRIDE:
+        for layer_values in self.layers:
+            values = layer_values.at(ticks)
+            if layer_values.is_first or layer_values.layer.mode == OVERRIDE:
                 result = values
             else:
-                weights = one.layer.weights(ticks)[:, None]
-                result = self._combined(one.layer, result, values, weights)
+                weights = layer_values.layer.weights(ticks)[:, None]
+                result = self._blended(layer_values.layer, result, values, weights)
         return result
 
-    def _combined(
-        self, layer: Layer, low: FloatArray, high: FloatArray, weights: FloatArray
+    def _blended(
+        self, layer: Layer, below: FloatArray, above: FloatArray, weights: FloatArray
     ) -> FloatArray:
         additive = layer.mode == ADDITIVE
         if self.name == ROTATION and layer.by_layer:
-            a, b = (rotations_of(one, XYZ) for one in (low, high))
+            a, b = (rotations_of(one, XYZ) for one in (below, above))
             if additive:
                 identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], b.shape)
-                combined = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
+                rotations = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
             else:
-                combined = so3.slerp(a, b, weights[:, 0])
-            return principal_angles(combined)
+                rotations = so3.slerp(a, b, weights[:, 0])
+            return principal_angles(rotations)
         if self.name == SCALING and layer.by_product:
-            size = _power(high, weights)
-            return size * (low if additive else _power(low, 1.0 - weights))
+            size = _scale_power(above, weights)
+            return size * (below if additive else _scale_power(below, 1.0 - weights))
         if additive:
-            return low + weights * high
-        return low + weights * (high - low)
+            return below + weights * above
+        return below + weights * (above - below)
 
 
-def _power(scales: FloatArray, weights: FloatArray) -> FloatArray:
+def _scale_power(scales: FloatArray, weights: FloatArray) -> FloatArray:
     """Return scales raised to a weight, signs kept; weight 0 gives 1."""
     sign = np.where((scales < 0) & (weights > 0), -1.0, 1.0)
     return np.asarray(np.abs(scales) ** weights * sign)

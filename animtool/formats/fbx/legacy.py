@@ -1,6 +1,6 @@
 """FBX of versions 5000 to 5999 in the layout of 6100: objects and connections.
 
-A model holds its own children by name, its transform as default values of channels, and
+A model contains its children by name, its transform as default values of channels, and
 its skin as links.
 """
 
@@ -11,11 +11,11 @@ from animtool.formats.fbx.elements import Element, number
 from animtool.formats.file_notices import FileNotices
 
 _PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
-# How the channel of a shape is called.
+# Suffix of a shape's channel name.
 SHAPE_SUFFIX = " (Shape)"
-_KEPT = ("Vertices", "PolygonVertexIndex", "Shape")
-# What would change the pose, and is not read of such files.
-_UNREAD = (
+_COPIED = ("Vertices", "PolygonVertexIndex", "Shape")
+# Elements that change the pose, but are not supported in such files.
+_UNSUPPORTED = (
     *("PreRotation", "PostRotation", "RotationOrder", "RotationPivot", "ScalingPivot"),
     *("RotationOffset", "ScalingOffset", "GeometricTranslation", "GeometricRotation"),
     *("GeometricScaling", "InheritType"),
@@ -26,7 +26,7 @@ def with_objects(root: Element, notes: FileNotices) -> Element:
     """Convert the elements of versions 5000 to 5999 to the 6100 layout.
 
     Raises:
-        FormatError: A model has what is not read (FBX004).
+        FormatError: A model has an unsupported element (FBX004).
     """
     objects = Element("Objects", [], root.where)
     links = Element("Connections", [], root.where)
@@ -42,13 +42,13 @@ def _add_model(
 ) -> None:
     name = model.text(0)
     for child in model.children:
-        if child.name in _UNREAD:
+        if child.name in _UNSUPPORTED:
             message = f"{child.name} of {name!r} is not supported in files this old"
             notes.fail("FBX004", child.where, excerpt(message))
     kind = model.find("Type")
     subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
-    kept = [one for one in model.children if one.name in _KEPT]
-    converted = Element("Model", [f"Model::{name}", subtype], model.where, kept)
+    copied = [c for c in model.children if c.name in _COPIED]
+    converted = Element("Model", [f"Model::{name}", subtype], model.where, copied)
     converted.children.append(_properties(model, notes))
     objects.children.append(converted)
     for children in model.all("Children"):
@@ -78,20 +78,20 @@ def _properties(model: Element, notes: FileNotices) -> Element:
                 row = [*start, number(default, 0, notes)]
                 properties.children.append(Element("Property", row, channel.where))
             continue
-        for inner in channel.all("Channel"):
-            name = _PROPERTIES.get(inner.text(0))
+        for channels in channel.all("Channel"):
+            name = _PROPERTIES.get(channels.text(0))
             if name is None:
                 continue
-            values = [1.0 if inner.text(0) == "S" else 0.0] * 3
-            for part in inner.all("Channel"):
-                default = part.find("Default")
-                axis = "XYZ".find(part.text(0)) if part.text(0) else -1
+            values = [1.0 if channels.text(0) == "S" else 0.0] * 3
+            for axis_channel in channels.all("Channel"):
+                default = axis_channel.find("Default")
+                axis = "XYZ".find(axis_channel.text(0)) if axis_channel.text(0) else -1
                 if default is not None and axis >= 0:
                     values[axis] = number(default, 0, notes)
             row = [name, "", "", *values]
-            properties.children.append(Element("Property", row, inner.where))
+            properties.children.append(Element("Property", row, channels.where))
     return properties
 
 
-def _connect(links: Element, below: str, above: str) -> None:
-    links.children.append(Element("Connect", ["OO", below, above], links.where))
+def _connect(links: Element, child: str, parent: str) -> None:
+    links.children.append(Element("Connect", ["OO", child, parent], links.where))

@@ -1,8 +1,8 @@
 """FBX nodes (models) and the evaluation of their transforms.
 
 ``local = T · Roff · Rp · Rpre · R · Rpost⁻¹ · Rp⁻¹ · Soff · Sp · S · Sp⁻¹``; the
-linear part is a rotation times a scale. A child may leave out its parent's own scale
-(Rrs) or take it along its own axes (RrSs).
+linear part is a rotation times a scale. A child may ignore its parent's own scale
+(Rrs) or apply it along its own axes (RrSs).
 
 References: Autodesk, *FBX SDK documentation*, "Computing transformation matrices".
 """
@@ -26,7 +26,7 @@ from animtool.formats.fbx.objects import ROOTS, FbxFile, Id, Object, scalar, vec
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 
-# By RotationOrder: X turns first in XYZ, so its factor is the last.
+# Factor order by RotationOrder: in XYZ, X rotates first, so its factor is last.
 _ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
 COMPONENTWISE, INHERIT, IGNORE = range(3)
 MAX_MODELS = 100_000
@@ -39,19 +39,20 @@ class Model:
     """A node.
 
     Attributes:
-        object: What it is of.
-        parent: Index of the node above; -1 for a root.
+        object: Its object in the file.
+        parent: Index of the parent node; -1 for a root.
         base: Translation, rotation [deg] and scale without animation ``(3, 3)``.
-        order: Of its angles, as `euler.to_quaternion` has it.
-        pre: Rotation before ``(4,)``.
-        post: Inverse of the rotation after ``(4,)``.
-        pivots: Offset and pivot of rotations, then of scales ``(4, 3)``.
-        inherit: How it takes the scale of its parent.
-        geometric: What its own mesh is transformed by ``(4, 4)``.
-        active: Whether order and the rotations before and after count.
-        outer_angles: Angles of these two ``(2, 3)`` [deg].
-        scale_from: Node whose scale, and what that has of others, it takes along its
-            own axes; -1 for none.
+        order: Rotation order, as in `euler.to_quaternion`.
+        pre: Pre-rotation ``(4,)``.
+        post: Inverse of the post-rotation ``(4,)``.
+        pivots: Offset and pivot of rotation, then of scaling ``(4, 3)``.
+        inherit: How it inherits the scale of its parent.
+        geometric: Transform of its own mesh only ``(4, 4)``.
+        active: Whether rotation order, pre- and post-rotation apply.
+        outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
+        scale_from: Node whose scale, including inherited scale, it applies along its
+            own
+            axes; -1 for none.
     """
 
     object: Object
@@ -79,30 +80,33 @@ class Model:
         values = _state(self, take, ticks)
         pre, post = self.pre, self.post
         if take is not None and self.active:
-            first, last = (_track(self, take, name) for name in OUTER_ROTATIONS)
-            if first is not None:
-                pre = rotations_of(first.at(self.outer_angles[0], ticks), XYZ)
-            if last is not None:
+            pre_track, post_track = (
+                _track(self, take, name) for name in OUTER_ROTATIONS
+            )
+            if pre_track is not None:
+                pre = rotations_of(pre_track.at(self.outer_angles[0], ticks), XYZ)
+            if post_track is not None:
                 post = so3.conjugate(
-                    rotations_of(last.at(self.outer_angles[1], ticks), XYZ)
+                    rotations_of(post_track.at(self.outer_angles[1], ticks), XYZ)
                 )
         rotations = rotations_of(values[:, 1], self.order)
         rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
         offset, pivot, stretch, centre = _pivots(self, take, ticks)
-        inner = stretch + centre - pivot - scales * centre
-        moved = values[:, 0] + offset + pivot
-        if inner.any():
-            moved = moved + so3.rotate(rotations, inner)
-        return moved, rotations, scales
+        pivot_offset = stretch + centre - pivot - scales * centre
+        translations = values[:, 0] + offset + pivot
+        if pivot_offset.any():
+            translations = translations + so3.rotate(rotations, pivot_offset)
+        return translations, rotations, scales
 
 
 def read_models(file: FbxFile) -> list[Model]:
     """Return the nodes, parents first.
 
     Raises:
-        FormatError: A node is below itself (FBX009), has a rotation order that is not
-            read (FBX004), or there are too many (FBX013).
+        FormatError: A node is its own ancestor (FBX009), has an unsupported rotation
+            order
+            (FBX004), or there are too many nodes (FBX013).
     """
     objects = [
         one for one in file.of_kind("Model") if not _is_default_camera(file, one)
@@ -112,11 +116,11 @@ def read_models(file: FbxFile) -> list[Model]:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
     parents = {one.id: _parent(file, one) for one in objects}
-    below: dict[Id | None, list[Object]] = {}
+    children: dict[Id | None, list[Object]] = {}
     for one in objects:
-        below.setdefault(parents[one.id], []).append(one)
+        children.setdefault(parents[one.id], []).append(one)
     models: list[Model] = []
-    stack = [(one, -1) for one in reversed(below.get(None, []))]
+    stack = [(one, -1) for one in reversed(children.get(None, []))]
     while stack:
         one, parent = stack.pop()
         node, index = _model(file, one, parent), len(models)
@@ -125,68 +129,68 @@ def read_models(file: FbxFile) -> list[Model]:
         elif parent >= 0 and node.inherit == IGNORE:
             node.scale_from = models[parent].scale_from
         models.append(node)
-        stack += [(child, index) for child in reversed(below.get(one.id, []))]
+        stack += [(child, index) for child in reversed(children.get(one.id, []))]
     if len(models) < len(objects):
-        done = {model.object.id for model in models}
-        lost = next(one for one in objects if one.id not in done)
-        message = f"the node {lost.name!r} is its own ancestor"
-        file.notes.fail("FBX009", lost.element.where, message)
+        reachable = {model.object.id for model in models}
+        in_cycle = next(one for one in objects if one.id not in reachable)
+        message = f"the node {in_cycle.name!r} is its own ancestor"
+        file.notes.fail("FBX009", in_cycle.element.where, message)
     return models
 
 
-def _is_default_camera(file: FbxFile, one: Object) -> bool:
+def _is_default_camera(file: FbxFile, node: Object) -> bool:
     """Return whether a node is a default camera that old exporters add."""
-    return one.subtype.startswith("Camera") and one.id not in file.above
+    return node.subtype.startswith("Camera") and node.id not in file.outgoing
 
 
-def _parent(file: FbxFile, one: Object) -> Id | None:
-    above = [model.id for model in file.targets(one.id, "Model")]
-    above = [id_ for id_ in above if id_ not in ROOTS]
-    if len(set(above)) > 1:
-        message = f"the node {one.name!r} has {len(set(above))} parents"
-        file.notes.fail("FBX009", one.element.where, message)
-    return above[0] if above else None
+def _parent(file: FbxFile, node: Object) -> Id | None:
+    parents = [model.id for model in file.targets(node.id, "Model")]
+    parents = [id_ for id_ in parents if id_ not in ROOTS]
+    if len(set(parents)) > 1:
+        message = f"the node {node.name!r} has {len(set(parents))} parents"
+        file.notes.fail("FBX009", node.element.where, message)
+    return parents[0] if parents else None
 
 
-def _model(file: FbxFile, one: Object, parent: int) -> Model:
+def _model(file: FbxFile, node: Object, parent: int) -> Model:
     notes = file.notes
 
     def triple(name: str, default: tuple[float, ...] = _ZERO) -> FloatArray:
-        return np.array(vector(one, name, default, notes))
+        return np.array(vector(node, name, default, notes))
 
     base = np.stack(
         [triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)]
     )
-    active = bool(scalar(one, "RotationActive", 0, notes))
+    active = bool(scalar(node, "RotationActive", 0, notes))
     order, pre, post = 0, _ZERO, _ZERO
     if active:
-        order = int(scalar(one, "RotationOrder", 0, notes))
+        order = int(scalar(node, "RotationOrder", 0, notes))
         pre, post = (tuple(triple(f"{name}Rotation")) for name in ("Pre", "Post"))
     if not 0 <= order < len(_ORDERS):
         message = (
-            f"the node {one.name!r} has rotation order {order}, which is not supported"
+            f"the node {node.name!r} has rotation order {order}, which is not supported"
         )
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
-        notes.fail("FBX004", one.element.where, message, hint)
+        notes.fail("FBX004", node.element.where, message, hint)
     angles = np.array([pre, post])
-    outer = rotations_of(angles, XYZ)
-    inherit = int(scalar(one, "InheritType", INHERIT, notes))
+    pre_and_post = rotations_of(angles, XYZ)
+    inherit = int(scalar(node, "InheritType", INHERIT, notes))
     if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
         message = (
-            f"the node {one.name!r} has inherit type {inherit}, which is not supported"
+            f"the node {node.name!r} has inherit type {inherit}, which is not supported"
         )
-        notes.fail("FBX004", one.element.where, message)
+        notes.fail("FBX004", node.element.where, message)
     geometric = np.eye(4)
     rotation = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
     geometric[:3, :3] = so3.to_matrix(rotation) * triple("GeometricScaling", (1.0,) * 3)
     geometric[:3, 3] = triple("GeometricTranslation")
     return Model(
-        one,
+        node,
         parent,
         base,
         _ORDERS[order],
-        outer[0],
-        so3.conjugate(outer[1]),
+        pre_and_post[0],
+        so3.conjugate(pre_and_post[1]),
         np.stack([triple(name) for name in PIVOTS]),
         inherit,
         geometric,
@@ -226,17 +230,18 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
     return any(_track(model, take, name) is not None for name in PIVOTS)
 
 
-def moving(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
+def animated_components(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
     """Return whether translation, rotation and scale change in a take."""
 
-    def moves(name: str, base: FloatArray) -> bool:
+    def varies(name: str, base: FloatArray) -> bool:
         track = _track(model, take, name)
         return track is not None and track.constant(base) is None
 
-    changes = [moves(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
-    changes[0] |= any(moves(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
+    changes = [varies(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
+    changes[0] |= any(varies(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
     if model.active:
         changes[1] |= any(
-            moves(name, model.outer_angles[k]) for k, name in enumerate(OUTER_ROTATIONS)
+            varies(name, model.outer_angles[k])
+            for k, name in enumerate(OUTER_ROTATIONS)
         )
     return changes[0], changes[1], changes[2]

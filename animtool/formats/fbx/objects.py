@@ -16,11 +16,11 @@ from animtool.formats.fbx.legacy import with_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.file_notices import FileNotices
 
-# Below, nothing is known of the layout, and neither is it above.
+# Supported versions; the layout of others is unknown.
 OLDEST, NEWEST = 5000, 7999
-# Before, models hold their children and skins.
+# First version with objects; before, models contain their children and skins.
 WITH_OBJECTS = 6000
-# From here on objects have numbers, and curves are objects.
+# First version in which objects have numeric ids, and curves are objects.
 NUMBERED = 7000
 
 Id = int | str
@@ -33,12 +33,12 @@ class Object:
 
     Attributes:
         id: Number, or kind and name in files before 7000.
-        kind: Of element, as ``Model``.
-        name: Without its kind, namespace kept.
-        subtype: As ``LimbNode``.
-        element: What is in it.
+        kind: Name of its element, such as ``Model``.
+        name: Name without the kind, namespace kept.
+        subtype: Subtype such as ``LimbNode``.
+        element: Its element.
         properties: Values by name, without defaults.
-        defaults: Those of its kind.
+        defaults: Default values of its kind.
     """
 
     id: Id
@@ -50,9 +50,9 @@ class Object:
     defaults: dict[str, list[Any]]
 
     def values(self, name: str) -> list[Any]:
-        """Return the values of a property; empty where it has none."""
-        stated = self.properties.get(name)
-        return stated if stated is not None else self.defaults.get(name, [])
+        """Return the values of a property; empty if it is missing."""
+        explicit = self.properties.get(name)
+        return explicit if explicit is not None else self.defaults.get(name, [])
 
 
 @dataclass(slots=True, eq=False)
@@ -60,15 +60,15 @@ class FbxFile:
     """The objects and connections of a file.
 
     Attributes:
-        path: The file.
-        version: As 7400.
+        path: Path of the file.
+        version: Version such as 7400.
         is_text: Whether it is ASCII.
-        root: Its elements.
-        objects: By number or name, in the order of the file.
+        root: The root element.
+        objects: Objects by id, in file order.
         settings: Global properties.
-        below: Of each object, what is connected to it: its id and the property.
-        above: Of each object, what it is connected to, likewise.
-        notes: What was put right.
+        incoming: Connections to each object: source id and property name.
+        outgoing: Connections from each object: target id and property name.
+        notes: Collects warnings and notes.
     """
 
     path: Path
@@ -78,44 +78,52 @@ class FbxFile:
     objects: dict[Id, Object]
     settings: Object
     notes: FileNotices
-    below: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
-    above: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
+    incoming: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
+    outgoing: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
 
-    def sources(self, of: Id, kind: str, subtype: str | None = None) -> list[Object]:
+    def sources(
+        self, object_id: Id, kind: str, subtype: str | None = None
+    ) -> list[Object]:
         """Return objects of a kind connected to an object as sources."""
-        objects = [self.objects.get(one) for one, _ in self.below.get(of, ())]
-        return [one for one in objects if one is not None and _is(one, kind, subtype)]
+        objects = [self.objects.get(id_) for id_, _ in self.incoming.get(object_id, ())]
+        return [id_ for id_ in objects if id_ is not None and _is(id_, kind, subtype)]
 
-    def targets(self, of: Id, kind: str) -> list[Object]:
+    def targets(self, object_id: Id, kind: str) -> list[Object]:
         """Return objects of a kind that an object is connected to."""
-        objects = [self.objects.get(one) for one, _ in self.above.get(of, ())]
-        return [one for one in objects if one is not None and one.kind == kind]
+        objects = [self.objects.get(id_) for id_, _ in self.outgoing.get(object_id, ())]
+        return [id_ for id_ in objects if id_ is not None and id_.kind == kind]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
         """Return all objects of a kind."""
-        return [one for one in self.objects.values() if _is(one, kind, subtype)]
+        return [
+            candidate
+            for candidate in self.objects.values()
+            if _is(candidate, kind, subtype)
+        ]
 
 
-def _is(one: Object, kind: str, subtype: str | None) -> bool:
-    return one.kind == kind and (subtype is None or one.subtype == subtype)
+def _is(candidate: Object, kind: str, subtype: str | None) -> bool:
+    return candidate.kind == kind and (subtype is None or candidate.subtype == subtype)
 
 
 def vector(
-    of: Object, name: str, default: tuple[float, ...], notes: FileNotices
+    owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
     """Return a vector property with as many numbers as its default."""
-    values = of.values(name)[: len(default)]
+    values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default
     if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_LIMIT for v in values):
-        message = f"{name} of {of.name!r} must be numbers, not {excerpt(str(values))}"
-        notes.fail("FBX005", of.element.where, message)
+        message = (
+            f"{name} of {owner.name!r} must be numbers, not {excerpt(str(values))}"
+        )
+        notes.fail("FBX005", owner.element.where, message)
     return tuple(float(value) for value in values)
 
 
-def scalar(of: Object, name: str, default: float, notes: FileNotices) -> float:
+def scalar(owner: Object, name: str, default: float, notes: FileNotices) -> float:
     """Return a scalar property."""
-    return vector(of, name, (default,), notes)[0]
+    return vector(owner, name, (default,), notes)[0]
 
 
 @expects("FBX001", "an FBX file")
@@ -123,8 +131,8 @@ def open_objects(path: Path | str) -> FbxFile:
     """Open an FBX; return its objects.
 
     Raises:
-        FormatError: It is none (FBX001), is broken (FBX001, FBX002), of a version that
-            is not read (FBX003), or too large (FBX013).
+        FormatError: It is not an FBX (FBX001), is malformed (FBX001, FBX002), of an
+            unsupported version (FBX003), or too large (FBX013).
     """
     path = Path(path)
     notes = FileNotices(str(path))
@@ -147,26 +155,28 @@ def open_objects(path: Path | str) -> FbxFile:
     templates = _templates(root)
     objects: dict[Id, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
-    parts = [one for file in root.all("Objects") for one in file.children]
-    for element in [*parts, *root.all("GlobalSettings")]:
+    elements = [child for file in root.all("Objects") for child in file.children]
+    for element in [*elements, *root.all("GlobalSettings")]:
         if element.name == "GlobalSettings":
             settings.properties |= _properties(element)
             continue
-        one = _object(element, version, templates)
-        if one is None:
+        child = _object(element, version, templates)
+        if child is None:
             continue
-        if one.id in objects:
-            message = f"two objects have the ID {excerpt(str(one.id))}: using the first"
+        if child.id in objects:
+            message = (
+                f"two objects have the ID {excerpt(str(child.id))}: using the first"
+            )
             notes.warn("FBX106", element.where, message)
             continue
-        objects[one.id] = one
+        objects[child.id] = child
     file = FbxFile(path, version, is_text, root, objects, settings, notes)
     _connect(file)
     return file
 
 
 def _stated_version(root: Element, version: int) -> int:
-    """Return the version in the header element, which old files state there."""
+    """Return the version in the header element, used by old files."""
     header = root.find("FBXHeaderExtension")
     stated = None if header is None else header.find("FBXVersion")
     if stated is not None and stated.values and isinstance(stated.values[0], int):
@@ -191,16 +201,16 @@ def _object(
     element: Element, version: int, templates: dict[str, dict[str, list[Any]]]
 ) -> Object | None:
     values = element.values
-    first = 1 if version >= NUMBERED else 0
-    kind, name = plain_name(element.text(first))
+    name_index = 1 if version >= NUMBERED else 0
+    kind, name = plain_name(element.text(name_index))
     id_: Id = f"{kind or element.name}::{name}"
-    if first:
+    if name_index:
         if not values or not isinstance(values[0], int):
             return None
         id_ = values[0]
     elif not values:
         return None
-    subtype = element.text(first + 1)
+    subtype = element.text(name_index + 1)
     properties = _properties(element)
     defaults = templates.get(element.name, {})
     return Object(id_, element.name, name, subtype, element, properties, defaults)
@@ -209,14 +219,18 @@ def _object(
 def _properties(element: Element) -> dict[str, list[Any]]:
     """Return the properties of an object, of either layout."""
     entries: dict[str, list[Any]] = {}
-    for group, name, first in (
+    for group, name, value_index in (
         ("Properties70", "P", 4),
         ("Properties60", "Property", 3),
     ):
         for properties in element.all(group):
-            for one in properties.all(name):
-                if one.values and isinstance(one.values[0], str):
-                    entries[one.values[0]] = one.values[first:]
+            for property_element in properties.all(name):
+                if property_element.values and isinstance(
+                    property_element.values[0], str
+                ):
+                    entries[property_element.values[0]] = property_element.values[
+                        value_index:
+                    ]
     return entries
 
 
@@ -226,7 +240,8 @@ def _templates(root: Element) -> dict[str, dict[str, list[Any]]]:
     for definitions in root.all("Definitions"):
         for kind in definitions.all("ObjectType"):
             for template in kind.all("PropertyTemplate"):
-                # Attributes have one for each class; none of those moves anything.
+                # Node attributes have a template per class; none of them affects
+                # motion.
                 if kind.text(0) != "NodeAttribute":
                     templates.setdefault(kind.text(0), _properties(template))
     return templates
@@ -234,15 +249,15 @@ def _templates(root: Element) -> dict[str, dict[str, list[Any]]]:
 
 def _connect(file: FbxFile) -> None:
     for connections in file.root.all("Connections"):
-        for one in connections.children:
-            if one.name not in {"C", "Connect"} or len(one.values) < 3:
+        for connection in connections.children:
+            if connection.name not in {"C", "Connect"} or len(connection.values) < 3:
                 continue
-            below, above = (_id(value) for value in one.values[1:3])
-            if below is None or above is None:
+            source, target = (_id(value) for value in connection.values[1:3])
+            if source is None or target is None:
                 continue
-            name = one.text(3)
-            file.below.setdefault(above, []).append((below, name))
-            file.above.setdefault(below, []).append((above, name))
+            name = connection.text(3)
+            file.incoming.setdefault(target, []).append((source, name))
+            file.outgoing.setdefault(source, []).append((target, name))
 
 
 def _id(value: Any) -> Id | None:

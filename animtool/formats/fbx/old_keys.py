@@ -17,7 +17,7 @@ from animtool.formats.fbx.curves import (
     FbxCurve,
 )
 from animtool.formats.fbx.elements import Element
-from animtool.formats.fbx.keys import check_times, checked
+from animtool.formats.fbx.keys import check_times, validated_curve
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.tangents import (
     CURVED,
@@ -31,10 +31,10 @@ from animtool.formats.fbx.tangents import (
 )
 from animtool.formats.file_notices import FileNotices
 
-# Layouts of keys: that of 6100, the first whose constant keys say which value holds,
-# and one whose tangents have no weights.
+# Key layouts by KeyVer: that of 6100; the first whose constant keys state which value
+# applies; and one without tangent weights.
 LAYOUT, STEP_LETTERS, UNWEIGHTED = 4005, 4004, 4003
-# By version of the file, where the channel states none.
+# Layout in 5000 files whose channels state none.
 LAYOUT_OF_5000 = 4004
 
 
@@ -43,7 +43,7 @@ def curve_of_channel(
 ) -> FbxCurve | None:
     """Return the curve of a take's channel (before FBX 7000).
 
-    layout: Of its keys, where it states none.
+    ``layout`` is that of its keys if it states none.
 
     Raises:
         FormatError: Its keys do not parse, or their times descend (FBX006).
@@ -55,7 +55,7 @@ def curve_of_channel(
     stated = None if version is None or not version.values else version.values[0]
     keys = _Keys(key, notes, stated if isinstance(stated, int) else layout)
     rows = []
-    while keys.left():
+    while keys.in_slopes():
         rows.append(_key(keys))
     if keys.guessed:
         message = f"tangents of kind {listed(sorted(map(repr, keys.guessed)))} are "
@@ -65,14 +65,18 @@ def curve_of_channel(
     columns = list(zip(*rows, strict=True))
     times, values = np.array(columns[0], np.int64), np.array(columns[1])
     flags = np.array(columns[2], np.int64)
-    slopes = np.stack([np.array(one) for one in (*columns[3:5], columns[4])], axis=1)
-    weights = np.stack([np.array(one) for one in columns[5:7]], axis=1)
+    slopes = np.stack(
+        [np.array(column) for column in (*columns[3:5], columns[4])], axis=1
+    )
+    weights = np.stack([np.array(column) for column in columns[5:7]], axis=1)
     check_times(times, element, notes)
-    right, left = key_slopes(times / TICKS, values, flags, slopes, weights)
+    out_slopes, in_slopes = key_slopes(times / TICKS, values, flags, slopes, weights)
     step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
     modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
-    return checked(FbxCurve(times, values, modes, right, left, weights), element, notes)
+    return validated_curve(
+        FbxCurve(times, values, modes, out_slopes, in_slopes, weights), element, notes
+    )
 
 
 class _Keys:
@@ -86,11 +90,11 @@ class _Keys:
         self.layout = layout
         self.guessed: set[str] = set()
 
-    def left(self) -> bool:
+    def in_slopes(self) -> bool:
         return self.at < len(self.values)
 
     def value(self) -> Any:
-        if not self.left():
+        if not self.in_slopes():
             self.fail("the last key of a channel is cut off")
         self.at += 1
         return self.values[self.at - 1]
@@ -123,40 +127,45 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
     if mode == "L":
         return time, value, STRAIGHT, 0.0, 0.0, THIRD, THIRD
     if mode == "C":
-        after = keys.letter() if keys.layout >= STEP_LETTERS else ""
-        flags = STEPPED | (NEXT_VALUE if after == "n" else 0)
+        step_letter = keys.letter() if keys.layout >= STEP_LETTERS else ""
+        flags = STEPPED | (NEXT_VALUE if step_letter == "n" else 0)
         return time, value, flags, 0.0, 0.0, THIRD, THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, right, left, lists = _tangent(keys)
+    flags, out_slopes, in_slopes, weight_lists = _tangent(keys)
     weights = [THIRD, THIRD]
-    for _ in range(lists):
+    for _ in range(weight_lists):
         _set_weights(keys, weights)
-    return time, value, flags, right, left, weights[0], weights[1]
+    return time, value, flags, out_slopes, in_slopes, weights[0], weights[1]
 
 
-# Kinds of tangents that no document explains: how many numbers follow, and how many
-# lists of weights, in older layouts and in that of 6100.
-_GUESSED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
+# Undocumented tangent kinds: count of numbers, and of weight lists in older layouts and
+# in that of 6100.
+_UNDOCUMENTED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
 
 
 def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.letter()
     if kind in {"s", "b"}:
-        right, left = keys.number(), keys.number()
-        return CURVED | USER, right, left, 0 if keys.layout == UNWEIGHTED else 1
+        out_slopes, in_slopes = keys.number(), keys.number()
+        return (
+            CURVED | USER,
+            out_slopes,
+            in_slopes,
+            0 if keys.layout == UNWEIGHTED else 1,
+        )
     automatic = CURVED | PROGRESSIVE | TIME_INDEPENDENT
-    late = keys.layout >= LAYOUT
+    is_6100 = keys.layout >= LAYOUT
     if kind == "a":
-        return automatic, 0.0, 0.0, 1 if late else 0
-    if kind not in _GUESSED:
+        return automatic, 0.0, 0.0, 1 if is_6100 else 0
+    if kind not in _UNDOCUMENTED:
         keys.fail(f"tangents {kind!r} of a key are not read")
-    numbers, early, now = _GUESSED[kind]
+    numbers, older_lists, new_lists = _UNDOCUMENTED[kind]
     for _ in range(numbers):
         keys.number()
     keys.guessed.add(kind)
-    return automatic, 0.0, 0.0, now if late else early
+    return automatic, 0.0, 0.0, new_lists if is_6100 else older_lists
 
 
 def _set_weights(keys: _Keys, weights: list[float]) -> None:

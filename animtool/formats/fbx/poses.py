@@ -1,8 +1,9 @@
 """Local transforms of joints, evaluated from FBX nodes.
 
-A node is a joint. Where it leaves out an uneven scale of its parent, or takes it along
-its own axes, no rotation and scale hold its transform: a joint above it carries the
-translation and the inverse scale, and the joint itself turns and scales.
+A node is a joint. If it ignores a non-uniform scale of its parent, or applies it along
+its own axes, one rotation and scale cannot represent its transform: an extra joint
+above it has the translation and the inverse scale, and the joint itself the rotation
+and scale.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ from animtool.formats.fbx.models import (
     IGNORE,
     INHERIT,
     Model,
+    animated_components,
     has_pivots,
-    moving,
 )
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 
-# A scale that is nearer to 0 is taken as this where it is divided by.
+# Scales closer to 0 are replaced by this in divisions.
 MIN_SCALE = 1e-9
 _REST = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
-    """Which part of a node's transform a joint takes."""
+    """Which part of a node's transform a joint has."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -44,7 +45,7 @@ class RowKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A joint: a node and the part of its transform."""
+    """A joint: a node and the component of its transform."""
 
     model: int
     kind: RowKind
@@ -58,22 +59,26 @@ class NodeTransforms:
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)
-        self._left = {one.parent for one in self.models if one.inherit != INHERIT}
+        self._ignored_scales = {
+            model.parent for model in self.models if model.inherit != INHERIT
+        }
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return local translations, rotations and scales of a node."""
         if i not in self._locals:
-            moved, turned, scales = self.models[i].local(self.take, self.ticks)
-            # What a child leaves out is divided by.
-            scales = _no_zeros(scales) if i in self._left else scales
-            self._locals[i] = moved, turned, scales
+            translations, rotations, scales = self.models[i].local(
+                self.take, self.ticks
+            )
+            # Children that ignore this scale divide by it.
+            scales = _no_zeros(scales) if i in self._ignored_scales else scales
+            self._locals[i] = translations, rotations, scales
         return self._locals[i]
 
     def local_scale(self, i: int) -> FloatArray:
-        """Return a node's scale along its local axes, inheritance included.
+        """Return a node's scale along its axes ``(F, 3)``, inherited scale included.
 
-        It is what its children may leave out ``(F, 3)``.
+        Children may ignore this scale.
         """
         scale = self.local(i)[2]
         while (i := self.models[i].scale_from) >= 0:
@@ -87,19 +92,19 @@ class NodeTransforms:
             chain.append(self.models[chain[-1]].parent)
         for node in reversed(chain):
             model = self.models[node]
-            moved, turned, _ = self.local(node)
-            scaled, leaves = self.local_scale(node), model.inherit != INHERIT
+            translations, rotations, _ = self.local(node)
+            scale, ignores_scale = self.local_scale(node), model.inherit != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
-            local[:, :3, :3] = so3.to_matrix(turned) * scaled[:, None, :]
-            if leaves and model.parent >= 0:
-                above = _inverse(self.local_scale(model.parent))
-                local[:, :3, :3] = above[:, :, None] * local[:, :3, :3]
-            local[:, :3, 3] = moved
+            local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
+            if ignores_scale and model.parent >= 0:
+                inverse_parent_scale = _inverse(self.local_scale(model.parent))
+                local[:, :3, :3] = inverse_parent_scale[:, :, None] * local[:, :3, :3]
+            local[:, :3, 3] = translations
             world = world @ local
         return np.asarray(world)
 
     def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return translations, rotations and scales of a joint, in the file's unit."""
+        """Return translations, rotations and scales of a joint, in file units."""
         model = self.models[row.model]
         translations, rotations, scales = self.local(row.model)
         if model.parent < 0:
@@ -113,11 +118,11 @@ class NodeTransforms:
                     self.local_scale(model.parent)
                 )
             return translations, rotations, scales
-        above = self.local_scale(model.parent)
+        parent_scale = self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
             identities = np.zeros_like(rotations)
             identities[:, 3] = 1.0
-            return translations, identities, _inverse(above)
+            return translations, identities, _inverse(parent_scale)
         return np.zeros_like(translations), rotations, self.local_scale(row.model)
 
 
@@ -126,58 +131,60 @@ def _inverse(scales: FloatArray) -> FloatArray:
 
 
 def _no_zeros(scales: FloatArray) -> FloatArray:
-    least = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
-    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, least, scales))
+    smallest = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
+    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, smallest, scales))
 
 
 class Changes:
     """Which joint transforms a take changes."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
-        """Take the nodes of a file and a take of it."""
+        """Take the nodes of a file and one of its takes."""
         self.models, self.take = models, take
-        self.moving = [moving(model, take) for model in models]
+        self.animated = [animated_components(model, take) for model in models]
 
     def local_scale(self, i: int) -> bool:
-        """Return whether a node's local scale is animated; children may ignore it."""
-        return any(self.moving[one][2] for one in scale_chain(self.models, i))
+        """Return whether a node's local scale is animated."""
+        return any(self.animated[node][2] for node in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
-        moves, rotates, scales = self.moving[row.model]
+        translates, rotates, scales = self.animated[row.model]
         if (rotates or scales) and has_pivots(model, self.take):
-            moves = True
-        above = model.parent >= 0 and self.local_scale(model.parent)
+            translates = True
+        has_animated_parent_scale = model.parent >= 0 and self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
-            return moves, False, above
+            return translates, False, has_animated_parent_scale
         if row.kind is RowKind.INNER:
             return False, rotates, self.local_scale(row.model)
-        leaves = model.inherit == IGNORE and (above or self.local_scale(row.model))
-        return moves, rotates, scales or leaves
+        leaves = model.inherit == IGNORE and (
+            has_animated_parent_scale or self.local_scale(row.model)
+        )
+        return translates, rotates, scales or leaves
 
 
-def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
+def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[Row]:
     """Return the joints of nodes, in node order."""
-    uneven: dict[int, bool] = {}
+    is_non_uniform: dict[int, bool] = {}
     rows = []
-    for i in kept:
+    for i in nodes:
         model = scene.models[i]
         parent = model.parent
         if parent >= 0 and model.inherit in {IGNORE, COMPONENTWISE}:
-            if parent not in uneven:
-                uneven[parent] = _is_uneven(scene, parent)
-            if uneven[parent]:
+            if parent not in is_non_uniform:
+                is_non_uniform[parent] = _has_non_uniform_scale(scene, parent)
+            if is_non_uniform[parent]:
                 rows += [Row(i, RowKind.OUTER), Row(i, RowKind.INNER)]
                 continue
         rows.append(Row(i, RowKind.FULL))
     return rows
 
 
-def _is_uneven(scene: FbxScene, i: int) -> bool:
+def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
     """Return whether a node's scale ever differs between axes."""
     chain = scale_chain(scene.models, i)
-    keys = [(scene.models[one].object.id, SCALING) for one in chain]
+    keys = [(scene.models[node].object.id, SCALING) for node in chain]
     for take in (None, *scene.takes):
         ticks = _REST
         if take is not None:
@@ -186,8 +193,8 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
                 continue
             curves = [c for t in tracks for v in t.layers for c in v.curves if c]
             times = np.unique(np.concatenate([_REST, *(c.times for c in curves)]))
-            # Between keys curves of the same keys may differ by their tangents, and
-            # before and after them by how they go on.
+            # Between common keys, curves may differ by tangents, and before and after
+            # them by extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
             if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
                 span = int(times[-1] - times[0]) or TICKS
@@ -199,21 +206,25 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
     return False
 
 
-def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
+def uniform_scales(
+    scene: FbxScene, rows: Sequence[Row]
+) -> tuple[FloatArray, BoolArray]:
     """Return saved scales ``(J, 3)``, and which are uniform and static."""
     rest = NodeTransforms(scene, None, _REST)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
-    low, high = scales.min(axis=1), scales.max(axis=1)
-    even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
+    smallest, largest = scales.min(axis=1), scales.max(axis=1)
+    is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))
     for take in scene.takes:
         changes = Changes(scene.models, take)
         of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
         for j, row in enumerate(rows):
-            if not even[j] or not _is_touched(scene.models, row, take):
+            if not is_uniform[j] or not _is_touched(scene.models, row, take):
                 continue
-            off = np.abs(of_take.row(row)[2][0] - scales[j]).max()
-            even[j] = not changes.row(row)[2] and off <= SAME_SCALE * high[j]
-    return scales, np.asarray(even)
+            difference = np.abs(of_take.row(row)[2][0] - scales[j]).max()
+            is_uniform[j] = (
+                not changes.row(row)[2] and difference <= SAME_SCALE * largest[j]
+            )
+    return scales, np.asarray(is_uniform)
 
 
 def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:

@@ -16,9 +16,9 @@ from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
     FbxSampler,
+    animates_rig,
     between_notices,
     frames_of,
-    moves,
     take_stream,
 )
 from animtool.formats.fbx.scene import FbxScene, open_fbx
@@ -26,7 +26,7 @@ from animtool.formats.fbx.takes import AnimTake
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
-# An unknown character, and one of several.
+# Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "FBX014", "FBX115"
 WORDS = TakeWords(
     "take",
@@ -48,21 +48,23 @@ def read_fbx(
 ) -> TakeStream:
     """Open a take of an FBX on the character it animates, meshes included.
 
-    Time 0 is frame 0. The stream is sampled at the file's rate; between frames its
-    curve is what the file's curves give.
+    Time 0 is frame 0. The stream is sampled at the file's rate; between frames it
+    follows
+    the file's curves.
 
     Args:
         path: A .fbx file, binary or ASCII.
-        unit: What its lengths are in; None is what it says.
-        up: Which of its axes points up; None is what it says.
-        fps: Frames a second; None is the rate that it says.
-        prim_path: The character, where the file has several.
-        take: The take; None is the one that the file was saved with.
+        unit: Unit of its lengths; None is the stated unit.
+        up: Its up axis; None is the stated axis.
+        fps: Frames per second; None is the stated rate.
+        prim_path: The character, if the file has several.
+        take: Name of the take; None is the take that was current when the file was
+            saved.
 
     Raises:
-        FormatError: The file is broken, needs what is not read, or holds no such
+        FormatError: The file is malformed, uses an unsupported feature, or has no such
             character or take (FBX001 to FBX015).
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -72,16 +74,20 @@ def read_fbx(
         scene, character, path.stem, None if unit is None else unit.meters
     )
     names = take_names_of(scene)
-    moving = [i for i, one in enumerate(scene.takes) if moves(fbx_rig, one, scene)]
+    candidates = [
+        i
+        for i, candidate in enumerate(scene.takes)
+        if animates_rig(fbx_rig, candidate, scene)
+    ]
     default = scene.default
-    index, more = choose_take(WORDS, str(path), names, take, moving, default)
+    index, notes = choose_take(WORDS, str(path), names, take, candidates, default)
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)
     frames = frames_of(scene, anim_take, rate, sampler.numbers)
     stream = take_stream(fbx_rig, sampler, frames)
-    stream.notices[:] = [*scene.file.notes.notices, *notices, *fbx_rig.notices, *more]
+    stream.notices[:] = [*scene.file.notes.notices, *notices, *fbx_rig.notices, *notes]
     stream.notices += between_notices(scene, fbx_rig, sampler, frames)
-    stream.notices += _left_out(scene, anim_take)
+    stream.notices += _unread_notice(scene, anim_take)
     return finish_stream(
         stream,
         "FBX",
@@ -96,10 +102,10 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
 
     Args:
         path: A .fbx file.
-        prim_path: The character, as `read_fbx` has it.
+        prim_path: The character, as in `read_fbx`.
 
     Raises:
-        FormatError: As `read_fbx` does.
+        FormatError: As for `read_fbx`.
     """
     scene = open_fbx(path)
     character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
@@ -113,19 +119,19 @@ def take_names(path: Path) -> list[str]:
     """Return the names of an FBX's takes, in file order.
 
     Raises:
-        FormatError: As `read_fbx` does.
+        FormatError: As for `read_fbx`.
     """
     return take_names_of(open_fbx(path))
 
 
 def take_names_of(scene: FbxScene) -> list[str]:
     """Return distinct names of all takes."""
-    plain = [printable(one.name) for one in scene.takes]
-    return distinct(name or f"take_{i + 1}" for i, name in enumerate(plain))
+    printable_names = [printable(take.name) for take in scene.takes]
+    return distinct(name or f"take_{i + 1}" for i, name in enumerate(printable_names))
 
 
-def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
-    """Return one notice about file contents that takes cannot hold."""
+def _unread_notice(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
+    """Return one notice about file contents that takes cannot store."""
     names = list(scene.left_out)
     if take is not None and take.visible:
         names.append("animated visibility")

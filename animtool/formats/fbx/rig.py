@@ -22,42 +22,49 @@ from animtool.formats.characters.names import (
 )
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
-from animtool.formats.fbx.poses import NodeTransforms, Row, RowKind, even_rows, rows_of
+from animtool.formats.fbx.poses import (
+    NodeTransforms,
+    Row,
+    RowKind,
+    rows_of,
+    uniform_scales,
+)
 from animtool.formats.fbx.scene import FbxScene
 from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_NAMED = 6
-# Of where a mesh was when it was bound, by its size: rounding of files [1].
-MOVED = 1e-4
-# Weights of shapes that are nearer to 0 or to each other are one [1].
-NEAREST = 1e-5
+# Tolerance for a mesh that moved since binding, relative to its size: rounding of files
+# [1].
+MOVED_TOLERANCE = 1e-4
+# Shape weights closer to 0 or to each other are equal [1].
+SAME_WEIGHT = 1e-5
 
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig with the nodes and channels its joints and shapes come from.
+    """A rig with the nodes and channels that its joints and shapes come from.
 
     Attributes:
         rig: J joints.
-        rows: Node of each joint; those that only carry a mesh are left out at the end.
-        joints: Joint of each node; -1 where it is none.
-        folded: By node, the scale that its joint leaves out, as the lengths below it
-            have it [1].
-        factors: What translations of each joint are multiplied by [m].
-        even: Joints whose scale is in the lengths.
-        scales: What is left of the scales as saved ``(J, 3)`` [1].
-        shapes: Channel of each shape, and its weight at 1 [%].
+        rows: Node of each joint; trailing joints that only carry a mesh are omitted.
+        joints: Joint of each node; -1 for nodes that are not joints.
+        folded_scales: By node, the uniform scale that is folded into lengths below it
+            [1].
+        factors: Factor of each joint's translations [m].
+        is_folded: Whether each joint's scale is folded into lengths ``(J,)``.
+        scales: Remaining scales as saved ``(J, 3)`` [1].
+        shapes: Channel of each shape, and its percentage at weight 1 [%].
         meshes: Name of the mesh that each node shows.
-        notices: What a rig cannot hold.
+        notices: Warnings about data that rigs cannot store.
     """
 
     rig: Rig
     rows: list[Row]
     joints: IntArray
-    folded: FloatArray
+    folded_scales: FloatArray
     factors: FloatArray
-    even: BoolArray
+    is_folded: BoolArray
     scales: FloatArray
     shapes: list[tuple[ShapeChannel, float]]
     meshes: dict[int, str]
@@ -74,41 +81,47 @@ def build_rig(
 ) -> FbxRig:
     """Return the rig of a character; the rest pose is the saved scene.
 
-    Every node is a joint, but for those of skinned meshes with nothing below, whose
-    transform has no effect. A scale that is even and never moves goes into the
-    lengths below it; what is left is in the takes.
+    Every node is a joint, except nodes of skinned meshes without children, whose
+    transform
+    has no effect. A uniform static scale is folded into the lengths below it; other
+    scales
+    remain in the takes.
 
     Args:
         scene: The file.
-        character: Which nodes.
-        name: What the rig is called.
-        meters: Of the file's unit [m]; None is what the file says.
-        surfaces: Whether meshes and shapes are read too.
+        character: Nodes of the character.
+        name: Name of the rig.
+        meters: Size of the file's unit [m]; None is the stated unit.
+        surfaces: Whether to read meshes and shapes.
     """
     unit = scene.settings.meters if meters is None else meters
-    kept = [node for node in character.nodes if not _only_carries_skin(scene, node)]
-    kept = kept or list(character.nodes)
-    rows = rows_of(scene, kept)
-    scales, even = even_rows(scene, rows)
+    joint_nodes = [
+        node for node in character.nodes if not _only_carries_skin(scene, node)
+    ]
+    joint_nodes = joint_nodes or list(character.nodes)
+    rows = rows_of(scene, joint_nodes)
+    scales, is_folded = uniform_scales(scene, rows)
     joints = np.full(len(scene.models), -1, np.int64)
-    folded = np.ones(len(scene.models))
+    folded_scales = np.ones(len(scene.models))
     parents, factors = [], np.ones(len(rows))
     for j, row in enumerate(rows):
-        above = scene.models[row.model].parent
-        length = 1.0 if above < 0 else float(folded[above])
+        parent = scene.models[row.model].parent
+        length = 1.0 if parent < 0 else float(folded_scales[parent])
         factors[j] = length * unit
-        inner = row.kind is RowKind.INNER
-        parents.append(j - 1 if inner else -1 if above < 0 else int(joints[above]))
+        is_inner = row.kind is RowKind.INNER
+        parents.append(j - 1 if is_inner else -1 if parent < 0 else int(joints[parent]))
         if row.kind is not RowKind.OUTER:
             joints[row.model] = j
-            folded[row.model] = length * (float(scales[j].mean()) if even[j] else 1.0)
+            folded_scales[row.model] = length * (
+                float(scales[j].mean()) if is_folded[j] else 1.0
+            )
     names, notices = _names(scene, rows)
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     joint_list = []
     for j, row in enumerate(rows):
-        moved, turned, _ = rest.row(row)
-        x, y, z = (moved[0] * factors[j]).tolist()
-        a, b, c, w = turned[0].tolist()
+        translations, rotations, _ = rest.row(row)
+        x, y, z = (translations[0] * factors[j]).tolist()
+        a, b, c, w = rotations[0].tolist()
         original = scene.models[row.model].name
         source = "" if original == names[j] or row.kind is RowKind.OUTER else original
         joint_list.append(
@@ -120,9 +133,11 @@ def build_rig(
                 source_name=source,
             )
         )
-    scales = np.where(even[:, None], 1.0, scales)
+    scales = np.where(is_folded[:, None], 1.0, scales)
     rig = Rig(name, tuple(joint_list), unit, scene.settings.up)
-    fbx_rig = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
+    fbx_rig = FbxRig(
+        rig, rows, joints, folded_scales, factors, is_folded, scales, [], {}, notices
+    )
     _add_shapes_and_meshes(scene, character, fbx_rig, surfaces=surfaces)
     fbx_rig.notices += _moved_meshes(scene, character)
     return fbx_rig
@@ -136,17 +151,21 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
         index = scene.nodes[node].skin
         if index < 0:
             continue
-        of = scene.models[node].object.id
-        moves = any(
-            track.of == of and track.constant(scene.models[node].base[k]) is None
+        object_id = scene.models[node].object.id
+        is_moved = any(
+            track.object_id == object_id
+            and track.constant(scene.models[node].base[k]) is None
             for take in scene.takes
             for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
-            for track in (take.tracks.get((of, name)),)
+            for track in (take.tracks.get((object_id, name)),)
             if track is not None
         )
         bind = scene.bind[index]
         size = float(np.abs(bind[:3]).max())
-        if moves or np.abs(rest.world(node)[0] - bind).max() > MOVED * size:
+        if (
+            is_moved
+            or np.abs(rest.world(node)[0] - bind).max() > MOVED_TOLERANCE * size
+        ):
             names.append(repr(scene.models[node].name))
     if not names:
         return []
@@ -166,22 +185,24 @@ def _only_carries_skin(scene: FbxScene, node: int) -> bool:
 
 
 def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]]:
-    inner = [row.model for row in rows if row.kind is not RowKind.OUTER]
-    named, renamed = joint_names([scene.nodes[node] for node in inner], inner)
-    of_model = dict(zip(inner, named, strict=True))
-    outer = [
+    inner_nodes = [row.model for row in rows if row.kind is not RowKind.OUTER]
+    inner_names, renamed = joint_names(
+        [scene.nodes[node] for node in inner_nodes], inner_nodes
+    )
+    of_model = dict(zip(inner_nodes, inner_names, strict=True))
+    outer_names = [
         f"{of_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
         for row in rows
     ]
-    unique = distinct([*named, *(one for one in outer if one)])
-    helpers = iter(unique[len(named) :])
+    unique = distinct([*inner_names, *(name for name in outer_names if name)])
+    helpers = iter(unique[len(inner_names) :])
     names = [
-        next(helpers) if one else of_model[row.model]
-        for one, row in zip(outer, rows, strict=True)
+        next(helpers) if name else of_model[row.model]
+        for name, row in zip(outer_names, rows, strict=True)
     ]
     path = str(scene.path)
     notices = renamed_notice("FBX113", renamed, path)
-    added = unique[len(named) :]
+    added = unique[len(inner_names) :]
     if added:
         message = (
             f"{counted(len(added), 'joint')} added above joints that do not inherit "
@@ -194,19 +215,20 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
 def _add_shapes_and_meshes(
     scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, surfaces: bool
 ) -> None:
-    shown = [node for node in character.nodes if node in scene.meshes]
-    shown = [node for node in shown if len(scene.meshes[node].faces)]
-    plain = [printable(scene.nodes[node].name or "") for node in shown]
-    called = distinct(
-        name or f"mesh_{node}" for node, name in zip(shown, plain, strict=True)
+    mesh_nodes = [node for node in character.nodes if node in scene.meshes]
+    mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
+    printable_names = [printable(scene.nodes[node].name or "") for node in mesh_nodes]
+    mesh_names = distinct(
+        name or f"mesh_{node}"
+        for node, name in zip(mesh_nodes, printable_names, strict=True)
     )
-    fbx_rig.meshes = dict(zip(shown, called, strict=True))
-    channels = [(n, channel) for n in shown for channel in scene.meshes[n].shapes]
+    fbx_rig.meshes = dict(zip(mesh_nodes, mesh_names, strict=True))
+    channels = [(n, channel) for n in mesh_nodes for channel in scene.meshes[n].shapes]
     names = shape_names(
         (channel.name, f"{fbx_rig.meshes[node]}_shape", fbx_rig.meshes[node])
         for node, channel in channels
     )
-    fbx_rig.shapes += [(channel, _full(channel)) for _, channel in channels]
+    fbx_rig.shapes += [(channel, _full_percent(channel)) for _, channel in channels]
     if not surfaces:
         shapes = tuple(map(Shape, names))
         fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
@@ -219,32 +241,34 @@ def _add_shapes_and_meshes(
         scene,
         fbx_rig.rig,
         fbx_rig.joints,
-        fbx_rig.folded,
+        fbx_rig.folded_scales,
         fbx_rig.scales,
         scene.bind_worlds(),
     )
-    meshes = tuple(_mesh(scene, node, fbx_rig.meshes[node], binder) for node in shown)
+    meshes = tuple(
+        _mesh(scene, node, fbx_rig.meshes[node], binder) for node in mesh_nodes
+    )
     fbx_rig.rig = binder.rig(meshes, shapes)
     fbx_rig.notices += binder.notices
-    more = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
-    fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((more, 3))])
+    helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
+    fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((helper_count, 3))])
 
 
-def _full(channel: ShapeChannel) -> float:
-    """Return the percentage at which a channel's last shape is full."""
-    last = channel.targets[-1][0]
-    return last if abs(last) > 100 * NEAREST else 100.0
+def _full_percent(channel: ShapeChannel) -> float:
+    """Return the percentage at which a channel's last target is full."""
+    percent = channel.targets[-1][0]
+    return percent if abs(percent) > 100 * SAME_WEIGHT else 100.0
 
 
 def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -> Shape:
-    back, full = geometric[:3, :3].T, _full(channel)
-    between = [
-        Inbetween(at / full, LoadedArray(offsets @ back))
+    rotation, full_percent = geometric[:3, :3].T, _full_percent(channel)
+    inbetweens = [
+        Inbetween(at / full_percent, LoadedArray(offsets @ rotation))
         for at, offsets in channel.targets[:-1]
     ]
-    between.sort(key=lambda one: one.at)
-    full_offsets = LoadedArray(channel.targets[-1][1] @ back)
-    return Shape(name, mesh, full_offsets, None, tuple(between))
+    inbetweens.sort(key=lambda one: one.at)
+    full_offsets = LoadedArray(channel.targets[-1][1] @ rotation)
+    return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 
 
 def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
@@ -287,10 +311,10 @@ def _skin(
 
 
 def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
-    """Return a notice of joint scales that a rig cannot hold."""
+    """Return a notice of joint scales that a rig cannot store."""
     rig = fbx_rig.rig
-    scaled = np.abs(fbx_rig.scales - 1.0).max(axis=1) > 1e-4
-    names = Counter(rig.names[j] for j in np.flatnonzero(scaled).tolist())
+    has_scale = np.abs(fbx_rig.scales - 1.0).max(axis=1) > 1e-4
+    names = Counter(rig.names[j] for j in np.flatnonzero(has_scale).tolist())
     names.update(
         name
         for name, pose in rig.bind.items()

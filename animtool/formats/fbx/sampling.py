@@ -26,14 +26,14 @@ from animtool.rig.kinematics import forward
 
 # Frames per block: 60 joints take 2 MB.
 BLOCK = 1024
-# What a take is held with: numbers that change, of all frames.
+# Limit of a take's animated numbers over all frames.
 MAX_VALUES = 60_000_000
-# A frame takes time however few of its numbers change.
+# Minimum numbers counted per frame: each frame takes time, however few numbers change.
 MIN_VALUES = 40
 MAX_TICKS = 2.0**61
-# A key is on a frame that is nearer than this [frame].
+# Keys closer to a frame than this are on it [frame].
 ON_FRAME = 1e-3
-# Keys between frames at which joints are measured.
+# Maximum keys between frames at which joint errors are measured.
 MAX_MEASURED = 256
 
 
@@ -47,7 +47,7 @@ class FbxFrames:
 
     def ticks(self, codes: FloatArray) -> IntArray:
         """Return times of frame numbers [ticks]."""
-        # One product of two floats: a frame is exact as long as its tick is.
+        # A single product of two floats: frames are as exact as their ticks.
         per_frame = float(Fraction(TICKS) / self.fps)
         return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
             np.int64
@@ -58,23 +58,25 @@ class FbxSampler:
     """Sampler of a take's rig motion at any times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
-        """Sample a rig by a take; None leaves it as saved."""
+        """Sample a rig by a take; None keeps the saved pose."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
         changes = Changes(scene.models, take)
         flags = np.array([changes.row(row) for row in fbx_rig.rows]).reshape(-1, 3)
-        flags[:, 2] &= ~fbx_rig.even
-        self.moving = [np.flatnonzero(flags[:, k]) for k in range(3)]
+        flags[:, 2] &= ~fbx_rig.is_folded
+        self.animated = [np.flatnonzero(flags[:, k]) for k in range(3)]
         rows = range(len(fbx_rig.shapes))
-        self.shapes = np.array([row for row in rows if self._moves(row)], np.int64)
+        self.shapes = np.array(
+            [row for row in rows if self._is_animated(row)], np.int64
+        )
         begin = 0 if take is None else take.begin
         self.rest = self._rest(np.array([begin], np.int64))
-        self.is_scaled = bool(len(self.moving[2]) or (self.rest[2] != 1.0).any())
+        self.is_scaled = bool(len(self.animated[2]) or (self.rest[2] != 1.0).any())
 
     @property
     def numbers(self) -> int:
         """Count of animated numbers per frame."""
-        moves, rotations, scales = (len(one) for one in self.moving)
-        return 3 * moves + 4 * rotations + 3 * scales + len(self.shapes)
+        translations, rotations, scales = (len(joints) for joints in self.animated)
+        return 3 * translations + 4 * rotations + 3 * scales + len(self.shapes)
 
     def track(self, row: int) -> PropertyTrack | None:
         """Return the track of a shape's weight; None if not animated."""
@@ -82,31 +84,37 @@ class FbxSampler:
         take = self.take
         return None if take is None else take.tracks.get((channel.id, PERCENT))
 
-    def _moves(self, row: int) -> bool:
+    def _is_animated(self, row: int) -> bool:
         track = self.track(row)
         base = np.array([self.fbx_rig.shapes[row][0].percent])
         return track is not None and track.constant(base) is None
 
     def weight(self, row: int, ticks: IntArray) -> FloatArray:
         """Return the weight of a shape at times ``(F,)`` [1]."""
-        channel, full = self.fbx_rig.shapes[row]
+        channel, full_percent = self.fbx_rig.shapes[row]
         base, track = np.array([channel.percent]), self.track(row)
         if track is None:
-            return np.full(len(ticks), channel.percent / full)
-        return np.asarray(track.at(base, ticks)[:, 0] / full)
+            return np.full(len(ticks), channel.percent / full_percent)
+        return np.asarray(track.at(base, ticks)[:, 0] / full_percent)
 
     def _rest(self, ticks: IntArray) -> list[FloatArray]:
         """Return the static values of each channel."""
         fbx_rig, count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         state = NodeTransforms(self.scene, self.take, ticks)
-        moved, turned = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        scaled = np.ones((count, 3))
+        translations, rotations = (
+            np.zeros((count, 3)),
+            np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+        )
+        scales = np.ones((count, 3))
         for j, row in enumerate(fbx_rig.rows):
             local = state.row(row)
-            moved[j], turned[j] = local[0][0] * fbx_rig.factors[j], local[1][0]
-            scaled[j] = 1.0 if fbx_rig.even[j] else local[2][0]
+            translations[j], rotations[j] = (
+                local[0][0] * fbx_rig.factors[j],
+                local[1][0],
+            )
+            scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
         weights = [self.weight(row, ticks)[0] for row in range(len(fbx_rig.shapes))]
-        return [moved, turned, scaled, np.array(weights).reshape(-1, 1)]
+        return [translations, rotations, scales, np.array(weights).reshape(-1, 1)]
 
     def at(self, ticks: IntArray) -> Motion:
         """Return the motion at times ``(F,)`` [ticks]."""
@@ -114,25 +122,27 @@ class FbxSampler:
         state = NodeTransforms(self.scene, self.take, ticks)
         values = [
             np.zeros((len(ticks), len(joints), w))
-            for joints, w in zip(self.moving, (3, 4, 3), strict=True)
+            for joints, w in zip(self.animated, (3, 4, 3), strict=True)
         ]
-        for part, joints in enumerate(self.moving):
+        for component, joints in enumerate(self.animated):
             for k, j in enumerate(joints.tolist()):
-                samples = state.row(fbx_rig.rows[j])[part]
-                if part == 0:
+                samples = state.row(fbx_rig.rows[j])[component]
+                if component == 0:
                     samples = samples * fbx_rig.factors[j]
-                elif part == 1:
+                elif component == 1:
                     samples = so3.align_signs(samples)
-                values[part][:, k] = samples
+                values[component][:, k] = samples
         channels = [
-            Channel(self.rest[part], joints, values[part])
-            for part, joints in enumerate(self.moving)
+            Channel(self.rest[component], joints, values[component])
+            for component, joints in enumerate(self.animated)
         ]
         weights = None
         if fbx_rig.shapes:
             rows = [self.weight(row, ticks) for row in self.shapes.tolist()]
-            shown = np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
-            weights = Channel(self.rest[3], self.shapes, shown[:, :, None])
+            shape_weights = (
+                np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
+            )
+            weights = Channel(self.rest[3], self.shapes, shape_weights[:, :, None])
         scales = channels[2] if self.is_scaled else None
         return Motion(channels[0], channels[1], scales, weights)
 
@@ -145,11 +155,11 @@ def frames_of(
     Args:
         scene: The file.
         take: The take; None is one frame.
-        fps: The rate that is asked for; None is the file's.
-        width: Numbers of a frame.
+        fps: Requested frame rate; None is the file's.
+        width: Animated numbers per frame.
 
     Raises:
-        FormatError: It has more frames than are read (FBX013).
+        FormatError: It has too many frames (FBX013).
     """
     rate = fps or scene.settings.fps
     if take is None:
@@ -158,13 +168,14 @@ def frames_of(
     begin, end = take.begin, take.end
     if end <= begin and len(keys):
         begin, end = int(keys[0]), int(keys[-1])
-    # From the frame at or before the beginning to that at or after the end.
-    first = _nearest(begin, rate)
-    first -= _is_off(begin, rate) and first * TICKS > begin * rate
-    last = _nearest(end, rate)
-    last += _is_off(end, rate) and last * TICKS < end * rate
-    last = max(first, last)
-    count = last - first + 1
+    # Covers the span: from the frame at or before its start to the frame at or after
+    # its end.
+    first_frame = _nearest(begin, rate)
+    first_frame -= _is_off(begin, rate) and first_frame * TICKS > begin * rate
+    last_frame = _nearest(end, rate)
+    last_frame += _is_off(end, rate) and last_frame * TICKS < end * rate
+    last_frame = max(first_frame, last_frame)
+    count = last_frame - first_frame + 1
     if count > MAX_FRAMES or count * max(width, MIN_VALUES) > MAX_VALUES:
         message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
         message += f"{rate_label(rate)} are {count} frames of {width} numbers, above "
@@ -173,32 +184,36 @@ def frames_of(
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
         )
-    return FbxFrames(rate, first, count)
+    return FbxFrames(rate, first_frame, count)
 
 
 def between_notices(
-    scene: FbxScene, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames
+    scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> list[Fault]:
     """Return a notice of joint errors where keys are between frames."""
-    take = moving.take
+    take = sampler.take
     keys = np.zeros(0, np.int64) if take is None else take.key_times()
     if take is None or not len(keys):
         return []
     codes = keys / float(Fraction(TICKS) / frames.fps)
-    off = np.flatnonzero(np.abs(codes - np.round(codes)) > ON_FRAME)
-    if not len(off):
+    off_frame = np.flatnonzero(np.abs(codes - np.round(codes)) > ON_FRAME)
+    if not len(off_frame):
         return []
-    shown = off[:: max(1, len(off) // MAX_MEASURED)]
-    low = np.floor(codes[shown])
+    measured = off_frame[:: max(1, len(off_frame) // MAX_MEASURED)]
+    frame_before = np.floor(codes[measured])
     positions = [
-        forward(fbx_rig.rig, *moving.at(ticks).dense()).positions
-        for ticks in (frames.ticks(low), frames.ticks(low + 1.0), keys[shown])
+        forward(fbx_rig.rig, *sampler.at(ticks).dense()).positions
+        for ticks in (
+            frames.ticks(frame_before),
+            frames.ticks(frame_before + 1.0),
+            keys[measured],
+        )
     ]
-    fraction = (codes[shown] - low)[:, None, None]
+    fraction = (codes[measured] - frame_before)[:, None, None]
     straight = positions[0] + fraction * (positions[1] - positions[0])
     distances = np.linalg.norm(positions[2] - straight, axis=2)
     worst = int(distances.max(axis=0).argmax())
-    message = f"{len(off)} of {len(keys)} key times fall between the frames at "
+    message = f"{len(off_frame)} of {len(keys)} key times fall between the frames at "
     message += (
         f"{rate_label(frames.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
     )
@@ -217,18 +232,18 @@ def _is_off(ticks: int, rate: Fraction) -> bool:
     return abs(frames - round(frames)) > Fraction(1, 1000)
 
 
-def take_stream(fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> TakeStream:
+def take_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> TakeStream:
     """Return a take as a stream, sampled block by block."""
     clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
 
     def sample(codes: FloatArray) -> Motion:
-        return moving.at(frames.ticks(codes))
+        return sampler.at(frames.ticks(codes))
 
     return sampled_stream(fbx_rig.rig, clock, sample, BLOCK)
 
 
-def moves(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
+def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
     """Return whether a take animates the rig."""
     ids = {scene.models[row.model].object.id for row in fbx_rig.rows}
     ids |= {channel.id for channel, _ in fbx_rig.shapes}
-    return any(of in ids for of, _ in take.tracks)
+    return any(object_id in ids for object_id, _ in take.tracks)

@@ -27,14 +27,14 @@ class FbxScene:
     Attributes:
         file: Its objects.
         settings: Unit, axes and rate.
-        models: Its nodes, parents first.
-        meshes: By index of the node that shows it.
-        takes: In the order of the file.
-        left_out: What else it holds, in words.
-        default: The take that is read if none is named; -1 for none.
-        nodes: The tree, of each model a node.
-        skins: One for each skinned mesh that a node shows.
-        bind: Of each skin, the world transform of its mesh when it was bound.
+        models: Nodes, parents first.
+        meshes: Meshes by index of the node that shows them.
+        takes: Takes in file order.
+        left_out: Labels of contents that are not read.
+        default: Index of the take read by default; -1 for none.
+        nodes: The node tree, one node per model.
+        skins: One per skinned mesh that a node shows.
+        bind: World transform of each skin's mesh at bind time.
     """
 
     file: FbxFile
@@ -54,7 +54,7 @@ class FbxScene:
         """Return each skin's mesh transform at bind time, in rig axes."""
         axes = np.eye(4)
         axes[:3, :3] = self.settings.basis
-        return [axes @ one for one in self.bind]
+        return [axes @ world for world in self.bind]
 
     @property
     def path(self) -> Path:
@@ -65,18 +65,18 @@ class FbxScene:
 def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     """Open an FBX; every number that affects motion is checked.
 
-    up: which axis of the file points up; None is what it says.
+    ``up`` is the up axis of the file; None is the stated axis.
 
     Raises:
-        FormatError: It cannot be read safely, or needs what is not read (FBX001 to
+        FormatError: It cannot be read safely, or uses an unsupported feature (FBX001 to
             FBX013), with the byte offset or the line.
     """
     file = open_objects(path)
     settings = read_settings(file, up)
     models = read_models(file)
     index = {model.object.id: i for i, model in enumerate(models)}
-    shown = read_geometry(file)
-    meshes = {index[of]: mesh for of, mesh in shown.items() if of in index}
+    geometry = read_geometry(file)
+    meshes = {index[of]: mesh for of, mesh in geometry.items() if of in index}
     takes = read_takes(file)
     skins, bind = _skins(meshes, index)
     of_node = dict(zip((i for i in meshes if meshes[i].clusters), skins, strict=True))
@@ -101,21 +101,21 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
 def _skins(
     meshes: dict[int, FbxGeometry], index: dict[Id, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
-    """Return the skins; a mesh's node is the last joint where it counts."""
+    """Return the skins; a mesh's node is the last joint if it has weights."""
     skins, bind = [], []
     for node, mesh in meshes.items():
         if not mesh.clusters:
             continue
-        joints = [index[one.bone] for one in mesh.clusters]
-        matrices = [one.from_mesh for one in mesh.clusters]
+        joints = [index[cluster.bone] for cluster in mesh.clusters]
+        matrices = [cluster.from_mesh for cluster in mesh.clusters]
         if has_free_points(mesh):
             joints.append(node)
             matrices.append(np.eye(4))
-        first = mesh.clusters[0]
+        first_cluster = mesh.clusters[0]
         skins.append(
-            SkinEntry(None, tuple(joints), -1, np.stack(matrices), first.where)
+            SkinEntry(None, tuple(joints), -1, np.stack(matrices), first_cluster.where)
         )
-        bind.append(first.world @ first.from_mesh)
+        bind.append(first_cluster.world @ first_cluster.from_mesh)
     return skins, bind
 
 
@@ -126,15 +126,15 @@ def _nodes(
     for i, model in enumerate(models):
         if model.parent >= 0:
             children[model.parent].append(i)
-    zero, one = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    no_translation, unit_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     return tuple(
         Node(
             model.name,
             model.parent,
             tuple(children[i]),
-            zero,
+            no_translation,
             (0.0, 0.0, 0.0, 1.0),
-            one,
+            unit_scale,
             i if i in meshes else -1,
             skins.get(i, -1),
         )
@@ -142,7 +142,7 @@ def _nodes(
     )
 
 
-# Kinds of objects that are of looks or of other surfaces, as they are called.
+# Labels of object kinds for appearance or unsupported surfaces.
 _LEFT_OUT = {
     "Material": "materials",
     "Texture": "textures",
@@ -159,12 +159,12 @@ _LEFT_OUT = {
 
 
 def _left_out(file: FbxFile) -> tuple[str, ...]:
-    """Return labels of contents that neither rigs nor takes can hold."""
+    """Return labels of contents that neither rigs nor takes can store."""
     kinds = ("Material", "Texture", "Video")
     labels = {
         _LEFT_OUT[key]: None
-        for one in file.objects.values()
-        for key in (one.kind if one.kind in kinds else one.subtype,)
+        for item in file.objects.values()
+        for key in (item.kind if item.kind in kinds else item.subtype,)
         if key in _LEFT_OUT
     }
     return tuple(sorted(labels))
@@ -174,7 +174,7 @@ def _note_drivers(file: FbxFile) -> None:
     """Add a note about constraints and drivers, which are not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:
-        names = listed([repr(one.name) for one in drivers], MAX_NAMED)
+        names = listed([repr(driver.name) for driver in drivers], MAX_NAMED)
         message = f"constraints are not evaluated: {names}"
         hint = "driven nodes follow their curves only; bake them before exporting"
         file.notes.warn("FBX107", drivers[0].element.where, message, hint)

@@ -13,9 +13,9 @@ from animtool.core.units import UpAxis
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.objects import FbxFile, scalar
 
-# Ticks of a second.
+# Ticks per second.
 TICKS = 46_186_158_000
-# By TimeMode, as `FbxTime::EMode` numbers them.
+# Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
     0: Fraction(30),
     1: Fraction(120),
@@ -44,10 +44,10 @@ class FbxSettings:
     """Length unit, axes and time mode of a file.
 
     Attributes:
-        meters: Of its unit [m].
-        up: Which axis points up once its roots are turned.
-        basis: What its roots are turned by ``(3, 3)``.
-        fps: Frames a second.
+        meters: Size of its unit [m].
+        up: Up axis after the roots are rotated by `basis`.
+        basis: Rotation of the roots ``(3, 3)``.
+        fps: Frames per second.
     """
 
     meters: float
@@ -59,26 +59,27 @@ class FbxSettings:
 def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     """Return the global settings of a file.
 
-    up: which axis of the file points up; None is what it says.
+    ``up`` is the up axis of the file; None is the stated axis.
 
     Raises:
-        FormatError: Its axes are left-handed or no axes (FBX007), or unit or rate are
-            no positive numbers (FBX005).
+        FormatError: Its axes are left-handed or invalid (FBX007), or unit or rate are
+            not
+            positive numbers (FBX005).
     """
     notes, settings = file.notes, file.settings
     factor = scalar(settings, "UnitScaleFactor", 1.0, notes)
     if not 1e-9 <= factor <= 1e12:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
-    turned = (up, np.eye(3)) if up is not None else _axes(file)
-    return FbxSettings(factor / 100.0, *turned, _rate(file))
+    up_and_basis = (up, np.eye(3)) if up is not None else _axes(file)
+    return FbxSettings(factor / 100.0, *up_and_basis, _rate(file))
 
 
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """Return the up axis, and the rotation from file axes to it.
 
-    Files with Y or Z up stay as they are where they face the usual way; others are
-    turned to Y up, facing Z.
+    Files with Y or Z up keep their axes if they face the common direction; others are
+    rotated to Y up, facing Z.
     """
     rows = []
     for name, axis in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):

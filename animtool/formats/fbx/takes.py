@@ -35,16 +35,21 @@ from animtool.formats.fbx.objects import (
 )
 from animtool.formats.fbx.old_keys import LAYOUT, LAYOUT_OF_5000, curve_of_channel
 
-# Parts of each property that moves something, as curve nodes call them.
-_TRIPLES = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *OUTER_ROTATIONS)
-PARTS: dict[str, tuple[str, ...]] = dict.fromkeys(_TRIPLES, ("d|X", "d|Y", "d|Z"))
-PARTS[PERCENT] = ("d|DeformPercent",)
+# Component names of each animatable property, as in curve nodes.
+_VECTORS = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *OUTER_ROTATIONS)
+COMPONENTS: dict[str, tuple[str, ...]] = dict.fromkeys(_VECTORS, ("d|X", "d|Y", "d|Z"))
+COMPONENTS[PERCENT] = ("d|DeformPercent",)
 _CHANNELS = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
 _CHANNELS |= {name: name for name in (*PIVOTS, *OUTER_ROTATIONS)}
-_DEFAULTS = dict.fromkeys(PARTS, 0.0) | {SCALING: 1.0}
-# What no take is expected to change, and would change the pose.
-_FIXED = {"RotationOrder", "RotationActive", "InheritType", "GeometricTranslation"}
-_FIXED |= {"GeometricRotation", "GeometricScaling"}
+_DEFAULTS = dict.fromkeys(COMPONENTS, 0.0) | {SCALING: 1.0}
+# Properties that affect the pose, but cannot be animated.
+_NEVER_ANIMATED = {
+    "RotationOrder",
+    "RotationActive",
+    "InheritType",
+    "GeometricTranslation",
+}
+_NEVER_ANIMATED |= {"GeometricRotation", "GeometricScaling"}
 MAX_LAYERS = 1000
 
 
@@ -53,13 +58,13 @@ class AnimTake:
     """A take.
 
     Attributes:
-        name: As in the file.
-        where: Its element.
-        begin: Of its span [ticks].
-        end: Likewise.
-        layers: Names, from the lowest up.
-        tracks: By object and property.
-        visible: Whether it has visibility over time.
+        name: Name in the file.
+        where: Location of its element.
+        begin: Start of its span [tick].
+        end: End of its span [tick].
+        layers: Names of its layers, from bottom to top.
+        tracks: Tracks by object id and property name.
+        visible: Whether visibility is animated.
     """
 
     name: str
@@ -75,8 +80,8 @@ class AnimTake:
         return [
             curve
             for track in self.tracks.values()
-            for one in track.layers
-            for curve in one.curves
+            for layer_values in track.layers
+            for curve in layer_values.curves
             if curve is not None
         ]
 
@@ -90,8 +95,9 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
     """Return the takes of a file, in file order.
 
     Raises:
-        FormatError: A curve is broken (FBX005, FBX006), or a layer has a mode that is
-            not read (FBX004).
+        FormatError: A curve is malformed (FBX005, FBX006), or a layer has an
+            unsupported
+            mode (FBX004).
     """
     if file.version < NUMBERED:
         return _old_takes(file)
@@ -105,17 +111,17 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
     for documents in file.root.all("Documents"):
         for document in documents.all("Document"):
             for properties in document.all("Properties70"):
-                for one in properties.all("P"):
-                    if one.text(0) == "ActiveAnimStackName":
-                        name = one.text(4)
+                for item in properties.all("P"):
+                    if item.text(0) == "ActiveAnimStackName":
+                        name = item.text(4)
     for old in file.root.all("Takes"):
         current = old.find("Current")
         name = current.text(0) if current is not None else name
-    moving = [i for i, take in enumerate(takes) if take.tracks]
-    named = [i for i, take in enumerate(takes) if take.name == name]
+    animated = [i for i, take in enumerate(takes) if take.tracks]
+    with_name = [i for i, take in enumerate(takes) if take.name == name]
     if not takes:
         return -1
-    return [*(i for i in named if i in moving), *moving, *named, 0][0]
+    return [*(i for i in with_name if i in animated), *animated, *with_name, 0][0]
 
 
 class _Stacks:
@@ -134,27 +140,33 @@ class _Stacks:
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
             file.notes.fail("FBX013", stack.element.where, message)
-        solo = [one for one in layers if scalar(one, "Solo", 0, file.notes)]
+        solo_layers = [
+            layer_ for layer_ in layers if scalar(layer_, "Solo", 0, file.notes)
+        ]
         for i, layer in enumerate(layers):
             take.layers.append(layer.name)
-            shown = layer in solo if solo else not scalar(layer, "Mute", 0, file.notes)
-            if shown:
+            is_active = (
+                layer in solo_layers
+                if solo_layers
+                else not scalar(layer, "Mute", 0, file.notes)
+            )
+            if is_active:
                 self._add(take, layer, is_first=i == 0)
         return take
 
-    def _add(self, take: AnimTake, of: Object, *, is_first: bool) -> None:
+    def _add(self, take: AnimTake, layer_object: Object, *, is_first: bool) -> None:
         file = self.file
-        layer = self._layer(of)
-        for source, name in file.below.get(of.id, ()):
+        layer = self._layer(layer_object)
+        for source, name in file.incoming.get(layer_object.id, ()):
             node = file.objects.get(source)
             if name or node is None or node.kind != "AnimationCurveNode":
                 continue
-            for target, property_name in file.above.get(source, ()):
+            for target, property_name in file.outgoing.get(source, ()):
                 if property_name == "Visibility":
                     take.visible = True
-                if property_name in _FIXED:
-                    self._check_fixed(node, property_name, take)
-                if property_name not in PARTS or target not in file.objects:
+                if property_name in _NEVER_ANIMATED:
+                    self._check_not_animated(node, property_name, take)
+                if property_name not in COMPONENTS or target not in file.objects:
                     continue
                 key = (target, property_name)
                 track = take.tracks.setdefault(
@@ -164,8 +176,11 @@ class _Stacks:
                     continue  # a layer has one say of a property
                 track.layers.append(self._values(node, property_name, layer, is_first))
 
-    def _check_fixed(self, node: Object, name: str, take: AnimTake) -> None:
-        if all(one is None or one.is_static() for one in self._of_node(node).values()):
+    def _check_not_animated(self, node: Object, name: str, take: AnimTake) -> None:
+        if all(
+            curve is None or curve.is_static()
+            for curve in self._node_curves(node).values()
+        ):
             return
         message = f"take {take.name!r}: {name} over time is not read"
         hint = "bake the animation before exporting"
@@ -174,57 +189,64 @@ class _Stacks:
     def _values(
         self, node: Object, name: str, layer: Layer, is_first: bool
     ) -> LayerValues:
-        parts = PARTS[name]
-        curves = self._of_node(node)
+        components = COMPONENTS[name]
+        curves = self._node_curves(node)
         default = _DEFAULTS[name]
-        defaults = [scalar(node, part, default, self.file.notes) for part in parts]
+        defaults = [
+            scalar(node, component, default, self.file.notes)
+            for component in components
+        ]
         return LayerValues(
-            layer, is_first, defaults, [curves.get(part) for part in parts]
+            layer,
+            is_first,
+            defaults,
+            [curves.get(component) for component in components],
         )
 
-    def _of_node(self, node: Object) -> dict[str, FbxCurve | None]:
+    def _node_curves(self, node: Object) -> dict[str, FbxCurve | None]:
         curves: dict[str, FbxCurve | None] = {}
-        for source, part in self.file.below.get(node.id, ()):
+        for source, component in self.file.incoming.get(node.id, ()):
             item = self.file.objects.get(source)
-            if item is None or item.kind != "AnimationCurve" or part in curves:
+            if item is None or item.kind != "AnimationCurve" or component in curves:
                 continue
             if source not in self._curves:
                 curve = curve_of_object(item.element, self.file.notes)
                 if curve is not None:
-                    # Curves of one take mostly have the same keys, held once.
+                    # Most curves of a take have the same keys; equal times are stored
+                    # once.
                     key = curve.times.tobytes()
                     times = self._times.setdefault(key, curve.times)
                     curve = replace(curve, times=times)
-                    # Its arrays are held once.
+                    # The element's arrays are no longer needed.
                     item.element.children.clear()
                 self._curves[source] = curve
-            curves[part] = self._curves[source]
+            curves[component] = self._curves[source]
         return curves
 
-    def _layer(self, of: Object) -> Layer:
+    def _layer(self, layer_object: Object) -> Layer:
         notes = self.file.notes
-        mode = int(scalar(of, "BlendMode", 0, notes))
+        mode = int(scalar(layer_object, "BlendMode", 0, notes))
         if mode not in {0, 1, 2}:
-            message = f"layer {of.name!r}: blend mode {mode} is not supported"
-            notes.fail("FBX004", of.element.where, message)
-        curve, weight = None, scalar(of, "Weight", 100.0, notes)
-        for source, name in self.file.below.get(of.id, ()):
+            message = f"layer {layer_object.name!r}: blend mode {mode} is not supported"
+            notes.fail("FBX004", layer_object.element.where, message)
+        curve, weight = None, scalar(layer_object, "Weight", 100.0, notes)
+        for source, name in self.file.incoming.get(layer_object.id, ()):
             node = self.file.objects.get(source)
             if name == "Weight" and node is not None:
-                curve = next(iter(self._of_node(node).values()), None)
+                curve = next(iter(self._node_curves(node).values()), None)
                 weight = scalar(node, "d|Weight", weight, notes)
         return Layer(
-            of.name,
+            layer_object.name,
             min(max(weight / 100.0, 0.0), 1.0),
             curve,
             mode,
-            int(scalar(of, "RotationAccumulationMode", 0, notes)) == 0,
-            int(scalar(of, "ScaleAccumulationMode", 0, notes)) == 0,
+            int(scalar(layer_object, "RotationAccumulationMode", 0, notes)) == 0,
+            int(scalar(layer_object, "ScaleAccumulationMode", 0, notes)) == 0,
         )
 
 
-def _ticks(of: Object, name: str) -> int:
-    values = of.values(name)
+def _ticks(stack: Object, name: str) -> int:
+    values = stack.values(name)
     if not values or not isinstance(values[0], int):
         return 0
     return _in_range(values[0])
@@ -235,7 +257,7 @@ def _in_range(ticks: int) -> int:
 
 
 def _old_takes(file: FbxFile) -> list[AnimTake]:
-    listed = []
+    old_takes = []
     for takes in file.root.all("Takes"):
         for element in takes.all("Take"):
             take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
@@ -246,65 +268,75 @@ def _old_takes(file: FbxFile) -> list[AnimTake]:
                 )
             for model in element.all("Model"):
                 _old_model(file, take, model)
-            listed.append(take)
-    return listed
+            old_takes.append(take)
+    return old_takes
 
 
 def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
     kind, name = plain_name(model.text(0))
-    of: Id = f"{kind or 'Model'}::{name}"
-    if of not in file.objects:
+    object_id: Id = f"{kind or 'Model'}::{name}"
+    if object_id not in file.objects:
         return
-    shapes = {shape.text(0) for shape in old_shapes(file, file.objects[of])}
+    shapes = {shape.text(0) for shape in old_shapes(file, file.objects[object_id])}
     for channel in model.all("Channel"):
-        called = channel.text(0)
-        if called == "Visibility":
+        channel_name = channel.text(0)
+        if channel_name == "Visibility":
             take.visible = take.visible or channel.find("Key") is not None
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not supported"
             file.notes.fail("FBX004", channel.where, excerpt(message))
         if file.version < WITH_OBJECTS:
-            called = called.removesuffix(SHAPE_SUFFIX)
-        if called in shapes:
-            _old_track(file, take, shape_id(of, called), PERCENT, [channel])
-        inner = channel.all("Channel") if called == "Transform" else (channel,)
-        for one in inner:
-            property_name = _CHANNELS.get(one.text(0))
+            channel_name = channel_name.removesuffix(SHAPE_SUFFIX)
+        if channel_name in shapes:
+            _old_track(
+                file, take, shape_id(object_id, channel_name), PERCENT, [channel]
+            )
+        channels = channel.all("Channel") if channel_name == "Transform" else (channel,)
+        for property_channel in channels:
+            property_name = _CHANNELS.get(property_channel.text(0))
             if property_name is not None:
-                parts = _axes(one)
-                _old_track(file, take, of, property_name, parts)
+                axis_channels = _axes(property_channel)
+                _old_track(file, take, object_id, property_name, axis_channels)
 
 
 def old_shapes(file: FbxFile, model: Object) -> list[Element]:
     """Return the shapes of a model's mesh (before FBX 7000)."""
     holders = [model, *file.sources(model.id, "Geometry", "Mesh")]
-    return [shape for one in holders for shape in one.element.all("Shape")]
+    return [shape for holder in holders for shape in holder.element.all("Shape")]
 
 
-def shape_id(of: Id, name: str) -> Id:
+def shape_id(object_id: Id, name: str) -> Id:
     """Return the id of a shape channel in files before 7000."""
-    return f"Shape::{of}::{name}"
+    return f"Shape::{object_id}::{name}"
 
 
 def _axes(channel: Element) -> list[Element | None]:
     channels: list[Element | None] = [None] * 3
-    for part in channel.all("Channel"):
-        axis = "XYZ".find(part.text(0)) if part.text(0) else -1
+    for axis_channel in channel.all("Channel"):
+        axis = "XYZ".find(axis_channel.text(0)) if axis_channel.text(0) else -1
         if axis >= 0:
-            channels[axis] = part
+            channels[axis] = axis_channel
     return channels
 
 
 def _old_track(
-    file: FbxFile, take: AnimTake, of: Id, name: str, parts: list[Element | None]
+    file: FbxFile,
+    take: AnimTake,
+    object_id: Id,
+    name: str,
+    axis_channels: list[Element | None],
 ) -> None:
-    defaults, curves = [_DEFAULTS[name]] * len(parts), []
+    defaults, curves = [_DEFAULTS[name]] * len(axis_channels), []
     layout = LAYOUT if file.version >= WITH_OBJECTS else LAYOUT_OF_5000
-    for k, part in enumerate(parts):
-        default = None if part is None else part.find("Default")
+    for k, axis_channel in enumerate(axis_channels):
+        default = None if axis_channel is None else axis_channel.find("Default")
         if default is not None:
             defaults[k] = number(default, 0, file.notes)
-        curve = None if part is None else curve_of_channel(part, file.notes, layout)
+        curve = (
+            None
+            if axis_channel is None
+            else curve_of_channel(axis_channel, file.notes, layout)
+        )
         curves.append(curve)
     values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
-    take.tracks.setdefault((of, name), PropertyTrack(of, name, [values]))
+    take.tracks.setdefault((object_id, name), PropertyTrack(object_id, name, [values]))

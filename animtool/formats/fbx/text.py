@@ -21,18 +21,19 @@ _TOKEN = re.compile(
     |(?P<mark>[{},])""",
     re.VERBOSE,
 )
-# A float64 in full has 24 characters, with zeros behind the point rarely more than 40.
+# Longest number [byte]. A full float64 has 24 characters; with trailing zeros rarely
+# more than 40.
 MAX_DIGITS = 100
-# Lists as long as this are read at once.
-LONG = 8
+# Lists of at least this many numbers are parsed at once.
+MIN_BATCH = 8
 _VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
 _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
 
 def looks_like_text(content: bytes) -> bool:
     """Return whether bytes begin like a text FBX."""
-    head = content[:4096]
-    return bool(_COMMENT.match(head)) or b"FBXHeaderExtension" in head
+    start = content[:4096]
+    return bool(_COMMENT.match(start)) or b"FBXHeaderExtension" in start
 
 
 def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
@@ -59,7 +60,8 @@ class _Parser:
         self._at, self._line = 0, 1
         self.stack = [Element("", [], "line 1")]
         self.current: Element | None = None
-        # Elements whose values are in one below; held, as an id counts while it lives.
+        # Elements whose values are in a child element, by id; they are kept alive so
+        # that ids stay unique.
         self.arrays: dict[int, Element] = {}
 
     def line(self, at: int) -> str:
@@ -83,8 +85,8 @@ class _Parser:
             at = token.end()
         if len(self.stack) > 1:
             self.fail(size, f"the braces of {self.stack[-1].name} are not closed")
-        for element in _long(root):
-            _join(element)
+        for element in _elements_in_pieces(root):
+            _join_pieces(element)
         return root
 
     def _token(self, token: re.Match[bytes], at: int) -> None:
@@ -92,9 +94,9 @@ class _Parser:
         if kind == "space":
             return
         if kind == "name":
-            self._named(token, at)
+            self._open_element(token, at)
         elif kind == "mark":
-            self._mark(token[0], at)
+            self._punctuation(token[0], at)
         elif self.current is None:
             self.fail(at, "a value without a name before it")
         elif kind == "count":
@@ -105,10 +107,10 @@ class _Parser:
             raw = token["text"].decode("utf-8", "replace")
             self.current.values.append(raw.replace("&quot;", '"'))
         else:
-            self.current.values.append(_word(token["word"]))
+            self.current.values.append(_word_value(token["word"]))
 
-    def _mark(self, mark: bytes, at: int) -> None:
-        if mark == b"{":
+    def _punctuation(self, character: bytes, at: int) -> None:
+        if character == b"{":
             if self.current is None:
                 self.fail(at, "a brace without a name before it")
             self.stack.append(self.current)
@@ -117,17 +119,17 @@ class _Parser:
                     "FBX013", self.line(at), f"more than {MAX_DEPTH} levels"
                 )
             self.current = None
-        elif mark == b"}":
+        elif character == b"}":
             if len(self.stack) == 1:
                 self.fail(at, "a closing brace without an opening one")
-            closed = self.stack.pop()
-            if id(closed) in self.arrays:
-                inner = closed.find("a")
-                closed.values = [] if inner is None else inner.values
-                closed.children = []
+            element = self.stack.pop()
+            if id(element) in self.arrays:
+                values_element = element.find("a")
+                element.values = [] if values_element is None else values_element.values
+                element.children = []
             self.current = None
 
-    def _named(self, token: re.Match[bytes], at: int) -> None:
+    def _open_element(self, token: re.Match[bytes], at: int) -> None:
         self.count += 1
         if self.count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS} elements"
@@ -138,10 +140,10 @@ class _Parser:
 
     def _numbers(self, element: Element, text: bytes, at: int) -> None:
         """Parse comma-separated numbers; long lists become one array."""
-        parts = [part.strip() for part in text.split(b",")]
+        texts = [text_.strip() for text_ in text.split(b",")]
         try:
-            if max(map(len, parts)) <= MAX_DIGITS:
-                _add_numbers(element, text, parts)
+            if max(map(len, texts)) <= MAX_DIGITS:
+                _add_numbers(element, text, texts)
                 return
         except (ValueError, OverflowError):
             pass
@@ -150,42 +152,42 @@ class _Parser:
 
 
 def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
-    if len(parts) < LONG:
-        element.values += [_number(part) for part in parts]
+    if len(parts) < MIN_BATCH:
+        element.values += [_number(text_) for text_ in parts]
         return
     real = b"." in text or b"e" in text or b"E" in text
     kind: Any = np.float64 if real else np.int64
     element.values.append(np.array(parts, "S").astype(kind))
 
 
-def _long(root: Element) -> list[Element]:
+def _elements_in_pieces(root: Element) -> list[Element]:
     """Return elements whose numbers come in several pieces."""
     elements, stack = [], [root]
     while stack:
-        one = stack.pop()
-        if any(isinstance(value, np.ndarray) for value in one.values):
-            elements.append(one)
-        stack += one.children
+        element = stack.pop()
+        if any(isinstance(value, np.ndarray) for value in element.values):
+            elements.append(element)
+        stack += element.children
     return elements
 
 
-def _join(element: Element) -> None:
-    """Join pieces to one array; mixed values stay single."""
+def _join_pieces(element: Element) -> None:
+    """Join pieces to one array; mixed values remain separate."""
     values = element.values
     numeric = (np.ndarray, int, float)
     if all(isinstance(value, numeric) for value in values):
         try:
-            parts = [np.atleast_1d(np.asarray(value)) for value in values]
-            joined = np.concatenate(parts)
+            arrays = [np.atleast_1d(np.asarray(value)) for value in values]
+            array = np.concatenate(arrays)
         except (OverflowError, TypeError):
             return
-        if joined.dtype.kind in "if":
-            element.values = [joined]
+        if array.dtype.kind in "if":
+            element.values = [array]
             return
-    flat: list[Any] = []
+    values_: list[Any] = []
     for value in values:
-        flat += value.tolist() if isinstance(value, np.ndarray) else [value]
-    element.values = flat
+        values_ += value.tolist() if isinstance(value, np.ndarray) else [value]
+    element.values = values_
 
 
 def _number(text: bytes) -> int | float:
@@ -195,11 +197,11 @@ def _number(text: bytes) -> int | float:
     return float(text)
 
 
-# As C's printf spells them.
+# Spelled as by C's printf.
 _NOT_FINITE = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
-def _word(raw: bytes) -> Any:
+def _word_value(raw: bytes) -> Any:
     word = raw.decode("utf-8", "replace")
     lower = word.lower().split("(")[0]
     if lower in _NOT_FINITE or "#" in lower:

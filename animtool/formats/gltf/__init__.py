@@ -1,5 +1,5 @@
 """glTF: reader and writer of .gltf, .glb and .vrm files.
 
-JSON and `numpy.frombuffer` are all it takes: every length, stride, index and loop is
-checked before memory is taken, and no file outside of the folder is opened.
+Uses only JSON and `numpy.frombuffer`: every length, stride, index and loop is checked
+before memory is allocated, and no file outside the folder is opened.
 """

@@ -37,8 +37,8 @@ WIDTHS = {
     "MAT3": 9,
     "MAT4": 16,
 }
-# Numbers of all accessors that are read: so many, and so many for each byte of the
-# file, as several accessors may share bytes. Zeros that no byte stands for are fewer.
+# Limit of the numbers of all accessors: a constant, plus some per byte of the file, as
+# accessors may share bytes. Zeros without stored bytes have their own limit.
 MAX_NUMBERS, NUMBERS_PER_BYTE = 8_000_000, 4
 MAX_ZEROS = 8_000_000
 
@@ -55,12 +55,12 @@ class BufferView:
     buffer: int
     offset: int
     length: int
-    stride: int  # between elements; 0 where they are packed
+    stride: int  # between elements [byte]; 0 if packed
 
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """Elements of an accessor that are stored apart from its view."""
+    """Elements of an accessor that replace those in its view."""
 
     count: int
     index_view: int
@@ -78,7 +78,7 @@ class Accessor:
     component: int
     kind: str  # such as ``VEC3``
     count: int
-    view: int  # -1: zeros
+    view: int  # index; -1 for zeros
     offset: int
     normalized: bool
     sparse: Sparse | None
@@ -105,7 +105,7 @@ class Accessors:
     container: Container
     folder: Path
     notes: FileNotices
-    skipped: frozenset[int]  # accessors that nothing here reads
+    skipped: frozenset[int]  # accessors that are never read
     skipped_views: frozenset[int]
     skipped_buffers: frozenset[int]
     buffers: list[JsonItem] = field(default_factory=list)
@@ -139,10 +139,11 @@ class Accessors:
         return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
-        """Return whether an accessor has bytes, for all or some elements.
+        """Return whether an accessor has bytes for any of its elements.
 
-        None do for one without a bufferView, nor for one of a buffer that an extension
-        or another program fills.
+        Accessors without a bufferView have none, nor do those of buffers that an
+        extension or
+        another program fills.
         """
         accessor = self.get(index)
         if accessor.view < 0:
@@ -156,9 +157,9 @@ class Accessors:
     def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
         """Return an accessor's numbers ``(count, width)`` in the stored type.
 
-        They may share its memory, and are not to be written to.
-
-        finite: whether floats are checked to be so.
+        The array may share the file's memory; do not write to it. ``finite`` checks
+        that
+        floats are finite.
         """
         if index in self._arrays:
             return self._arrays[index]
@@ -187,10 +188,10 @@ class Accessors:
         count = accessor.count * accessor.width
         self._numbers += count
         self._zeros += count if accessor.view < 0 else 0
-        most = MAX_NUMBERS + NUMBERS_PER_BYTE * sum(
-            [self.container.bytes, *(len(part) for part in self._bytes.values())]
+        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * sum(
+            [self.container.bytes, *(len(content) for content in self._bytes.values())]
         )
-        if self._numbers > most or self._zeros > MAX_ZEROS:
+        if self._numbers > limit or self._zeros > MAX_ZEROS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
 
@@ -248,7 +249,7 @@ class Accessors:
 
     def _opened(self, index: int) -> memoryview:
         buffer = self.buffers[index]
-        length = buffer.size("byteLength", least=1)
+        length = buffer.size("byteLength", minimum=1)
         uri = buffer.text("uri")
         if uri is None:
             binary = self.container.binary
@@ -280,15 +281,15 @@ class Accessors:
         """Return the path of a URI, inside the folder of the glTF."""
         where = buffer.at("uri")
         try:
-            parts = urlsplit(uri)
-            name = unquote_to_bytes(parts.path).decode("utf-8")
+            url = urlsplit(uri)
+            name = unquote_to_bytes(url.path).decode("utf-8")
         except ValueError:
             self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
-        if parts.scheme or parts.netloc:
+        if url.scheme or url.netloc:
             message = f"{excerpt(uri)} is on another machine or uses another scheme"
             hint = "animtool downloads nothing: put the file next to the glTF"
             self.notes.fail("GLT007", where, message, hint)
-        if not name or "\0" in name or "\\" in name or parts.query or parts.fragment:
+        if not name or "\0" in name or "\\" in name or url.query or url.fragment:
             self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
         folder = self.folder.resolve()
         try:
@@ -302,7 +303,7 @@ class Accessors:
 
     def _check_buffer(self, index: int, buffer: JsonItem) -> None:
         """Check a buffer without opening its file."""
-        length = buffer.size("byteLength", least=1)
+        length = buffer.size("byteLength", minimum=1)
         uri = buffer.text("uri")
         binary = self.container.binary
         if uri is None:
@@ -333,10 +334,10 @@ class Accessors:
         buffer = item.index("buffer", len(self.buffers), "buffer")
         if buffer < 0:
             item.missing("buffer")
-        length = item.size("byteLength", least=1)
+        length = item.size("byteLength", minimum=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
-        available = self.buffers[buffer].size("byteLength", least=1)
+        available = self.buffers[buffer].size("byteLength", minimum=1)
         if offset + length > available:
             message = f"ends at byte {offset + length} of a buffer of {available}"
             self.notes.fail("GLT008", item.pointer, message)
@@ -349,11 +350,11 @@ class Accessors:
         component = item.number("componentType")
         if component is None:
             item.missing("componentType")
-        count, kind = item.size("count", least=1), item.text("type")
+        count, kind = item.size("count", minimum=1), item.text("type")
         if kind is None:
             item.missing("type")
-        known = {"componentType": component in COMPONENTS, "type": kind in WIDTHS}
-        for key, is_known in known.items():
+        is_valid = {"componentType": component in COMPONENTS, "type": kind in WIDTHS}
+        for key, is_known in is_valid.items():
             if not is_known:
                 message = f"unknown {key} {item.values[key]!r}: ignored"
                 self.notes.warn("GLT106", item.at(key), message)
@@ -379,7 +380,7 @@ class Accessors:
         return accessor
 
     def check_packed(self, index: int, where: str) -> None:
-        """Warn about a stride in a view without vertices; it is applied."""
+        """Warn about a stride in a view that is not for vertices; it still applies."""
         accessor = self.entries[index]
         if accessor is None or accessor.view < 0:
             return
@@ -394,7 +395,7 @@ class Accessors:
         """Raise for an accessor that exceeds its view."""
         kind = COMPONENTS[accessor.component]
         if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
-            # Columns of a matrix of small numbers begin on multiples of 4 bytes.
+            # Matrix columns of 1- or 2-byte components start at multiples of 4 bytes.
             size = _element_bytes(accessor.kind, kind)
             stride = view.stride or size
             if stride < size:
@@ -419,33 +420,33 @@ class Accessors:
                 "value",
             ),
         ):
-            part = self.views[index]
+            view_ = self.views[index]
             end = offset + sparse.count * size
-            if part is not None and end > part.length:
+            if view_ is not None and end > view_.length:
                 key = "indices" if name == "in" else "values"
-                message = f"reads up to byte {end} of a bufferView of {part.length}"
+                message = f"reads up to byte {end} of a bufferView of {view_.length}"
                 self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
     def _sparse(self, item: JsonItem, count: int) -> Sparse | None:
         sparse = item.child("sparse")
         if sparse is None:
             return None
-        many = sparse.size("count", least=1)
-        if many > count:
-            sparse.fail("count", f"{many} sparse elements of {count}", "GLT008")
+        sparse_count = sparse.size("count", minimum=1)
+        if sparse_count > count:
+            sparse.fail("count", f"{sparse_count} sparse elements of {count}", "GLT008")
         indices, values = sparse.required("indices"), sparse.required("values")
         component = indices.number("componentType")
         if component not in {5121, 5123, 5125}:
             indices.fail("componentType", "sparse indices must be unsigned integers")
         views = [
-            part.index("bufferView", len(self.views), "bufferView")
-            for part in (indices, values)
+            entry.index("bufferView", len(self.views), "bufferView")
+            for entry in (indices, values)
         ]
-        for part, view in zip((indices, values), views, strict=True):
+        for entry, view in zip((indices, values), views, strict=True):
             if view < 0:
-                part.missing("bufferView")
+                entry.missing("bufferView")
         return Sparse(
-            many,
+            sparse_count,
             views[0],
             indices.size("byteOffset", 0),
             COMPONENTS[component],
@@ -461,8 +462,8 @@ def _check_bounds_form(accessor: Accessor) -> None:
         if key not in item.values:
             continue
         stated = item.values[key]
-        fits = isinstance(stated, list) and len(stated) == accessor.width
-        if not fits or not {*map(type, stated)} <= {int, float}:
+        is_valid = isinstance(stated, list) and len(stated) == accessor.width
+        if not is_valid or not {*map(type, stated)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.at(key), message)
 
@@ -495,24 +496,25 @@ def _strided(
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
     """Raise for numbers that are not finite."""
-    flat = values.reshape(-1)
+    numbers = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        # A sum of squares that is finite has no part that is not.
-        if np.isfinite(np.dot(flat, flat)):
+        # If the sum of squares is finite, all numbers are.
+        if np.isfinite(np.dot(numbers, numbers)):
             return
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        message = f"element {int(bad[0, 0])} is {values[tuple(bad[0])]}, not finite"
+    not_finite = np.argwhere(~np.isfinite(values))
+    if len(not_finite):
+        i = int(not_finite[0, 0])
+        message = f"element {i} is {values[tuple(not_finite[0])]}, not finite"
         accessor.item.notes.fail("GLT010", accessor.where, message)
 
 
 def decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
-    head, comma, text = uri.partition(",")
+    media_type, comma, text = uri.partition(",")
     where = item.at("uri")
-    if not comma or not _DATA.fullmatch(head):
+    if not comma or not _DATA.fullmatch(media_type):
         item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
-    if not head.endswith(";base64"):
+    if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)

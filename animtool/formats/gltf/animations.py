@@ -26,13 +26,13 @@ from animtool.formats.gltf.meshes import (
     MeshEntry,
     check_bounds,
 )
-from animtool.formats.gltf.nodes import UNIT, VISIBILITY
+from animtool.formats.gltf.nodes import UNIT_TOLERANCE, VISIBILITY
 from animtool.maths import so3
 
 POINTER = "KHR_animation_pointer"
-# Of quaternion keys of bytes and shorts, which are coarse [1].
-COARSE_UNIT = {I8: 2e-2, U8: 2e-2, I16: UNIT, U16: UNIT}
-SMALL = (I8, U8, I16, U16)
+# Tolerance for the length of quantized quaternion keys, which are coarse [1].
+UNIT_TOLERANCES = {I8: 2e-2, U8: 2e-2, I16: UNIT_TOLERANCE, U16: UNIT_TOLERANCE}
+SMALL_INTEGERS = (I8, U8, I16, U16)
 
 
 class TargetPath(StrEnum):
@@ -66,21 +66,22 @@ class GltfTrack:
     """Keys of one property.
 
     Attributes:
-        node: The node that moves; -1 where it is a mesh.
-        mesh: The mesh whose weights move, wherever it is; -1 where it is a node.
-        path: What moves.
-        part: Which weight alone; -1 for all of them.
-        interpolation: How the values between keys are found.
-        times: Of the keys, ascending ``(K,)`` [s].
-        values: ``(K, W)``; as the file has them where they are floats.
-        ins: Slopes into each key ``(K, W)`` [1/s], of cubic splines.
-        outs: Slopes out of each key, likewise.
+        node: The animated node; -1 if a mesh is animated.
+        mesh: The mesh whose weights are animated, on all nodes; -1 if a node is
+            animated.
+        path: The animated property.
+        weight_index: Index of a single animated weight; -1 for all weights.
+        interpolation: Interpolation between keys.
+        times: Key times, ascending ``(K,)`` [s].
+        values: ``(K, W)``; in the stored type if floats.
+        ins: Slopes into each key of cubic splines ``(K, W)`` [1/s].
+        outs: Slopes out of each key of cubic splines ``(K, W)`` [1/s].
     """
 
     node: int
     mesh: int
     path: TargetPath
-    part: int
+    weight_index: int
     interpolation: SamplerInterpolation
     times: FloatArray
     values: FloatArray
@@ -95,35 +96,35 @@ class GltfTrack:
         values = self.values
         if len(self.times) == 1:
             return np.repeat(_unit(values, self.path), len(times), axis=0)
-        low = np.clip(
+        segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
-        return self.between(low, times)
+        return self.between(segment, times)
 
-    def between(self, low: IntArray, times: FloatArray) -> FloatArray:
-        """Return values at times in segments from a key ``low`` to the next."""
-        return between([self], low, times)[:, 0]
+    def between(self, segment: IntArray, times: FloatArray) -> FloatArray:
+        """Return values at times, each in the segment after a given key."""
+        return between([self], segment, times)[:, 0]
 
 
 def between(
-    tracks: Sequence[GltfTrack], low: IntArray, times: FloatArray
+    tracks: Sequence[GltfTrack], segment: IntArray, times: FloatArray
 ) -> FloatArray:
     """Return values ``(F, N, W)`` of N tracks within segments of their keys.
 
-    tracks: of one path, with the same key times and interpolation.
-    low: the key before each time.
+    ``tracks`` have the same path, key times and interpolation; ``segment`` is the key
+    before each time.
     """
     first, path = tracks[0], tracks[0].path
-    t0, t1 = first.times[low], first.times[low + 1]
+    t0, t1 = first.times[segment], first.times[segment + 1]
     length = (t1 - t0)[:, None, None]
     fraction = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
-    a = np.stack([track.values[low] for track in tracks], axis=1)
-    b = np.stack([track.values[low + 1] for track in tracks], axis=1)
+    a = np.stack([track.values[segment] for track in tracks], axis=1)
+    b = np.stack([track.values[segment + 1] for track in tracks], axis=1)
     if first.interpolation is SamplerInterpolation.STEP:
         return _unit(np.where(fraction < 1.0, a, b), path)
     if first.interpolation is SamplerInterpolation.CUBIC:
-        outs = [track.outs[low] for track in tracks if track.outs is not None]
-        ins = [track.ins[low + 1] for track in tracks if track.ins is not None]
+        outs = [track.outs[segment] for track in tracks if track.outs is not None]
+        ins = [track.ins[segment + 1] for track in tracks if track.ins is not None]
         out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
         return _unit(_hermite(a, out, into, b, fraction, length), path)
     if path is TargetPath.ROTATION:
@@ -133,8 +134,8 @@ def between(
 
 def _hermite(
     a: FloatArray,
-    out: FloatArray,
-    into: FloatArray,
+    out_slope: FloatArray,
+    in_slope: FloatArray,
     b: FloatArray,
     fraction: FloatArray,
     length: FloatArray,
@@ -144,9 +145,9 @@ def _hermite(
     t2, t3 = t * t, t * t * t
     return np.asarray(
         (2 * t3 - 3 * t2 + 1) * a
-        + length * (t3 - 2 * t2 + t) * out
+        + length * (t3 - 2 * t2 + t) * out_slope
         + (3 * t2 - 2 * t3) * b
-        + length * (t3 - t2) * into
+        + length * (t3 - t2) * in_slope
     )
 
 
@@ -157,7 +158,8 @@ def _unit(values: FloatArray, path: TargetPath) -> FloatArray:
         return rows
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     if not length.all():
-        # Between opposite cubic keys it may vanish: the rotation there is anything.
+        # Between opposite cubic keys the quaternion may be zero: any rotation is
+        # correct.
         rows = np.where(length == 0.0, so3.IDENTITY, rows)
         length = np.where(length == 0.0, 1.0, length)
     return np.asarray(rows / length)
@@ -204,11 +206,11 @@ class _Samplers:
     def interpolation(self, index: int) -> SamplerInterpolation:
         """Return the interpolation of a sampler."""
         item = self.items[index]
-        word = item.text("interpolation") or "LINEAR"
+        name = item.text("interpolation") or "LINEAR"
         try:
-            return SamplerInterpolation(word)
+            return SamplerInterpolation(name)
         except ValueError:
-            item.fail("interpolation", f"unknown interpolation {excerpt(word)}")
+            item.fail("interpolation", f"unknown interpolation {excerpt(name)}")
 
     def times(self, index: int) -> FloatArray:
         """Return the key times of a sampler, checked to be finite."""
@@ -249,7 +251,7 @@ def _animation(
             item.missing(key)
     samplers = _Samplers(item, accessors)
     tracks: list[GltfTrack] = []
-    taken: dict[tuple[int, int, str, int], str] = {}
+    targets: dict[tuple[int, int, str, int], str] = {}
     times: dict[int, tuple[FloatArray, bool]] = {}
     left_out: dict[str, None] = {}
     for channel in item.children("channels"):
@@ -260,11 +262,11 @@ def _animation(
         if candidate is None:
             continue
         target = candidate
-        moved = (target.node, target.mesh, str(target.path), target.part)
-        if moved in taken:
+        target_key = (target.node, target.mesh, str(target.path), target.weight_index)
+        if target_key in targets:
             message = f"two channels of the animation move {target.path}"
-            channel.notes.fail("GLT012", f"{taken[moved]}/target", message)
-        taken[moved] = channel.pointer
+            channel.notes.fail("GLT012", f"{targets[target_key]}/target", message)
+        targets[target_key] = channel.pointer
         tracks.append(_track(channel, target, samplers, index, times))
     if left_out:
         names = ", ".join(left_out)
@@ -284,8 +286,8 @@ class _Target:
     node: int
     mesh: int
     path: TargetPath
-    part: int
-    width: int  # numbers of a value
+    weight_index: int
+    width: int  # numbers per value
 
 
 def _target(
@@ -300,34 +302,34 @@ def _target(
     if path is None:
         target.missing("path")
     if path == "pointer":
-        return _pointed(target, nodes, meshes, left_out)
+        return _pointer_target(target, nodes, meshes, left_out)
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
         message = f"unknown path {excerpt(path)}: the channel is ignored"
         target.notes.warn("GLT106", target.at("path"), message)
         return None
     if node < 0:
-        # What it moves is for an extension, or for nobody.
+        # Without a node, the target belongs to an extension, or is ignored.
         return None
-    return _of_node(target, nodes, meshes, node, TargetPath(path))
+    return _node_target(target, nodes, meshes, node, TargetPath(path))
 
 
-def _of_node(
+def _node_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
     node: int,
     path: TargetPath,
-    part: int = -1,
+    weight_index: int = -1,
 ) -> _Target | None:
     if path is TargetPath.WEIGHTS:
         mesh = nodes[node].mesh
         count = meshes[mesh].targets if mesh >= 0 else 0
-        if part >= count or not count:
+        if weight_index >= count or not count:
             message = f"node {node} has {count} morph targets: the channel is ignored"
             target.notes.warn("GLT106", target.pointer, message)
             return None
-        return _Target(node, -1, path, part, count if part < 0 else 1)
+        return _Target(node, -1, path, weight_index, count if weight_index < 0 else 1)
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
@@ -341,7 +343,7 @@ _NODE = re.compile(
 _MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
-def _pointed(
+def _pointer_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
@@ -365,16 +367,22 @@ def _pointed(
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
         if match[3] is None or path is TargetPath.WEIGHTS:
-            part = -1 if match[3] is None else int(match[3][:9])
-            return _of_node(target, nodes, meshes, node, path, part)
+            weight_index = -1 if match[3] is None else int(match[3][:9])
+            return _node_target(target, nodes, meshes, node, path, weight_index)
     elif match := _MESH.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         count = meshes[mesh].targets
-        part = -1 if match[2] is None else int(match[2][:9])
-        if count and part < count:
-            return _Target(-1, mesh, TargetPath.WEIGHTS, part, count if part < 0 else 1)
+        weight_index = -1 if match[2] is None else int(match[2][:9])
+        if count and weight_index < count:
+            return _Target(
+                -1,
+                mesh,
+                TargetPath.WEIGHTS,
+                weight_index,
+                count if weight_index < 0 else 1,
+            )
     left_out[excerpt(text)] = None
     return None
 
@@ -388,7 +396,7 @@ def _track(
 ) -> GltfTrack:
     """Return the keys of a channel, checked and repaired.
 
-    cache: times by accessor, and whether they ascend.
+    ``cache`` has times by accessor, and whether they ascend.
     """
     item = samplers.items[index]
     notes = item.notes
@@ -401,8 +409,8 @@ def _track(
     values = _values(channel, target, samplers, index)
     cubic = interpolation is SamplerInterpolation.CUBIC
     rows = values.size
-    needed = len(times) * target.width * (3 if cubic else 1)
-    if rows != needed:
+    row_count = len(times) * target.width * (3 if cubic else 1)
+    if rows != row_count:
         message = f"{rows} numbers for {len(times)} keys of {target.width}"
         if cubic:
             message += ", with a tangent before and after each"
@@ -424,7 +432,7 @@ def _track(
         target.node,
         target.mesh,
         target.path,
-        target.part,
+        target.weight_index,
         interpolation,
         times,
         keys,
@@ -441,16 +449,16 @@ def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int)
     if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
         kinds = {"VEC3"}
     elif target.path is TargetPath.ROTATION:
-        kinds, components = {"VEC4"}, {FLOAT, *SMALL}
+        kinds, components = {"VEC4"}, {FLOAT, *SMALL_INTEGERS}
     elif target.path is TargetPath.WEIGHTS:
-        components = {FLOAT, *SMALL}
+        components = {FLOAT, *SMALL_INTEGERS}
     else:
-        components = {FLOAT, *SMALL}
+        components = {FLOAT, *SMALL_INTEGERS}
     if entry is None or entry.kind not in kinds or entry.component not in components:
         kind = "an unknown type" if entry is None else entry.kind
         message = f"{target.path} cannot have values of {kind} in these components"
         item.notes.fail("GLT011", channel.at("sampler"), message)
-    # Lengths of rotations show what is not finite; slopes have none.
+    # Non-finite rotations are detected by their length; slopes have none.
     cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
     finite = cubic or target.path is not TargetPath.ROTATION
     raw = accessors.numbers(accessor, finite=finite)
@@ -460,7 +468,7 @@ def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int)
         return (raw != 0).astype(np.float64)
     numbers = accessors.floats(accessor)
     if not entry.normalized:
-        # Integers of these paths are normalised, whether the accessor says so or not.
+        # Integers of these paths are normalized, even if the accessor does not say so.
         limit = np.iinfo(raw.dtype).max
         numbers = np.maximum(numbers / limit, -1.0)
     return numbers
@@ -471,24 +479,24 @@ def _sorted(
 ) -> tuple[FloatArray, Any]:
     """Return keys sorted by time; of equal times the first.
 
-    has_times: whether the file holds the times, which are all 0 else.
+    ``has_times`` says whether the file has the times; otherwise they are all 0.
     """
     order = np.argsort(times, kind="stable")
     notes, where = item.notes, item.at("input")
     if (np.diff(times) < 0).any():
         notes.warn("GLT107", where, "times are out of order: the keys are sorted")
     times, table = times[order], table[order]
-    same = np.flatnonzero(np.diff(times) == 0)
-    if len(same):
-        if has_times and (table[same] != table[same + 1]).any():
-            at = float(times[same[0]])
+    duplicates = np.flatnonzero(np.diff(times) == 0)
+    if len(duplicates):
+        if has_times and (table[duplicates] != table[duplicates + 1]).any():
+            at = float(times[duplicates[0]])
             message = f"two keys at {at:.6g} s have different values"
             notes.fail("GLT012", where, message)
-        message = f"{len(same)} equal keys with the time of another are removed"
+        message = f"{len(duplicates)} equal keys with the time of another are removed"
         if has_times:
             notes.warn("GLT107", where, message)
-        kept = np.setdiff1d(np.arange(len(times)), same + 1)
-        times, table = times[kept], table[kept]
+        unique = np.setdiff1d(np.arange(len(times)), duplicates + 1)
+        times, table = times[unique], table[unique]
     return times, table
 
 
@@ -496,17 +504,21 @@ def _check_unit(keys: Any, channel: JsonItem, samplers: _Samplers, index: int) -
     """Warn about quaternions off unit length; raise for zero length."""
     accessor = samplers.ends[index][1]
     entry = samplers.accessors.get(accessor)
-    tolerance = COARSE_UNIT.get(entry.component, UNIT)
-    low, high = _kernels.squared_lengths(np.require(keys, np.float32, ["C", "A"]))
-    if math.isnan(high):
+    tolerance = UNIT_TOLERANCES.get(entry.component, UNIT_TOLERANCE)
+    shortest, longest = _kernels.squared_lengths(
+        np.require(keys, np.float32, ["C", "A"])
+    )
+    if math.isnan(longest):
         check_finite(keys, entry)
-        # Squares that float32 does not hold.
+        # Squares out of the range of float32.
         squares = np.square(keys, dtype=np.float64).sum(axis=1)
-        low, high = float(squares.min()), float(squares.max())
-    if low <= 0.0:
+        shortest, longest = float(squares.min()), float(squares.max())
+    if shortest <= 0.0:
         message = "a rotation key has length 0"
         samplers.items[index].notes.fail("GLT010", entry.where, message)
-    if max(1.0 - low, high - 1.0) > 2 * tolerance:
-        message = f"rotation keys have lengths from {low**0.5:.6g} to {high**0.5:.6g}"
+    if max(1.0 - shortest, longest - 1.0) > 2 * tolerance:
+        message = (
+            f"rotation keys have lengths from {shortest**0.5:.6g} to {longest**0.5:.6g}"
+        )
         notes: FileNotices = samplers.items[index].notes
         notes.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")

@@ -18,15 +18,15 @@ from animtool.maths.tangents import Tangent
 from animtool.motion.take import Take
 from animtool.rig.joints import KEYED_PARTS, split_part
 
-# Of a handle's time, from a third of its segment [1].
-THIRD = 1e-6
+# Tolerance of a handle's time from a third of its segment [1].
+THIRD_TOLERANCE = 1e-6
 _PATHS = {
     "local_translation": "translation",
     "local_rotation": "rotation",
     "scale": "scale",
 }
-# Parts that add to what another holds as a whole.
-_ADDED = {
+# Clip channels that add to one with the complete value.
+_ADDITIVE_PARTS = {
     "translation": "translation",
     "slide": "translation",
     "rotation": "rotation",
@@ -60,12 +60,12 @@ def keys_of_clip(
     """Return clip keys that glTF can store, by row and path.
 
     Args:
-        clip: Its channels.
-        take: What it gives.
+        clip: The clip.
+        take: The take sampled from the clip.
         start: Time code of time 0.
     """
     all_keys: dict[tuple[int, str], Keys] = {}
-    added: set[tuple[int, str]] = set()
+    has_additive: set[tuple[int, str]] = set()
     shapes = [shape.name for shape in take.rig.shapes]
     for channel in clip.channels:
         group, _, name = channel.target.partition("/")
@@ -73,8 +73,8 @@ def keys_of_clip(
             at = (shapes.index(name), "weight")
         elif group == "joint":
             joint, part = split_part(name, KEYED_PARTS)
-            if part in _ADDED:
-                added.add((take.rig.index(joint), _ADDED[part]))
+            if part in _ADDITIVE_PARTS:
+                has_additive.add((take.rig.index(joint), _ADDITIVE_PARTS[part]))
             if part not in _PATHS:
                 continue
             at = (take.rig.index(joint), _PATHS[part])
@@ -83,7 +83,7 @@ def keys_of_clip(
         keys = _gltf_keys(channel, clip, start)
         if keys is not None:
             all_keys[at] = keys
-    return {at: keys for at, keys in all_keys.items() if at not in added}
+    return {at: keys for at, keys in all_keys.items() if at not in has_additive}
 
 
 _NATIVE = {
@@ -97,23 +97,23 @@ _NATIVE = {
 def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
     """Return the unchanged keys of a glTF source.
 
-    Rotations have unit length, but for those of cubic splines, which would be others.
+    Rotations are normalized, except those of cubic splines, which would change.
 
-    start: time code of time 0.
+    ``start`` is the time code of time 0.
     """
     frames = native.frames
     later = float(frames.start - start) / float(frames.fps)
     all_keys: dict[tuple[int, str], Keys] = {}
     times: dict[int, FloatArray] = {}
-    for path, moving in native.sampler.moving.items():
-        for row in moving:
+    for path, tracks in native.sampler.tracks.items():
+        for row in tracks:
             track = row.track
             key_times = times.setdefault(id(track.times), track.times + later)
             if key_times[0] < 0:
                 continue
             slopes = [
-                None if part is None else part * row.factor
-                for part in (track.ins, track.outs)
+                None if slope is None else slope * row.factor
+                for slope in (track.ins, track.outs)
             ]
             values = track.values
             if row.factor != 1.0:
@@ -126,9 +126,13 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
 
 
 def _gltf_keys(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
-    """Return the keys of a channel; None if glTF has no such curve."""
-    holds = {Extrapolation.HOLD}
-    if {channel.pre, channel.post} - holds or channel.euler or not len(channel.times):
+    """Return the keys of a channel; None if glTF has no equivalent curve."""
+    constant = {Extrapolation.HOLD}
+    if (
+        {channel.pre, channel.post} - constant
+        or channel.euler
+        or not len(channel.times)
+    ):
         return None
     seconds = (channel.times - float(start)) / float(clip.fps)
     if seconds[0] < 0:
@@ -148,18 +152,21 @@ def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
     """Return Bézier keys with handles at thirds as cubic splines."""
     lengths = np.diff(channel.times)
     outs, ins = channel.outs[:-1], channel.ins[1:]
-    free = all(
+    is_free = all(
         a[1] is Tangent.FREE and b[0] is Tangent.FREE
         for a, b in zip(channel.tangents[:-1], channel.tangents[1:], strict=True)
     )
-    off = max(
+    deviation = max(
         float(np.abs(outs[:, 0] - lengths / 3).max(initial=0.0)),
         float(np.abs(-ins[:, 0] - lengths / 3).max(initial=0.0)),
     )
-    if not free or off > THIRD * float(lengths.max(initial=1.0)):
+    if not is_free or deviation > THIRD_TOLERANCE * float(lengths.max(initial=1.0)):
         return None
     third = (np.diff(seconds) / 3)[:, None]
-    into, out = np.zeros(channel.values.shape), np.zeros(channel.values.shape)
-    out[:-1] = outs[:, 1:] / third
-    into[1:] = -ins[:, 1:] / third
-    return Keys(seconds, channel.values, "CUBICSPLINE", into, out)
+    in_slopes, out_slopes = (
+        np.zeros(channel.values.shape),
+        np.zeros(channel.values.shape),
+    )
+    out_slopes[:-1] = outs[:, 1:] / third
+    in_slopes[1:] = -ins[:, 1:] / third
+    return Keys(seconds, channel.values, "CUBICSPLINE", in_slopes, out_slopes)

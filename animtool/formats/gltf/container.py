@@ -16,7 +16,8 @@ MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK_HEADER = 12, 8
 _BOM = b"\xef\xbb\xbf"
-# A character has a few thousand nodes; more JSON than this takes minutes to look at.
+# Limit of JSON: a character has a few thousand nodes, and more JSON takes minutes to
+# read.
 MAX_JSON_BYTES = 200_000_000
 
 
@@ -25,18 +26,18 @@ class Container:
     """The JSON of a file, and the binary chunk of a GLB."""
 
     root: JsonItem
-    binary: memoryview | None  # None of a .gltf, and of a GLB without it
+    binary: memoryview | None  # None for a .gltf, and a GLB without it
     is_glb: bool
     bytes: int  # size of the file
-    extended: bool  # whether an object may have extensions
+    may_have_extensions: bool  # whether any object may have extensions
 
 
 def read_container(path: Path, notes: FileNotices) -> Container:
-    """Read a .gltf or .glb; the first bytes tell which it is.
+    """Read a .gltf or .glb; the first bytes decide which it is.
 
     Raises:
-        FormatError: It cannot be read (IO001), is no JSON (GLT001), or its chunks are
-            broken (GLT002).
+        FormatError: It cannot be read (IO001), is not JSON (GLT001), or its chunks are
+            malformed (GLT002).
     """
     content = memoryview(read_input(path))
     glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == MAGIC
@@ -46,9 +47,9 @@ def read_container(path: Path, notes: FileNotices) -> Container:
         chunk, binary = _chunks(content, notes)
         text = bytes(chunk)
     root = _parsed(text, notes)
-    # A name with escapes is not found, and that of nothing that is read.
-    extended = b'"extensions"' in text
-    return Container(root, binary, glb, len(content), extended)
+    # Names with escapes are not found; none that is read has any.
+    may_have_extensions = b'"extensions"' in text
+    return Container(root, binary, glb, len(content), may_have_extensions)
 
 
 def _offset(where: int) -> str:

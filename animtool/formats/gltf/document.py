@@ -25,13 +25,19 @@ from animtool.formats.gltf.meshes import (
 from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
 from animtool.formats.gltf.unused import unused_parts
 
-# Extensions that a file may require.
-READ = frozenset({QUANTIZATION, POINTER, VISIBILITY})
-# Whose files have no meaning without it.
+# Required extensions that are supported.
+SUPPORTED = frozenset({QUANTIZATION, POINTER, VISIBILITY})
+# Extensions that files must list as required.
 MUST_BE_REQUIRED = frozenset({QUANTIZATION})
-# Of looks alone: what moves is whole without them.
-LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "ADOBE_mat")
-LOOKS_ALONE = frozenset(
+# Extensions for appearance only, which motion does not need.
+APPEARANCE_PREFIXES = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "ADOBE_mat",
+)
+APPEARANCE = frozenset(
     {
         "KHR_lights_punctual",
         "EXT_lights_ies",
@@ -58,17 +64,17 @@ class Gltf:
     """The contents of a file.
 
     Attributes:
-        path: The file.
-        nodes: In the order of the file.
-        skins: Likewise.
-        meshes: Likewise.
-        animations: Likewise.
+        path: Path of the file.
+        nodes: Nodes in file order.
+        skins: Skins in file order.
+        meshes: Meshes in file order.
+        animations: Animations in file order.
         scenes: Root nodes of each scene.
         default_scene: Index of the default scene; -1 if there is none.
-        accessors: The numbers that they refer to.
+        accessors: Accessors of the file.
         root: The JSON.
-        notes: What was put right, and where.
-        left_out: What the file has that is not read.
+        notes: Collects warnings and notes.
+        left_out: Labels of contents that are not read.
     """
 
     path: Path
@@ -89,8 +95,9 @@ def open_gltf(path: Path | str) -> Gltf:
     """Open a .gltf or .glb; every number that affects motion is checked.
 
     Raises:
-        FormatError: It cannot be read safely, or has two meanings (GLT001 to GLT013),
-            with the JSON pointer or the byte offset.
+        FormatError: It cannot be read safely, or is ambiguous (GLT001 to GLT013), with
+            the
+            JSON pointer or the byte offset.
     """
     path = Path(path)
     notes = FileNotices(str(path))
@@ -99,8 +106,8 @@ def open_gltf(path: Path | str) -> Gltf:
     _check_asset(root, notes)
     _check_extensions(container, notes, path)
     accessors = _accessors(container, path, notes)
-    many = [_count(root, key) for key in ("meshes", "skins")]
-    nodes = read_nodes(root, notes, *many)
+    counts = [_count(root, key) for key in ("meshes", "skins")]
+    nodes = read_nodes(root, notes, *counts)
     scenes, shown = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
@@ -144,14 +151,14 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
     if version.split(".")[0] != "2":
         message = f"glTF {excerpt(version)} is not supported, only 2"
         notes.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
-    least = asset.text("minVersion")
-    if least is not None and least != "2.0":
-        message = f"the file needs glTF {excerpt(least)}; 2.0 is supported"
+    min_version = asset.text("minVersion")
+    if min_version is not None and min_version != "2.0":
+        message = f"the file needs glTF {excerpt(min_version)}; 2.0 is supported"
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
 def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
-    """Raise for required extensions that affect motion and are not read."""
+    """Raise for unsupported required extensions that affect motion."""
     root = container.root
     used = root.list_of("extensionsUsed")
     for key, names in (
@@ -167,18 +174,22 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         where = f"{root.at('extensionsRequired')}/{i}"
         if not isinstance(name, str):
             notes.fail("GLT005", where, "the name of an extension must be text")
-        if name in READ or name in LOOKS_ALONE or name.startswith(LOOKS):
+        if (
+            name in SUPPORTED
+            or name in APPEARANCE
+            or name.startswith(APPEARANCE_PREFIXES)
+        ):
             continue
         hint = "export the file without it"
         if name in UNPACKED_BY:
             hint = f"unpack it with {UNPACKED_BY[name].format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
-    in_use = _extensions(root) if container.extended else {}
+    in_use = _extensions(root) if container.may_have_extensions else {}
     for name, where in in_use.items():
         if name not in used:
-            left = "" if name in READ else ": ignored"
-            message = f"the extension {excerpt(name)} is not declared{left}"
+            consequence = "" if name in SUPPORTED else ": ignored"
+            message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)
 
 
@@ -202,13 +213,17 @@ def _left_out(container: Container) -> tuple[str, ...]:
     """Return labels of contents and extensions that are not read."""
     root = container.root
     labels = [key for key in _NOT_READ if root.values.get(key)]
-    names = _extensions(root) if container.extended else {}
+    names = _extensions(root) if container.may_have_extensions else {}
     if "KHR_lights_punctual" in names:
         labels.append("lights")
     labels += [
         name
         for name in names
-        if not (name in READ or name in LOOKS_ALONE or name.startswith(LOOKS))
+        if not (
+            name in SUPPORTED
+            or name in APPEARANCE
+            or name.startswith(APPEARANCE_PREFIXES)
+        )
     ]
     return tuple(labels)
 
@@ -246,12 +261,12 @@ def _check_weights(
 
 
 def _check_skins(gltf: Gltf) -> None:
-    """Check that skins and meshes fit each other."""
-    done: set[tuple[int, int]] = set()
+    """Check that skins and meshes match."""
+    checked: set[tuple[int, int]] = set()
     for node in gltf.nodes:
-        if node.mesh < 0 or (node.mesh, node.skin) in done:
+        if node.mesh < 0 or (node.mesh, node.skin) in checked:
             continue
-        done.add((node.mesh, node.skin))
+        checked.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
             _require(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
@@ -272,31 +287,36 @@ def _check_skins(gltf: Gltf) -> None:
 def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
     """Warn about scenes with a skinned mesh but without its joints.
 
-    tree: the root of each node.
+    ``tree`` has the root of each node.
     """
-    scenes = [set(one) for one in gltf.scenes]
-    above = [{tree[joint] for joint in skin.joints} for skin in gltf.skins]
+    scenes = [set(scene) for scene in gltf.scenes]
+    skin_roots = [{tree[joint] for joint in skin.joints} for skin in gltf.skins]
     for i, node in enumerate(gltf.nodes):
         if node.skin < 0:
             continue
-        if any(tree[i] in one and not above[node.skin] & one for one in scenes):
+        if any(
+            tree[i] in scene and not skin_roots[node.skin] & scene for scene in scenes
+        ):
             message = "a scene shows the mesh without the joints of its skin"
             gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 
 
 def _require(accessors: Accessors, primitive: Primitive) -> None:
     """Read the accessors of a mesh in use; raise if data is missing."""
-    parts = [primitive.position, primitive.indices, *primitive.joints]
-    parts += [*primitive.weights, *(target.position for target in primitive.targets)]
-    for index in parts:
+    accessor_indices = [primitive.position, primitive.indices, *primitive.joints]
+    accessor_indices += [
+        *primitive.weights,
+        *(target.position for target in primitive.targets),
+    ]
+    for index in accessor_indices:
         if index >= 0:
             accessors.numbers(index)
 
 
-def _is_above(gltf: Gltf, upper: int, lower: int) -> bool:
-    while lower >= 0 and lower != upper:
-        lower = gltf.nodes[lower].parent
-    return lower == upper
+def _is_above(gltf: Gltf, ancestor: int, node: int) -> bool:
+    while node >= 0 and node != ancestor:
+        node = gltf.nodes[node].parent
+    return node == ancestor
 
 
 def left_out_text(gltf: Gltf) -> str:

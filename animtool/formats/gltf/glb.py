@@ -24,12 +24,12 @@ MAX_BYTES = 2**32 - 1
 
 @dataclass(slots=True)
 class GlbBuilder:
-    """Collects the parts of a file."""
+    """Collects the JSON and binary data of a file."""
 
     json: dict[str, Any]
-    _parts: list[bytes | memoryview] = field(default_factory=list)
+    _chunks: list[bytes | memoryview] = field(default_factory=list)
     _length: int = 0
-    _known: dict[tuple[str, int, bytes], int] = field(default_factory=dict)
+    _by_content: dict[tuple[str, int, bytes], int] = field(default_factory=dict)
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Append an entry to a list of the JSON; return its index."""
@@ -44,22 +44,24 @@ class GlbBuilder:
         target: int | None = None,
         bounds: bool = False,
     ) -> int:
-        """Store numbers ``(count, width)``; return their accessor.
+        """Store numbers ``(count, width)``; return the index of their accessor.
 
-        Short ones that were stored already are stored once.
+        Equal short arrays are stored once.
 
-        target: what the GPU uses them as; None is nothing.
-        bounds: whether min and max are written.
+        Args:
+            values: The numbers.
+            target: GPU buffer target; None for data that the GPU does not use.
+            bounds: Whether to write min and max.
         """
         data = np.ascontiguousarray(values)
         kind = data.dtype.str[1:]
         size = data.nbytes
         key = None
-        if size <= _COMPARED:
-            what = f"{kind}/{data.shape[1]}/{target}/{bounds}"
-            key = (what, len(data), data.tobytes())
-            if key in self._known:
-                return self._known[key]
+        if size <= _MAX_COMPARED_BYTES:
+            layout = f"{kind}/{data.shape[1]}/{target}/{bounds}"
+            key = (layout, len(data), data.tobytes())
+            if key in self._by_content:
+                return self._by_content[key]
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._length}
         view["byteLength"] = size
         if target is not None:
@@ -74,18 +76,18 @@ class GlbBuilder:
             entry["min"] = data.min(axis=0).tolist()
             entry["max"] = data.max(axis=0).tolist()
         padding = b"\0" * (-size % 4)
-        self._parts += [data.reshape(-1).view(np.uint8).data, padding]
+        self._chunks += [data.reshape(-1).view(np.uint8).data, padding]
         self._length += size + len(padding)
         index = self.add("accessors", entry)
         if key is not None:
-            self._known[key] = index
+            self._by_content[key] = index
         return index
 
     def parts(self) -> Iterator[bytes | memoryview]:
-        """Return the bytes of the GLB, one after another.
+        """Yield the bytes of the GLB in chunks.
 
         Raises:
-            OutputError: They are more than 4 GB, which a GLB cannot be (OUT002).
+            OutputError: The file would exceed 4 GB, the limit of GLB (OUT002).
         """
         if self._length:
             self.json["buffers"] = [{"byteLength": self._length}]
@@ -100,24 +102,24 @@ class GlbBuilder:
                 f"{length / 1000000000.0:.2f}"
             )
             raise OutputError(Fault("OUT002", message))
-        return self._written(text, length)
+        return self._yield_binary(text, length)
 
     def text_parts(self) -> Iterator[bytes]:
-        """Return the bytes of a .gltf, whose numbers are a data URI."""
+        """Yield the bytes of a .gltf with a data URI for the numbers."""
         if self._length:
-            data = base64.b64encode(b"".join(self._parts)).decode()
+            data = base64.b64encode(b"".join(self._chunks)).decode()
             uri = f"data:application/octet-stream;base64,{data}"
             self.json["buffers"] = [{"byteLength": self._length, "uri": uri}]
         text = json.dumps(self.json, indent=1, ensure_ascii=False, allow_nan=False)
         return iter([text.encode(), b"\n"])
 
-    def _written(self, text: bytes, length: int) -> Iterator[bytes | memoryview]:
+    def _yield_binary(self, text: bytes, length: int) -> Iterator[bytes | memoryview]:
         yield struct.pack("<4sII", b"glTF", 2, length)
         yield struct.pack("<II", len(text), JSON_CHUNK) + text
         if self._length:
             yield struct.pack("<II", self._length, BIN_CHUNK)
-            yield from self._parts
+            yield from self._chunks
 
 
-# Larger arrays are not compared with others [bytes].
-_COMPARED = 1 << 14
+# Larger arrays are not deduplicated [byte].
+_MAX_COMPARED_BYTES = 1 << 14

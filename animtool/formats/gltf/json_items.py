@@ -10,7 +10,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 
-# glTF stores float32: a number beyond it is none.
+# Largest float32, the number type of glTF; larger numbers are invalid.
 FLOAT32_LIMIT = 3.4028234663852886e38
 
 
@@ -24,7 +24,7 @@ def escaped(key: str) -> str:
 
 
 def by_animtool(item: JsonItem) -> dict[str, Any]:
-    """Return animtool's entry in an object's extras; empty if none."""
+    """Return animtool's entry in an object's extras; empty if it has none."""
     extras = item.values.get("extras")
     entry = extras.get("animtool") if isinstance(extras, dict) else None
     return entry if isinstance(entry, dict) else {}
@@ -40,7 +40,7 @@ class JsonItem:
     """An object of the JSON with its pointer."""
 
     values: dict[str, Any]
-    pointer: str  # empty of the file as a whole
+    pointer: str  # empty for the document root
     notes: FileNotices
 
     def at(self, key: str) -> str:
@@ -65,15 +65,15 @@ class JsonItem:
             return int(value)
         return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
-    def size(self, key: str, default: int | None = None, least: int = 0) -> int:
+    def size(self, key: str, default: int | None = None, minimum: int = 0) -> int:
         """Return a count, offset or length, checked against a minimum."""
         value = self.number(key)
         if value is None:
             if default is None:
                 self.missing(key)
             return default
-        if value < least:
-            self.fail(key, f"{key} is {value}, and must be at least {least}")
+        if value < minimum:
+            self.fail(key, f"{key} is {value}, and must be at least {minimum}")
         return value
 
     def index(self, key: str, count: int, what: str) -> int:
@@ -87,9 +87,9 @@ class JsonItem:
     def check_index(self, key: str, value: int, count: int, what: str) -> None:
         """Raise for an index out of range."""
         if not 0 <= value < count:
-            there = f"0 to {count - 1}" if count else "none"
+            allowed = f"0 to {count - 1}" if count else "none"
             self.fail(
-                key, f"{what} {value} does not exist; the file has {there}", "GLT006"
+                key, f"{what} {value} does not exist; the file has {allowed}", "GLT006"
             )
 
     def indices(self, key: str, count: int, what: str) -> list[int]:

@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation, TargetPath
 from animtool.formats.gltf.rig import GltfRig
-from animtool.formats.gltf.sampling import NEAR, GltfSampler, MovingRow
+from animtool.formats.gltf.sampling import SAME_KEY, GltfSampler, MovingRow
 from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.maths.curves import Interp
@@ -21,28 +21,28 @@ _PARTS = {
     TargetPath.ROTATION: "local_rotation",
     TargetPath.SCALE: "scale",
 }
-# A clip has no rotations by cubic splines of their numbers: keys are put between until
-# arcs are this near to them [rad].
+# Clips cannot store cubic splines of quaternions: slerp keys are added until the error
+# is below this [rad].
 ARC_TOLERANCE = 1e-4
-# Halvings of a segment between two keys.
+# Maximum number of times a segment between keys is halved.
 MAX_HALVINGS = 10
 
 
 def clip_of_gltf(
-    name: str, gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
+    name: str, gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
 ) -> tuple[Clip, list[Fault]]:
     """Return a clip with a glTF animation's keys, and notices.
 
     Args:
-        name: What the clip is called.
+        name: Name of the clip.
         gltf_rig: The rig.
-        moving: The tracks.
-        frames: When they are.
+        sampler: The animation.
+        frames: Frames of the animation.
     """
     channels: list[ClipChannel] = []
-    bent = added = 0
-    for path, rest in moving.rest.items():
-        tracks = {one.row: one for one in moving.moving[path]}
+    splines = added = 0
+    for path, rest in sampler.rest.items():
+        tracks = {entry.row: entry for entry in sampler.tracks[path]}
         defaults = _default_rows(path, gltf_rig)
         for row in range(len(rest)):
             target = _target(path, row, gltf_rig)
@@ -50,15 +50,18 @@ def clip_of_gltf(
                 if np.abs(rest[row] - defaults[row]).max() > 0:
                     channels.append(_static_channel(target, rest[row], path, frames))
                 continue
-            channel, more = _channel(target, tracks[row], path, frames)
+            channel, extra_keys = _channel(target, tracks[row], path, frames)
             channels.append(channel)
-            bent, added = bent + (more > 0), added + more
-    last = frames.first + frames.count - 1
-    clip = Clip(name, frames.fps, frames.first, last, tuple(channels))
-    if not bent:
+            splines, added = (
+                splines + (extra_keys > 0),
+                added + extra_keys,
+            )
+    last_frame = frames.first + frames.count - 1
+    clip = Clip(name, frames.fps, frames.first, last_frame, tuple(channels))
+    if not splines:
         return clip, []
     message = (
-        f"{counted(bent, 'rotation')} with cubic splines, which clips do not have: "
+        f"{counted(splines, 'rotation')} with cubic splines, which clips do not have: "
     )
     message += (
         f"{counted(added, 'key')} added between those of the file keep them within "
@@ -98,9 +101,11 @@ def _clip_channel(
     tangent = Tangent.AUTO_CLAMPED
     if slopes is not None:
         tangent = Tangent.FREE
-        thirds = np.diff(times)[:, None] / 3
-        outs[:-1] = np.concatenate([thirds, thirds * slopes[1][:-1]], axis=1)
-        ins[1:] = np.concatenate([-thirds, -thirds * slopes[0][1:]], axis=1)
+        handle_times = np.diff(times)[:, None] / 3
+        outs[:-1] = np.concatenate(
+            [handle_times, handle_times * slopes[1][:-1]], axis=1
+        )
+        ins[1:] = np.concatenate([-handle_times, -handle_times * slopes[0][1:]], axis=1)
     return ClipChannel(
         target,
         times,
@@ -122,12 +127,12 @@ def _static_channel(
 
 
 def _channel(
-    target: str, one: MovingRow, path: TargetPath, frames: GltfFrames
+    target: str, row_track: MovingRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
     """Return the keys of a track, and the count of keys not in the file."""
-    track = one.track
+    track = row_track.track
     times = key_frames(track.times, frames)
-    values = track.values.astype(np.float64) * one.factor
+    values = track.values.astype(np.float64) * row_track.factor
     step = track.interpolation is SamplerInterpolation.STEP
     if path is TargetPath.ROTATION:
         if track.interpolation is SamplerInterpolation.CUBIC:
@@ -136,7 +141,7 @@ def _channel(
         interp = Interp.STEP if step else Interp.SLERP
         return _clip_channel(target, times, values, interp), 0
     if track.ins is not None and track.outs is not None:
-        scale = one.factor / float(frames.fps)
+        scale = row_track.factor / float(frames.fps)
         slopes = (track.ins * scale, track.outs * scale)
         return _clip_channel(target, times, values, Interp.BEZIER, slopes), 0
     return _clip_channel(
@@ -147,9 +152,9 @@ def _channel(
 def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
     """Return key times [frames], snapped to a frame within float32 rounding."""
     exact = seconds * float(frames.fps)
-    rounded = np.round(exact)
-    near = np.abs(rounded - exact) <= NEAR * np.abs(exact)
-    return np.asarray(np.where(near, rounded, exact) + float(frames.start))
+    frames_ = np.round(exact)
+    is_on_frame = np.abs(frames_ - exact) <= SAME_KEY * np.abs(exact)
+    return np.asarray(np.where(is_on_frame, frames_, exact) + float(frames.start))
 
 
 def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChannel, int]:
@@ -160,14 +165,14 @@ def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChanne
         if not len(a):
             break
         middle = (a + b) / 2
-        ends = so3.slerp(track.at(a), track.at(b), 0.5)
-        quarter = so3.slerp(track.at(a), track.at(b), 0.25)
-        off = np.maximum(
-            so3.angle_between(ends, track.at(middle)),
-            so3.angle_between(quarter, track.at(a + (b - a) / 4)),
+        ends_slerp = so3.slerp(track.at(a), track.at(b), 0.5)
+        quarter_slerp = so3.slerp(track.at(a), track.at(b), 0.25)
+        error = np.maximum(
+            so3.angle_between(ends_slerp, track.at(middle)),
+            so3.angle_between(quarter_slerp, track.at(a + (b - a) / 4)),
         )
-        split = off > ARC_TOLERANCE
-        a, b, middle = a[split], b[split], middle[split]
+        needs_split = error > ARC_TOLERANCE
+        a, b, middle = a[needs_split], b[needs_split], middle[needs_split]
         times.append(middle)
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
     every = np.unique(np.concatenate(times))

@@ -19,10 +19,11 @@ I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
 QUANTIZATION = "KHR_mesh_quantization"
 QUANTIZED = (FLOAT, I8, U8, I16, U16)
 TRIANGLES, STRIP, FAN = 4, 5, 6
-# Of the sum of a vertex' weights [1]: float32 rounds less, integers have it exactly.
+# Tolerance of a vertex's weight sum [1]: float32 rounding is smaller, and integers are
+# exact.
 SUM_TOLERANCE = 1e-5
-# Of a unit normal's length, and of min and max by the size of the data [1].
-BOUNDS = 1e-6
+# Tolerance of min and max, relative to the size of the data [1].
+BOUNDS_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +36,9 @@ class MorphTarget:
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A part of a mesh: accessor indices of its vertices."""
+    """A primitive of a mesh: accessor indices of its vertices."""
 
-    position: int  # -1: it has no points
+    position: int  # -1 without points
     normal: int
     joints: tuple[int, ...]
     weights: tuple[int, ...]
@@ -58,15 +59,17 @@ class MeshEntry:
 
     name: str | None
     primitives: tuple[Primitive, ...]
-    weights: tuple[float, ...]  # of its targets, where no node says others
-    target_names: tuple[str, ...]  # empty where the file has none
+    weights: tuple[
+        float, ...
+    ]  # default weights of its targets; nodes may override them
+    target_names: tuple[str, ...]  # empty if the file has none
     where: str
-    called: str | None = None  # by animtool, where its node is called otherwise
+    original_name: str | None = None  # written by animtool if the node's name differs
 
     @property
     def targets(self) -> int:
         """Count of morph targets."""
-        return max((len(part.targets) for part in self.primitives), default=0)
+        return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
@@ -78,9 +81,9 @@ def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     if "primitives" not in item.values:
         item.missing("primitives")
     primitives = tuple(
-        _primitive(part, accessors) for part in item.children("primitives")
+        _primitive(primitive, accessors) for primitive in item.children("primitives")
     )
-    counts = [len(part.targets) for part in primitives]
+    counts = [len(primitive.targets) for primitive in primitives]
     for i, count in enumerate(counts):
         if count != counts[0]:
             message = f"{count} targets, but the first primitive has {counts[0]}"
@@ -96,14 +99,14 @@ def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     is_list = isinstance(names, list) and len(names) == targets
     texts = tuple(map(str, names)) if is_list and names is not None else ()
     zeros = (0.0,) * targets
-    called = by_animtool(item).get("name")
+    original_name = by_animtool(item).get("name")
     return MeshEntry(
         item.text("name"),
         primitives,
         zeros if weights is None else tuple(weights),
         texts,
         item.pointer,
-        called if isinstance(called, str) else None,
+        original_name if isinstance(original_name, str) else None,
     )
 
 
@@ -122,7 +125,7 @@ def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
         accessors_of_names.get("POSITION", -1),
         accessors_of_names.get("NORMAL", -1),
     )
-    many = _check_vertices(attributes, accessors_of_names, accessors)
+    vertex_count = _check_vertices(attributes, accessors_of_names, accessors)
     sets = sorted(
         int(name[7:]) for name in accessors_of_names if name.startswith("JOINTS_")
     )
@@ -142,8 +145,8 @@ def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
         }
         for name, index in accessors_of.items():
             accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
-            if accessor.count != many:
-                message = f"{accessor.count} rows for {many} vertices"
+            if accessor.count != vertex_count:
+                message = f"{accessor.count} rows for {vertex_count} vertices"
                 item.notes.fail("GLT011", target.at(name), message)
             if accessors.has_data(index):
                 check_bounds(accessor.item, accessors.numbers(index))
@@ -160,15 +163,15 @@ def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     primitive = Primitive(
         position,
         normal,
-        tuple(accessors_of_names[f"JOINTS_{one}"] for one in sets),
-        tuple(accessors_of_names[f"WEIGHTS_{one}"] for one in sets),
+        tuple(accessors_of_names[f"JOINTS_{set_index}"] for set_index in sets),
+        tuple(accessors_of_names[f"WEIGHTS_{set_index}"] for set_index in sets),
         indices,
         TRIANGLES if mode is None else mode,
         tuple(targets),
         item.pointer,
     )
     if indices >= 0:
-        _check_indices(item, indices, many, accessors)
+        _check_indices(item, indices, vertex_count, accessors)
     return primitive
 
 
@@ -198,8 +201,8 @@ def _typed(
         if accessor is not None:
             text = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
         item.notes.fail("GLT011", item.at(key), f"{key} cannot be {text}")
-    quantized = components is QUANTIZED and accessor.component != FLOAT
-    if quantized and not accessors.declares(QUANTIZATION):
+    is_quantized = components is QUANTIZED and accessor.component != FLOAT
+    if is_quantized and not accessors.declares(QUANTIZATION):
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
         item.notes.warn("GLT106", item.at(key), message)
     if accessors.has_data(index):
@@ -211,7 +214,7 @@ def _check_vertices(
     attributes: JsonItem, indices: dict[str, int], accessors: Accessors
 ) -> int:
     """Check types and counts of vertex attributes; return the vertex count."""
-    many = -1
+    vertex_count = -1
     for name, index in indices.items():
         kind = "VEC4"
         components: tuple[int, ...] = (U8, U16)
@@ -221,10 +224,12 @@ def _check_vertices(
             components = (FLOAT, U8, U16)
         accessor = _typed(attributes, name, index, accessors, kind, components)
         _check_packing(attributes, name, accessor)
-        if many < 0:
-            many = accessor.count
-        elif accessor.count != many:
-            message = f"{name} has {accessor.count} rows, but others have {many}"
+        if vertex_count < 0:
+            vertex_count = accessor.count
+        elif accessor.count != vertex_count:
+            message = (
+                f"{name} has {accessor.count} rows, but others have {vertex_count}"
+            )
             attributes.notes.fail("GLT011", attributes.at(name), message)
         if not accessors.has_data(index):
             continue
@@ -234,7 +239,7 @@ def _check_vertices(
         if name.startswith("WEIGHTS_") and (accessors.numbers(index) < 0).any():
             message = "a weight of a vertex is negative"
             attributes.notes.fail("GLT010", attributes.at(name), message)
-    return many
+    return vertex_count
 
 
 def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
@@ -246,40 +251,47 @@ def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
         attributes.notes.warn("GLT104", attributes.at(name), message)
 
 
-def _check_indices(item: JsonItem, index: int, many: int, accessors: Accessors) -> None:
+def _check_indices(
+    item: JsonItem, index: int, vertex_count: int, accessors: Accessors
+) -> None:
     _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
     accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
         return
     largest = int(accessors.numbers(index).max())
-    if many >= 0 and largest >= many:
-        message = f"a face refers to vertex {largest} of {many}"
+    if vertex_count >= 0 and largest >= vertex_count:
+        message = f"a face refers to vertex {largest} of {vertex_count}"
         item.notes.fail("GLT006", item.at("indices"), message)
 
 
 def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
     """Warn about min and max that differ from the data.
 
-    missing: what needs them, where something does.
+    ``missing`` names what requires them, if anything does.
     """
     stated = [item.values.get(key) for key in ("min", "max")]
-    if not any(one is not None for one in stated):
+    if not any(stated_value is not None for stated_value in stated):
         if missing:
             message = "min and max are missing: computed from the data"
             item.notes.warn("GLT102", missing, message)
         return
     actual = (values.min(axis=0), values.max(axis=0))
-    for key, said, bound in zip(("min", "max"), stated, actual, strict=True):
-        size = BOUNDS * max(1.0, float(np.abs(bound.astype(np.float64)).max()))
-        if said is None and key not in item.values:
+    for key, stated_bound, bound in zip(("min", "max"), stated, actual, strict=True):
+        size = BOUNDS_TOLERANCE * max(
+            1.0, float(np.abs(bound.astype(np.float64)).max())
+        )
+        if stated_bound is None and key not in item.values:
             item.notes.warn("GLT102", item.at(key), f"{key} is missing")
-        if not isinstance(said, list) or len(said) != len(bound):
+        if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
-        for i, (one, real) in enumerate(zip(said, bound.tolist(), strict=True)):
-            if is_number(one) and not abs(one - real) <= size:
+        for i, (stated_value, real) in enumerate(
+            zip(stated_bound, bound.tolist(), strict=True)
+        ):
+            if is_number(stated_value) and not abs(stated_value - real) <= size:
                 message = (
-                    f"{key} is {one!r}, but the data has {real:.9g}: using the data"
+                    f"{key} is {stated_value!r}, but the data has {real:.9g}: using "
                 )
+                message += "the data"
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
                 break
 
@@ -314,9 +326,9 @@ def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
         if accessors.has_data(index):
             stored = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
         matrices = np.ascontiguousarray(stored.swapaxes(1, 2))
-        last = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
-        if (last > 1e-4).any() and accessors.has_data(index):
-            joint = int(last.argmax())
+        row_error = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
+        if (row_error > 1e-4).any() and accessors.has_data(index):
+            joint = int(row_error.argmax())
             message = f"the last row of matrix {joint} is not 0 0 0 1"
             item.notes.fail("GLT010", where, message)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
@@ -339,61 +351,68 @@ def skin_weights(
 ) -> tuple[IntArray, FloatArray]:
     """Return joints and weights of vertices ``(V, I)``; weights sum to 1.
 
-    joints: number of joints of the skin.
+    ``joints`` is the number of joints of the skin.
     """
     indices = np.concatenate(
-        [accessors.numbers(one).astype(np.int64) for one in primitive.joints], axis=1
+        [accessors.numbers(accessor).astype(np.int64) for accessor in primitive.joints],
+        axis=1,
     )
     weights = np.concatenate(
-        [accessors.floats(one) for one in primitive.weights], axis=1
+        [accessors.floats(accessor) for accessor in primitive.weights], axis=1
     )
     _check_distinct(primitive, indices, weights, notes)
-    beyond = indices >= joints
-    if beyond.any():
-        used = beyond & (weights > 0)
-        index = np.argwhere(used if used.any() else beyond)[0, 1] // 4
+    out_of_range = indices >= joints
+    if out_of_range.any():
+        has_weight = out_of_range & (weights > 0)
+        index = np.argwhere(has_weight if has_weight.any() else out_of_range)[0, 1] // 4
         where = f"{primitive.where}/attributes/JOINTS_{int(index)}"
-        message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
-        if used.any():
+        message = f"joint {int(indices[out_of_range].max())} of a skin with {joints}"
+        if has_weight.any():
             notes.fail("GLT006", where, message)
         notes.warn("GLT106", where, f"{message}, without weight: ignored")
-        indices[beyond] = 0
-    sums = weights.sum(axis=1)
-    worst = float(sums[np.abs(sums - 1.0).argmax()]) if len(sums) else 1.0
+        indices[out_of_range] = 0
+    weight_sums = weights.sum(axis=1)
+    worst = (
+        float(weight_sums[np.abs(weight_sums - 1.0).argmax()])
+        if len(weight_sums)
+        else 1.0
+    )
     where = f"{primitive.where}/attributes/WEIGHTS_0"
-    has_data = all(accessors.has_data(one) for one in primitive.weights)
+    has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
     if has_data and abs(worst - 1.0) > SUM_TOLERANCE:
         message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are normalised")
-    empty = sums == 0.0
+    empty = weight_sums == 0.0
     if empty.any():
         if has_data:
             message = f"{int(empty.sum())} vertices have no weights"
             notes.warn("GLT104", where, f"{message}: they follow the first joint")
         weights[empty, 0], indices[empty, 0] = 1.0, 0
-        sums = np.where(empty, 1.0, sums)
-    return indices, weights / sums[:, None]
+        weight_sums = np.where(empty, 1.0, weight_sums)
+    return indices, weights / weight_sums[:, None]
 
 
 def _check_distinct(
     primitive: Primitive, indices: IntArray, weights: FloatArray, notes: FileNotices
 ) -> None:
     """Warn about joints with two weights on a vertex, which are added."""
-    # Those of no weight are told apart by numbers that no joint has.
+    # Influences without weight get distinct numbers that no joint has.
     idle = -1 - np.arange(indices.shape[1])
     order = np.sort(np.where(weights > 0, indices, idle), axis=1)
-    twice = (order[:, 1:] == order[:, :-1]).any(axis=1)
-    if twice.any():
-        message = f"{int(twice.sum())} vertices have two weights of one joint"
+    has_duplicate = (order[:, 1:] == order[:, :-1]).any(axis=1)
+    if has_duplicate.any():
+        message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
         where = f"{primitive.where}/attributes/JOINTS_0"
         notes.warn("GLT104", where, f"{message}: they are added")
 
 
-def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:
+def triangles(
+    primitive: Primitive, vertex_count: int, accessors: Accessors
+) -> IntArray:
     """Return a primitive's faces ``(N, 3)``; no faces for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
-    run = np.arange(many)
+    run = np.arange(vertex_count)
     if primitive.indices >= 0:
         run = accessors.numbers(primitive.indices)[:, 0].astype(np.int64)
     if primitive.mode == TRIANGLES:
@@ -401,9 +420,9 @@ def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray
     if len(run) < 3:
         return np.zeros((0, 3), np.int64)
     if primitive.mode == FAN:
-        first = np.full(len(run) - 2, run[0])
-        return np.stack([run[1:-1], run[2:], first], axis=1)
+        fan_center = np.full(len(run) - 2, run[0])
+        return np.stack([run[1:-1], run[2:], fan_center], axis=1)
     faces = np.stack([run[:-2], run[1:-1], run[2:]], axis=1)
     faces[1::2] = faces[1::2][:, [1, 0, 2]]
-    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
-    return np.asarray(faces[~(flat | (faces[:, 0] == faces[:, 2]))])
+    is_degenerate = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
+    return np.asarray(faces[~(is_degenerate | (faces[:, 0] == faces[:, 2]))])

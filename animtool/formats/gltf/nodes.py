@@ -12,9 +12,9 @@ from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.json_items import JsonItem, by_animtool
 from animtool.maths import so3
 
-# Of a quaternion's length, so much as the reference validator lets pass, of numbers
-# with few digits; and of a matrix that its parts give back [1].
-UNIT, SHEAR = 7.69e-3, 1e-4
+# Tolerance of a quaternion's length, as in the reference validator, and of a matrix
+# decomposed to translation, rotation and scale [1].
+UNIT_TOLERANCE, SHEAR_TOLERANCE = 7.69e-3, 1e-4
 VISIBILITY = "KHR_node_visibility"
 MAX_NODES = 200_000
 
@@ -25,24 +25,24 @@ def read_nodes(
     """Return the nodes in file order.
 
     Raises:
-        FormatError: There is a loop, or a node with two parents (GLT009).
+        FormatError: There is a cycle, or a node with two parents (GLT009).
     """
     items = root.children("nodes")
     if len(items) > MAX_NODES:
         notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")
-    below = [item.indices("children", len(items), "node") for item in items]
-    parents = _parents(items, below, notes)
+    children = [item.indices("children", len(items), "node") for item in items]
+    parents = _parents(items, children, notes)
     return tuple(
-        _node(item, parents[i], below[i], meshes, skins, notes)
+        _node(item, parents[i], children[i], meshes, skins, notes)
         for i, item in enumerate(items)
     )
 
 
 def _parents(
-    items: list[JsonItem], below: list[list[int]], notes: FileNotices
+    items: list[JsonItem], child_lists: list[list[int]], notes: FileNotices
 ) -> list[int]:
     parents = [-1] * len(items)
-    for i, children in enumerate(below):
+    for i, children in enumerate(child_lists):
         for k, child in enumerate(children):
             if child == i:
                 message = "the node is its own child"
@@ -51,17 +51,17 @@ def _parents(
                 message = f"node {child} has two parents, {parents[child]} and {i}"
                 notes.fail("GLT009", f"{items[i].pointer}/children/{k}", message)
             parents[child] = i
-    done = [False] * len(items)
+    is_checked = [False] * len(items)
     for i in range(len(items)):
         path: dict[int, None] = {}
         at = i
-        while at >= 0 and not done[at]:
+        while at >= 0 and not is_checked[at]:
             if at in path:
                 notes.fail("GLT009", items[at].pointer, "the node is its own ancestor")
             path[at] = None
             at = parents[at]
         for node in path:
-            done[node] = True
+            is_checked[node] = True
     return parents
 
 
@@ -83,8 +83,8 @@ def _node(
                 notes.warn("GLT106", item.at(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _transform(item, notes)
-    shown = item.extension(VISIBILITY)
-    visible = shown is None or shown.values.get("visible", True) is not False
+    visibility = item.extension(VISIBILITY)
+    visible = visibility is None or visibility.values.get("visible", True) is not False
     return Node(
         item.text("name"),
         parent,
@@ -109,26 +109,28 @@ def _transform(
     tuple[float, float, float],
     bool,
 ]:
-    if not _PLACING & item.values.keys():
+    if not _TRANSFORM_KEYS & item.values.keys():
         return _NO_TRANSFORM
     matrix = item.floats("matrix", 16)
-    parts = [item.floats(*part) for part in _PARTS]
+    components = [item.floats(*component) for component in _PARTS]
     if matrix is not None:
-        for key, part in zip(("translation", "rotation", "scale"), parts, strict=True):
-            if part is not None:
+        for key, component in zip(
+            ("translation", "rotation", "scale"), components, strict=True
+        ):
+            if component is not None:
                 message = f"{key} next to a matrix is ignored"
                 notes.warn("GLT106", item.at(key), message)
         return (*_split(np.array(matrix), item, notes), True)
     translation, rotation, scale = (
-        default if part is None else part
-        for part, default in zip(
-            parts, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
+        default if component is None else component
+        for component, default in zip(
+            components, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
         )
     )
     length = math.hypot(*rotation)
     if length == 0.0:
         notes.fail("GLT010", item.at("rotation"), "a rotation has length 0")
-    if abs(length - 1.0) > UNIT:
+    if abs(length - 1.0) > UNIT_TOLERANCE:
         message = f"the rotation has length {length:.6g}: it is normalised"
         notes.warn("GLT103", item.at("rotation"), message)
     x, y, z = translation
@@ -137,7 +139,7 @@ def _transform(
     return (x, y, z), (a, b, c, w), (u, v, s), False
 
 
-_PLACING = {"matrix", "translation", "rotation", "scale"}
+_TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
 _NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0), False
 _PARTS = (("translation", 3), ("rotation", 4), ("scale", 3))
 
@@ -152,7 +154,7 @@ def _split(
     """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
     where = item.at("matrix")
-    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR:
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
         notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
     size = float(np.abs(linear).max())
@@ -161,9 +163,9 @@ def _split(
     unit_rotation, scale = so3.split_scale(linear[None] / size)
     rotation, lengths = unit_rotation[0], scale[0] * size
     again = so3.to_matrix(rotation) * lengths
-    off = float(np.abs(again - linear).max()) / size
-    if off > SHEAR:
-        message = f"the shear of the matrix, {off:.3g} of its size, is ignored"
+    shear = float(np.abs(again - linear).max()) / size
+    if shear > SHEAR_TOLERANCE:
+        message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
         notes.warn("GLT103", where, message)
     x, y, z = matrix[:3, 3].tolist()
     a, b, c, w = rotation.tolist()
@@ -177,14 +179,14 @@ def read_scenes(
     """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
     for item in root.children("scenes"):
-        listed = item.indices("nodes", len(nodes), "node")
-        for k, node in enumerate(listed):
+        scene_nodes = item.indices("nodes", len(nodes), "node")
+        for k, node in enumerate(scene_nodes):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
                 notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
-            if node in listed[:k]:
+            if node in scene_nodes[:k]:
                 message = f"node {node} is listed twice; it is in the tree once"
                 notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
-        scenes.append(listed)
-    shown = root.index("scene", len(scenes), "scene")
-    return scenes, (0 if shown < 0 and scenes else shown)
+        scenes.append(scene_nodes)
+    default = root.index("scene", len(scenes), "scene")
+    return scenes, (0 if default < 0 and scenes else default)

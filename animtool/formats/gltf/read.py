@@ -16,8 +16,8 @@ from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
     NativeKeys,
+    animates_rig,
     clip_stream,
-    moves,
     sampler_of,
 )
 from animtool.formats.gltf.timing import distinct_clip_names, frames_of
@@ -25,7 +25,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 MAX_NAMED = 8
-# An unknown character, and one of several.
+# Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "GLT014", "GLT109"
 WORDS = TakeWords(
     "clip",
@@ -45,22 +45,22 @@ def read_gltf(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open an animation of a glTF on the character it moves, meshes included.
+    """Open an animation of a glTF on the character it animates, meshes included.
 
-    Time 0 is frame 0. Outside of its keys a track holds its first or last value.
+    Time 0 is frame 0. Outside its keys a track keeps its first or last value.
 
     Args:
         path: A .gltf, .glb or .vrm file.
-        unit: What its lengths are in; None is metres, as the format says.
-        up: Which of its axes points up; None is Y, likewise.
-        fps: Frames a second; None is the first usual rate that has all keys on frames.
-        prim_path: The character, where the file has several.
-        take: The clip; None is the first.
+        unit: Unit of its lengths; None is metres, as glTF specifies.
+        up: Its up axis; None is Y, as glTF specifies.
+        fps: Frames per second; None is the first common rate with all keys on frames.
+        prim_path: The character, if the file has several.
+        take: Name of the animation; None is the first.
 
     Raises:
-        FormatError: The file is broken, needs an extension that is not read, or holds
-            no such character or clip (GLT001 to GLT015).
-        OptionError: fps is no rate (SCN022).
+        FormatError: The file is malformed, requires an unsupported extension, or has no
+            such character or animation (GLT001 to GLT015).
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -69,40 +69,44 @@ def read_gltf(
     meters = LengthUnit.M if unit is None else unit
     gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
     names = distinct_clip_names(gltf.animations)
-    moving = (i for i, one in enumerate(gltf.animations) if moves(gltf_rig, one))
+    animated = (
+        i
+        for i, animation_ in enumerate(gltf.animations)
+        if animates_rig(gltf_rig, animation_)
+    )
     candidates = range(len(names))
-    index, more = choose_take(
-        WORDS, str(path), names, take, candidates, next(moving, 0)
+    index, notes = choose_take(
+        WORDS, str(path), names, take, candidates, next(animated, 0)
     )
     animation = None if index < 0 else gltf.animations[index]
-    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *more]
-    notices += _left_out(gltf, animation)
+    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *notes]
+    notices += _unread_notice(gltf, animation)
     sampler = sampler_of(gltf, gltf_rig, animation)
     frames = frames_of(animation, rate, str(path), sampler.numbers)
     stream = clip_stream(gltf_rig, sampler, frames)
     stream.notices[:] = [*notices, *frames.notices]
-    last = 0.0 if animation is None else animation.span[1]
+    last_time = 0.0 if animation is None else animation.span[1]
     return finish_stream(
         stream,
         "glTF",
         names,
         index,
         lambda name: clip_of_gltf(name, gltf_rig, sampler, frames),
-        NativeKeys(sampler, frames, last),
+        NativeKeys(sampler, frames, last_time),
     )
 
 
 def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     """Return the rig of a glTF with meshes and shapes.
 
-    Its notices say what a rig has no place for.
+    Its notices report what a rig cannot store.
 
     Args:
         path: A .gltf, .glb or .vrm file.
-        prim_path: The character, as `read_gltf` has it.
+        prim_path: The character, as in `read_gltf`.
 
     Raises:
-        FormatError: As `read_gltf` does.
+        FormatError: As for `read_gltf`.
     """
     gltf = open_gltf(path)
     character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
@@ -116,13 +120,13 @@ def take_names(path: Path) -> list[str]:
     """Return the names of a glTF's animations, in file order.
 
     Raises:
-        FormatError: As `read_gltf` does.
+        FormatError: As for `read_gltf`.
     """
     return distinct_clip_names(open_gltf(path).animations)
 
 
-def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
-    """Return one notice about file contents that takes cannot hold."""
+def _unread_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
+    """Return one notice about file contents that takes cannot store."""
     names = [left_out_text(gltf)] if gltf.left_out else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is TargetPath.VISIBLE for track in tracks):

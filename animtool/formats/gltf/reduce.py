@@ -12,38 +12,39 @@ from animtool.maths import so3
 def linear_keys(keys: Keys, tolerance: float) -> Keys:
     """Return keys that reproduce all others within a tolerance.
 
-    Each step takes the sample that is farthest off, until none is (Ramer, 1972;
-    Douglas and Peucker, 1973). Of rotations the tolerance is an angle [rad].
+    Each step adds the sample with the largest error, until none exceeds the tolerance
+    (Ramer, 1972; Douglas and Peucker, 1973). For rotations the tolerance is an angle
+    [rad].
 
     >>> line = Keys(np.arange(5.0), np.arange(5.0)[:, None])
     >>> linear_keys(line, 1e-3).times.tolist()
     [0.0, 4.0]
     """
     times, values = keys.times, keys.values
-    kept = np.zeros(len(times), np.bool_)
-    kept[[0, -1]] = True
+    is_key = np.zeros(len(times), np.bool_)
+    is_key[[0, -1]] = True
     spans = [(0, len(times) - 1)]
     while spans:
         a, b = spans.pop()
         if b - a < 2:
             continue
-        inner = slice(a + 1, b)
-        fraction = (times[inner] - times[a]) / (times[b] - times[a])
-        off = _off(values[a], values[b], fraction, values[inner])
-        worst = int(off.argmax())
-        if off[worst] > tolerance:
+        between = slice(a + 1, b)
+        fraction = (times[between] - times[a]) / (times[b] - times[a])
+        errors = _distances(values[a], values[b], fraction, values[between])
+        worst = int(errors.argmax())
+        if errors[worst] > tolerance:
             middle = a + 1 + worst
-            kept[middle] = True
+            is_key[middle] = True
             spans += [(a, middle), (middle, b)]
-    return Keys(times[kept], values[kept])
+    return Keys(times[is_key], values[is_key])
 
 
-def _off(
+def _distances(
     a: FloatArray, b: FloatArray, fraction: FloatArray, values: FloatArray
 ) -> FloatArray:
     """Return the distance of samples from the segment between two of them."""
     if values.shape[1] == 4:
-        between = so3.slerp(a[None], b[None], fraction)
-        return so3.angle_between(between, values)
+        interpolated = so3.slerp(a[None], b[None], fraction)
+        return so3.angle_between(interpolated, values)
     straight = a + fraction[:, None] * (b - a)
     return np.asarray(np.abs(values - straight).max(axis=1))

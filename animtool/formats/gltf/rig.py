@@ -29,23 +29,23 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig with the nodes its joints and shapes come from.
+    """A rig with the nodes that its joints and shapes come from.
 
     Attributes:
         rig: J joints.
-        nodes: Node of each joint; -1 of one that only carries a mesh.
-        joints: Joint of each node of the file; -1 where it is none.
-        folded: By node, the scale that its joint leaves out, as the lengths below it
-            have it ``(N,)`` [1].
-        scales: What is left of the scales at rest ``(J, 3)`` [1].
+        nodes: Node of each joint; -1 for a joint that only carries a mesh.
+        joints: Joint of each node of the file; -1 for nodes that are not joints.
+        folded_scales: By node, the uniform scale folded into the lengths below it
+            ``(N,)`` [1].
+        scales: Remaining scales at rest ``(J, 3)`` [1].
         shapes: Node and morph target of each shape.
-        notices: What a rig cannot hold.
+        notices: Warnings about data that rigs cannot store.
     """
 
     rig: Rig
     nodes: IntArray
     joints: IntArray
-    folded: FloatArray
+    folded_scales: FloatArray
     scales: FloatArray
     shapes: tuple[tuple[int, int], ...]
     notices: list[Fault] = field(default_factory=list)
@@ -62,49 +62,55 @@ def build_rig(
 ) -> GltfRig:
     """Return the rig of a character.
 
-    Every node is a joint, but for those of skinned meshes with nothing below, whose
-    transform has no effect. A scale that is even and never moves goes into the
-    lengths below it; what is left is in the takes.
+    Every node is a joint, except nodes of skinned meshes without children, whose
+    transform
+    has no effect. A uniform static scale is folded into the lengths below it; other
+    scales
+    remain in the takes.
 
-    surfaces: whether meshes and shapes are read too.
+    ``surfaces`` selects whether to read meshes and shapes.
     """
-    kept = [
+    joint_nodes = [
         node
         for node in character.nodes
-        if not (_only_carries_skin(gltf, node) or _is_added_root(gltf, node))
+        if not (_only_carries_skin(gltf, node) or _is_inserted_root(gltf, node))
     ]
-    kept = kept or list(character.nodes)
+    joint_nodes = joint_nodes or list(character.nodes)
     joints = np.full(len(gltf.nodes), -1, np.int64)
-    joints[kept] = np.arange(len(kept))
-    folded = _folded(gltf, character)
-    names, renamed = joint_names([gltf.nodes[node] for node in kept], kept)
+    joints[joint_nodes] = np.arange(len(joint_nodes))
+    folded_scales = _folded_scales(gltf, character)
+    names, renamed = joint_names(
+        [gltf.nodes[node] for node in joint_nodes], joint_nodes
+    )
     joint_list = []
     bones = {node: bone for bone, node in reversed(humanoid_bones(gltf))}
-    for node, called in zip(kept, names, strict=True):
+    for node, joint_name in zip(joint_nodes, names, strict=True):
         entry = gltf.nodes[node]
-        above = 1.0 if entry.parent < 0 else float(folded[entry.parent])
-        x, y, z = (value * above * meters_per_unit for value in entry.translation)
+        parent_scale = 1.0 if entry.parent < 0 else float(folded_scales[entry.parent])
+        x, y, z = (
+            value * parent_scale * meters_per_unit for value in entry.translation
+        )
         original = entry.name or ""
         joint_list.append(
             Joint(
-                called,
+                joint_name,
                 -1 if entry.parent < 0 else int(joints[entry.parent]),
                 translation=(x, y, z),
                 rotation=entry.rotation,
-                source_name="" if original == called else original,
+                source_name="" if original == joint_name else original,
                 humanoid=bones.get(node, ""),
             )
         )
-    scales = np.array([gltf.nodes[node].scale for node in kept], np.float64)
-    scales = np.where(folded_nodes(gltf)[kept][:, None], 1.0, scales)
-    bare = Rig(name, tuple(joint_list), meters_per_unit, up)
+    scales = np.array([gltf.nodes[node].scale for node in joint_nodes], np.float64)
+    scales = np.where(folded_nodes(gltf)[joint_nodes][:, None], 1.0, scales)
+    rig_without_meshes = Rig(name, tuple(joint_list), meters_per_unit, up)
     notices = renamed_notice("GLT113", renamed, str(gltf.path))
     meshes: tuple[Mesh, ...] = ()
     shapes: tuple[Shape, ...] = ()
     keys: tuple[tuple[int, int], ...] = ()
-    rig, nodes = bare, np.array(kept, np.int64)
+    rig, nodes = rig_without_meshes, np.array(joint_nodes, np.int64)
     if surfaces:
-        binder = Binder(gltf, bare, joints, folded, scales)
+        binder = Binder(gltf, rig_without_meshes, joints, folded_scales, scales)
         meshes, shapes, keys, mesh_notices = mesh_parts(gltf, character, binder)
         rig, nodes = binder.rig(meshes, shapes), binder.nodes(nodes)
         notices += [*mesh_notices, *binder.notices]
@@ -112,7 +118,7 @@ def build_rig(
     else:
         keys, shapes = shape_keys(gltf, character)
         rig = Rig(name, tuple(joint_list), meters_per_unit, up, shapes=shapes)
-    return GltfRig(rig, nodes, joints, folded, scales, keys, notices)
+    return GltfRig(rig, nodes, joints, folded_scales, scales, keys, notices)
 
 
 def shape_keys(
@@ -134,18 +140,22 @@ def _only_carries_skin(gltf: Gltf, node: int) -> bool:
     if entry.skin < 0 or entry.children or entry.mesh < 0:
         return False
     primitives = gltf.meshes[entry.mesh].primitives
-    skinned = bool(primitives) and all(part.joints for part in primitives)
-    return skinned and not any(node in skin.joints for skin in gltf.skins)
+    is_skinned = bool(primitives) and all(primitive.joints for primitive in primitives)
+    return is_skinned and not any(node in skin.joints for skin in gltf.skins)
 
 
-def _is_added_root(gltf: Gltf, node: int) -> bool:
-    """Return whether a node is animtool's identity node above several roots."""
+def _is_inserted_root(gltf: Gltf, node: int) -> bool:
+    """Return whether a node is the identity node that animtool inserts above roots."""
     entry = gltf.nodes[node]
-    if not entry.above or entry.parent >= 0:
+    if not entry.is_inserted or entry.parent >= 0:
         return False
     if any(node in skin.joints for skin in gltf.skins):
         return False
-    if any(track.node == node for one in gltf.animations for track in one.tracks):
+    if any(
+        track.node == node
+        for animation in gltf.animations
+        for track in animation.tracks
+    ):
         return False
     identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
     return (entry.translation, entry.rotation, entry.scale) == identity
@@ -154,35 +164,41 @@ def _is_added_root(gltf: Gltf, node: int) -> bool:
 def folded_nodes(gltf: Gltf) -> BoolArray:
     """Return which nodes have a uniform static scale ``(N,)``."""
     scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
-    low, high = scales.min(axis=1), scales.max(axis=1)
-    even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
+    smallest, largest = scales.min(axis=1), scales.max(axis=1)
+    is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))
     for animation in gltf.animations:
         for track in animation.tracks:
-            if track.path is TargetPath.SCALE and even[track.node]:
+            if track.path is TargetPath.SCALE and is_uniform[track.node]:
                 scale = scales[track.node]
-                off = np.abs(track.values - scale).max()
-                slopes = [part for part in (track.ins, track.outs) if part is not None]
-                moves = any(np.abs(part).max() > SAME_SCALE for part in slopes)
-                even[track.node] = not moves and off <= SAME_SCALE * scale.max()
-    return np.asarray(even)
+                difference = np.abs(track.values - scale).max()
+                slopes = [
+                    slope for slope in (track.ins, track.outs) if slope is not None
+                ]
+                is_moving = any(np.abs(slope).max() > SAME_SCALE for slope in slopes)
+                is_uniform[track.node] = (
+                    not is_moving and difference <= SAME_SCALE * scale.max()
+                )
+    return np.asarray(is_uniform)
 
 
-def _folded(gltf: Gltf, character: CharacterNodes) -> FloatArray:
+def _folded_scales(gltf: Gltf, character: CharacterNodes) -> FloatArray:
     """Return the product of uniform scales from the root to each node ``(N,)``."""
-    even = folded_nodes(gltf)
-    folded = np.ones(len(gltf.nodes))
+    is_folded = folded_nodes(gltf)
+    folded_scales = np.ones(len(gltf.nodes))
     for node in character.nodes:
         entry = gltf.nodes[node]
-        above = 1.0 if entry.parent < 0 else folded[entry.parent]
-        folded[node] = above * (float(np.mean(entry.scale)) if even[node] else 1.0)
-    return folded
+        parent_scale = 1.0 if entry.parent < 0 else folded_scales[entry.parent]
+        folded_scales[node] = parent_scale * (
+            float(np.mean(entry.scale)) if is_folded[node] else 1.0
+        )
+    return folded_scales
 
 
-def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
-    """Return a notice of joint scales that a rig cannot hold."""
-    rig = of_gltf.rig
-    scaled = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
-    names = [rig.names[j] for j in np.flatnonzero(scaled).tolist()]
+def scale_notice(gltf_rig: GltfRig, where: str) -> list[Fault]:
+    """Return a notice of joint scales that a rig cannot store."""
+    rig = gltf_rig.rig
+    has_scale = np.abs(gltf_rig.scales - 1.0).max(axis=1) > 1e-4
+    names = [rig.names[j] for j in np.flatnonzero(has_scale).tolist()]
     if not names:
         return []
     message = "scales at rest that a rig cannot store: "

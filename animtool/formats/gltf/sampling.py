@@ -22,10 +22,11 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 
-# A time this near to a key, by its size, is the key: float32 holds no other.
-NEAR = 1.5 * float(np.finfo(np.float32).eps)
-# Frames of a block, of which 60 joints take 30 MB, and of a piece of one.
-BLOCK, PIECE = 16384, 512
+# Times this close to a key, relative to the time, equal the key in float32.
+SAME_KEY = 1.5 * float(np.finfo(np.float32).eps)
+# Frames per block, of which 60 joints take 30 MB, and per chunk that is evaluated at
+# once.
+BLOCK_FRAMES, CHUNK_FRAMES = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,16 +35,18 @@ class MovingRow:
 
     row: int
     track: GltfTrack
-    factor: float = 1.0  # of its values, as the rig has them
+    factor: float = 1.0  # factor of its values for the rig
 
 
 @dataclass(slots=True, eq=False)
 class GltfSampler:
     """Sampler of an animation's rig motion at any times."""
 
-    rest: dict[TargetPath, FloatArray]  # of each channel ``(rows, width)``
-    moving: dict[TargetPath, list[MovingRow]]
-    scaled: bool  # whether there is a scale
+    rest: dict[
+        TargetPath, FloatArray
+    ]  # static values of each channel ``(rows, width)``
+    tracks: dict[TargetPath, list[MovingRow]]
+    has_scale: bool  # whether any joint has a scale
     _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
 
     @property
@@ -51,7 +54,7 @@ class GltfSampler:
         """Count of animated numbers per frame."""
         counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
         return sum(
-            counts.get(path, 3) * len(tracks) for path, tracks in self.moving.items()
+            counts.get(path, 3) * len(tracks) for path, tracks in self.tracks.items()
         )
 
     def at(self, times: FloatArray) -> Motion:
@@ -62,33 +65,35 @@ class GltfSampler:
         return Motion(
             channels[TargetPath.TRANSLATION],
             channels[TargetPath.ROTATION],
-            channels[TargetPath.SCALE] if self.scaled else None,
+            channels[TargetPath.SCALE] if self.has_scale else None,
             channels[TargetPath.WEIGHTS] if shapes else None,
         )
 
     def _channel(self, path: TargetPath, times: FloatArray) -> Channel:
-        rest, moving = self.rest[path], self.moving[path]
-        rows = np.array([one.row for one in moving], np.int64)
-        if path is TargetPath.ROTATION and moving:
-            keys = [self._keys(one.track, times) for one in moving]
-            packed = [each for each in keys if each is not None]
-            if len(packed) == len(keys):
-                return Channel(rest, rows, _kernels.unpack_rotations(packed, None))
-        values = np.empty((len(times), len(moving), rest.shape[1]))
-        groups = _groups(moving)
-        factors = np.array([one.factor for one in moving])[:, None]
-        scaled = bool((factors != 1.0).any())
-        # A piece stays in the processor's cache.
-        for at in range(0, len(times) if moving else 0, PIECE):
-            part = slice(at, min(at + PIECE, len(times)))
+        rest, row_tracks = self.rest[path], self.tracks[path]
+        rows = np.array([row_track.row for row_track in row_tracks], np.int64)
+        if path is TargetPath.ROTATION and row_tracks:
+            keys = [self._keys(row_track.track, times) for row_track in row_tracks]
+            channel_keys = [keys_ for keys_ in keys if keys_ is not None]
+            if len(channel_keys) == len(keys):
+                return Channel(
+                    rest, rows, _kernels.unpack_rotations(channel_keys, None)
+                )
+        values = np.empty((len(times), len(row_tracks), rest.shape[1]))
+        groups = _groups(row_tracks)
+        factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
+        has_scale = bool((factors != 1.0).any())
+        # A chunk stays in the processor's cache.
+        for at in range(0, len(times) if row_tracks else 0, CHUNK_FRAMES):
+            chunk = slice(at, min(at + CHUNK_FRAMES, len(times)))
             for columns in groups:
-                tracks = [moving[k].track for k in columns]
-                values[part, columns] = self._values(tracks, times, part)
-            if scaled:
-                values[part] *= factors
+                tracks = [row_tracks[k].track for k in columns]
+                values[chunk, columns] = self._values(tracks, times, chunk)
+            if has_scale:
+                values[chunk] *= factors
             if path is TargetPath.ROTATION:
-                _unit(values[part])
-                _continue(values[part], values[at - 1] if at else None)
+                _unit(values[chunk])
+                _align_signs(values[chunk], values[at - 1] if at else None)
         return Channel(rest, rows, values)
 
     def _grid(
@@ -102,48 +107,50 @@ class GltfSampler:
     def _keys(
         self, track: GltfTrack, times: FloatArray
     ) -> npt.NDArray[np.float32] | None:
-        """Return a track's keys if the times are successive keys of it.
+        """Return a track's values if the times are consecutive keys of it.
 
-        None where the times are others, or the file does not have floats.
+        Returns None for other times, and for files that do not store floats.
         """
         if track.values.dtype != np.float32 or len(track.times) == 1:
             return None
-        low, _ = self._grid(track.times, times)
-        if not isinstance(low, slice):
+        key_indices, _ = self._grid(track.times, times)
+        if not isinstance(key_indices, slice):
             return None
-        return np.require(track.values[low], "f4", ["C", "A"])
+        return np.require(track.values[key_indices], "f4", ["C", "A"])
 
     def _values(
-        self, tracks: list[GltfTrack], times: FloatArray, part: slice
+        self, tracks: list[GltfTrack], times: FloatArray, chunk: slice
     ) -> FloatArray:
-        """Return values ``(F, N, W)`` of a group of tracks at some times.
+        """Return values ``(F, N, W)`` of a group of tracks at a chunk of the times.
 
-        Rotations may have any length.
+        Rotations are not normalized.
         """
         keys = tracks[0].times
         if len(keys) == 1:
-            return np.stack([track.at(times[part]) for track in tracks], axis=1)
-        low, fractions = self._grid(keys, times)
-        if isinstance(low, slice):
-            at = slice(low.start + part.start, low.start + part.stop)
+            return np.stack([track.at(times[chunk]) for track in tracks], axis=1)
+        key_indices, fractions = self._grid(keys, times)
+        if isinstance(key_indices, slice):
+            at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
         if fractions is _ON_KEYS:
-            return np.stack([track.values[low[part]] for track in tracks], axis=1)
-        return between(tracks, low[part], fractions[part])
+            return np.stack(
+                [track.values[key_indices[chunk]] for track in tracks], axis=1
+            )
+        return between(tracks, key_indices[chunk], fractions[chunk])
 
 
-def _groups(moving: list[MovingRow]) -> list[list[int]]:
+def _groups(row_tracks: list[MovingRow]) -> list[list[int]]:
     """Group columns of tracks with common key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
-    for k, one in enumerate(moving):
-        key = id(one.track.times), str(one.track.interpolation)
+    for k, row_track in enumerate(row_tracks):
+        key = id(row_track.track.times), str(row_track.track.interpolation)
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """Tracks of an animation, its start frame, and its last key [s]."""
+    """Tracks of an animation, its frames, and its last key [s]."""
 
     sampler: GltfSampler
     frames: GltfFrames
@@ -156,26 +163,29 @@ _ON_KEYS = np.zeros(0)
 def segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
-    """Return the key before each time; times near a key are set to the key.
+    """Return the key before each time, and the times; close times snap to the key.
 
-    Where all of them are keys, or outside of these, the times are `_ON_KEYS` and the
-    indices those of the keys.
+    If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
+    are
+    those of the keys.
     """
-    last = len(keys) - 1
-    low = np.searchsorted(keys, times, "right") - 1
-    low = np.clip(low, 0, last)
-    after = np.minimum(low + 1, last)
-    room = NEAR * np.abs(times)
-    to_next = np.abs(keys[after] - times) <= room
-    low = np.where(to_next, after, low)
-    near = np.abs(keys[low] - times) <= room
-    near |= (times <= keys[0]) | (times >= keys[-1])
-    if near.all():
-        if len(low) == 1 or (np.diff(low) == 1).all():
-            return slice(int(low[0]), int(low[0]) + len(low)), _ON_KEYS
-        return np.asarray(low), _ON_KEYS
-    snapped = np.where(near, keys[low], times)
-    return np.minimum(low, last - 1), snapped
+    last_key = len(keys) - 1
+    key_indices = np.searchsorted(keys, times, "right") - 1
+    key_indices = np.clip(key_indices, 0, last_key)
+    next_keys = np.minimum(key_indices + 1, last_key)
+    tolerance = SAME_KEY * np.abs(times)
+    to_next = np.abs(keys[next_keys] - times) <= tolerance
+    key_indices = np.where(to_next, next_keys, key_indices)
+    is_on_key = np.abs(keys[key_indices] - times) <= tolerance
+    is_on_key |= (times <= keys[0]) | (times >= keys[-1])
+    if is_on_key.all():
+        if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
+            return slice(
+                int(key_indices[0]), int(key_indices[0]) + len(key_indices)
+            ), _ON_KEYS
+        return np.asarray(key_indices), _ON_KEYS
+    snapped_times = np.where(is_on_key, keys[key_indices], times)
+    return np.minimum(key_indices, last_key - 1), snapped_times
 
 
 def _unit(rotations: FloatArray) -> None:
@@ -184,22 +194,27 @@ def _unit(rotations: FloatArray) -> None:
     np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
 
 
-def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
+def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
     """Make quaternion signs continuous over time, in place.
 
-    before: the rotations before the first ``(J, 4)``; None begins with w above 0.
+    ``previous`` are the rotations before the first frame ``(J, 4)``; None makes w
+    positive.
     """
     dots = np.einsum("fjc,fjc->fj", rotations[1:], rotations[:-1])
-    flat = rotations[0, :, 3]
-    first = flat if before is None else np.einsum("jc,jc->j", rotations[0], before)
-    if first.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
-        rotations[:] = so3.align_signs(rotations, before)
+    scalar_parts = rotations[0, :, 3]
+    signs = (
+        scalar_parts
+        if previous is None
+        else np.einsum("jc,jc->j", rotations[0], previous)
+    )
+    if signs.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
+        rotations[:] = so3.align_signs(rotations, previous)
 
 
 def sampler_of(
     gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None
 ) -> GltfSampler:
-    """Return the sampler of a rig's animation; None is at rest."""
+    """Return the sampler of a rig's animation; None samples the rest pose."""
     rig = gltf_rig.rig
     rest = {
         TargetPath.TRANSLATION: rig.rest_translations.copy(),
@@ -207,29 +222,31 @@ def sampler_of(
         TargetPath.SCALE: gltf_rig.scales.copy(),
         TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
-    moving: dict[TargetPath, list[MovingRow]] = {path: [] for path in rest}
-    even = folded_nodes(gltf)
-    for path, one in _rows(gltf, gltf_rig, animation.tracks if animation else (), even):
-        if _is_static(one.track):
-            value = one.track.at(one.track.times[:1])[0] * one.factor
-            rest[path][one.row] = value
+    tracks: dict[TargetPath, list[MovingRow]] = {path: [] for path in rest}
+    is_folded = folded_nodes(gltf)
+    for path, row_track in _rows(
+        gltf, gltf_rig, animation.tracks if animation else (), is_folded
+    ):
+        if _is_static(row_track.track):
+            value = row_track.track.at(row_track.track.times[:1])[0] * row_track.factor
+            rest[path][row_track.row] = value
         else:
-            moving[path].append(one)
-    for rows in moving.values():
-        rows.sort(key=lambda one: one.row)
-    scaled = bool(moving[TargetPath.SCALE]) or bool(
+            tracks[path].append(row_track)
+    for rows in tracks.values():
+        rows.sort(key=lambda row_track: row_track.row)
+    has_scale = bool(tracks[TargetPath.SCALE]) or bool(
         (rest[TargetPath.SCALE] != 1.0).any()
     )
-    return GltfSampler(rest, moving, scaled)
+    return GltfSampler(rest, tracks, has_scale)
 
 
 def _is_static(track: GltfTrack) -> bool:
     """Return whether a track's value never changes."""
-    slopes = [part for part in (track.ins, track.outs) if part is not None]
+    slopes = [slope for slope in (track.ins, track.outs) if slope is not None]
     if len(track.times) == 1:
         return True
     values = track.values
-    if any(part.any() for part in slopes):
+    if any(slope.any() for slope in slopes):
         return False
     return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
 
@@ -247,27 +264,27 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
 
 
 def _rows(
-    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], even: BoolArray
+    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], is_folded: BoolArray
 ) -> list[tuple[TargetPath, MovingRow]]:
     """Return the channel rows that tracks animate."""
     rows: list[tuple[TargetPath, MovingRow]] = []
-    of_meshes: list[GltfTrack] = []
+    mesh_tracks: list[GltfTrack] = []
     for track in tracks:
         if track.path is TargetPath.WEIGHTS:
-            of_meshes.append(track)
+            mesh_tracks.append(track)
             continue
         joint = int(gltf_rig.joints[track.node])
         if joint < 0 or track.path is TargetPath.VISIBLE:
             continue
-        if track.path is TargetPath.SCALE and even[track.node]:
+        if track.path is TargetPath.SCALE and is_folded[track.node]:
             continue
         factor = 1.0
         if track.path is TargetPath.TRANSLATION:
-            above = gltf.nodes[track.node].parent
-            factor = 1.0 if above < 0 else float(gltf_rig.folded[above])
+            parent = gltf.nodes[track.node].parent
+            factor = 1.0 if parent < 0 else float(gltf_rig.folded_scales[parent])
             factor *= gltf_rig.rig.meters_per_unit
         rows.append((track.path, MovingRow(joint, track, factor)))
-    rows += _weight_rows(gltf, gltf_rig, of_meshes)
+    rows += _weight_rows(gltf, gltf_rig, mesh_tracks)
     return rows
 
 
@@ -276,12 +293,12 @@ def _weight_rows(
 ) -> list[tuple[TargetPath, MovingRow]]:
     """Return animated shapes; tracks of nodes come before those of meshes."""
     by_row: dict[int, GltfTrack] = {}
-    for track in sorted(tracks, key=lambda one: (one.node < 0, one.part < 0)):
+    for track in sorted(tracks, key=lambda one: (one.node < 0, one.weight_index < 0)):
         for row, (node, target) in enumerate(gltf_rig.shapes):
             entry = gltf.nodes[node]
             by_mesh = track.mesh == entry.mesh and entry.weights is None
             if (track.node == node or (track.node < 0 and by_mesh)) and (
-                track.part in {-1, target}
+                track.weight_index in {-1, target}
             ):
                 by_row.setdefault(row, _one_weight(track, target))
     return [
@@ -291,9 +308,9 @@ def _weight_rows(
 
 def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
     """Return the keys of one weight of a track."""
-    if track.part >= 0 or track.values.shape[1] == 1:
+    if track.weight_index >= 0 or track.values.shape[1] == 1:
         return track
-    one = slice(target, target + 1)
+    column = slice(target, target + 1)
     return GltfTrack(
         track.node,
         track.mesh,
@@ -301,25 +318,25 @@ def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
         target,
         track.interpolation,
         track.times,
-        track.values[:, one],
-        None if track.ins is None else track.ins[:, one],
-        None if track.outs is None else track.outs[:, one],
+        track.values[:, column],
+        None if track.ins is None else track.ins[:, column],
+        None if track.outs is None else track.outs[:, column],
     )
 
 
 def clip_stream(
-    gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
+    gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
 ) -> TakeStream:
     """Return an animation as a stream, sampled block by block."""
     clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
 
     def sample(codes: FloatArray) -> Motion:
-        return moving.at(frames.seconds(codes))
+        return sampler.at(frames.seconds(codes))
 
-    return sampled_stream(gltf_rig.rig, clock, sample, BLOCK)
+    return sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
-def moves(gltf_rig: GltfRig, animation: Animation) -> bool:
+def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:
     """Return whether an animation moves the rig."""
     shapes = {node for node, _ in gltf_rig.shapes}
     return any(

@@ -25,7 +25,7 @@ class _SharedVertices:
     """Vertices common to several primitives, with their offset in the mesh."""
 
     primitive: Primitive
-    first: int
+    first: int  # index of their first vertex in the mesh
     count: int
 
 
@@ -53,12 +53,12 @@ def mesh_parts(
         meshes.append(mesh)
         keys += [(node, target) for target in range(count)]
         targets.append((names[node], *_targets(gltf, node)))
-    called = iter(names_of_shapes(gltf, keys, names))
+    shape_names_ = iter(names_of_shapes(gltf, keys, names))
     of_node = iter(targets)
     for node in nodes:
         name, deltas, normals = next(of_node)
         for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-            shape = next(called)
+            shape = next(shape_names_)
             arrays = (deltas[target], normals[target]) if name else (None, None)
             shapes.append(Shape(shape, name, *arrays))
     notices = []
@@ -71,13 +71,13 @@ def mesh_parts(
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
     """Return distinct mesh names, from the nodes that carry them."""
-    named = []
+    names = []
     for node in nodes:
         entry = gltf.nodes[node]
         mesh = gltf.meshes[entry.mesh]
-        plain = mesh.called or entry.name or mesh.name or f"mesh_{node}"
-        named.append(printable(plain) or "mesh")
-    return dict(zip(nodes, distinct(named), strict=True))
+        name = mesh.original_name or entry.name or mesh.name or f"mesh_{node}"
+        names.append(printable(name) or "mesh")
+    return dict(zip(nodes, distinct(names), strict=True))
 
 
 def names_of_shapes(
@@ -92,7 +92,7 @@ def names_of_shapes(
     return shape_names(texts)
 
 
-def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
+def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
     """Return a mesh's vertices, each shared set once."""
     parts: dict[object, _SharedVertices] = {}
     first = 0
@@ -106,17 +106,19 @@ def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
 
 def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
     """Return the offset of a primitive's vertices in a node's mesh."""
-    searched = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
-    parts = _shared(gltf, node)
+    target_primitive = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
+    shared = _shared_vertices(gltf, node)
     return next(
-        one.first for one in parts if one.primitive.vertices == searched.vertices
+        vertices.first
+        for vertices in shared
+        if vertices.primitive.vertices == target_primitive.vertices
     )
 
 
 def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
-    parts = _shared(gltf, node)
-    starts = {part.primitive.vertices: part.first for part in parts}
+    shared = _shared_vertices(gltf, node)
+    starts = {vertices.primitive.vertices: vertices.first for vertices in shared}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
@@ -125,46 +127,46 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
             faces.append(corners + starts[primitive.vertices])
     if not sum(map(len, faces)):
         return None
-    points = [gltf.accessors.floats(part.primitive.position) for part in parts]
-    skin, geometry = _skin(gltf, node, parts, binder)
+    points = [gltf.accessors.floats(vertices.primitive.position) for vertices in shared]
+    skin, geometry = _skin(gltf, node, shared, binder)
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
         LoadedArray(np.concatenate(points)),
         LoadedArray(np.concatenate(faces).astype(np.float64)),
-        _normals(gltf, parts),
+        _normals(gltf, shared),
         None if (geometry == np.eye(4)).all() else bind,
         skin,
-        None if _normals(gltf, parts) is not None else Subdivision.NONE,
+        None if _normals(gltf, shared) is not None else Subdivision.NONE,
     )
 
 
-def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> LoadedArray | None:
-    if any(part.primitive.normal < 0 for part in parts):
+def _normals(gltf: Gltf, shared: list[_SharedVertices]) -> LoadedArray | None:
+    if any(vertices.primitive.normal < 0 for vertices in shared):
         return None
     accessors = gltf.accessors
-    rows = [accessors.floats(part.primitive.normal) for part in parts]
+    rows = [accessors.floats(vertices.primitive.normal) for vertices in shared]
     return LoadedArray(np.concatenate(rows))
 
 
 def _skin(
-    gltf: Gltf, node: int, parts: list[_SharedVertices], binder: Binder
+    gltf: Gltf, node: int, shared: list[_SharedVertices], binder: Binder
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
-    if index >= 0 and all(part.primitive.joints for part in parts):
+    if index >= 0 and all(vertices.primitive.joints for vertices in shared):
         geometry, joints = binder.skin(index)
         rows = [
-            skin_weights(part.primitive, len(joints), gltf.accessors, gltf.notes)
-            for part in parts
+            skin_weights(vertices.primitive, len(joints), gltf.accessors, gltf.notes)
+            for vertices in shared
         ]
         width = max(indices.shape[1] for indices, _ in rows)
-        indices = np.concatenate([_wide(one, width) for one, _ in rows])
-        weights = np.concatenate([_wide(one, width) for _, one in rows])
+        indices = np.concatenate([_wide(row, width) for row, _ in rows])
+        weights = np.concatenate([_wide(row, width) for _, row in rows])
     else:
         geometry, joint = binder.node(node)
         joints = [joint]
-        count = sum(part.count for part in parts)
+        count = sum(vertices.count for vertices in shared)
         indices, weights = np.zeros((count, 1)), np.ones((count, 1))
     names = binder.names()
     skin = Skin(
@@ -186,20 +188,27 @@ def _targets(
     gltf: Gltf, node: int
 ) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
     """Return point and normal offsets of each morph target."""
-    parts = _shared(gltf, node)
+    shared = _shared_vertices(gltf, node)
     deltas: list[LoadedArray] = []
     normals: list[LoadedArray | None] = []
-    with_normals = _normals(gltf, parts) is not None
+    with_normals = _normals(gltf, shared) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-        moves: list[FloatArray] = []
+        point_rows: list[FloatArray] = []
         normal_rows: list[FloatArray] = []
-        for part in parts:
-            morph = part.primitive.targets[target]
-            for index, rows in ((morph.position, moves), (morph.normal, normal_rows)):
+        for vertices in shared:
+            morph = vertices.primitive.targets[target]
+            for index, rows in (
+                (morph.position, point_rows),
+                (morph.normal, normal_rows),
+            ):
                 is_stored = index >= 0
-                nothing = np.zeros((part.count, 3))
-                rows.append(gltf.accessors.floats(index) if is_stored else nothing)
-        deltas.append(LoadedArray(np.concatenate(moves)))
-        turned = np.concatenate(normal_rows)
-        normals.append(LoadedArray(turned) if with_normals and turned.any() else None)
+                zeros = np.zeros((vertices.count, 3))
+                rows.append(gltf.accessors.floats(index) if is_stored else zeros)
+        deltas.append(LoadedArray(np.concatenate(point_rows)))
+        normal_offsets = np.concatenate(normal_rows)
+        normals.append(
+            LoadedArray(normal_offsets)
+            if with_normals and normal_offsets.any()
+            else None
+        )
     return deltas, normals

@@ -17,16 +17,17 @@ from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
 from animtool.formats.gltf.animations import Animation
 
-# Looked at in this order: the first that has all keys on frames is the rate.
+# Candidate rates in order: the first with all keys on frames is used.
 RATES = (
     *(Fraction(n) for n in (24, 30, 60, 25, 50, 48, 120, 100, 12, 15, 10)),
     *(Fraction(n * 1000, 1001) for n in (24, 30, 60)),
     *(Fraction(n) for n in (90, 72, 240, 200, 144, 1000)),
 )
 DEFAULT_RATE = Fraction(30)
-# A key is on a frame that is nearer than this, and than the digits of its time [frame].
-ON_FRAME, DIGITS = 1e-3, 4e-7
-# What a take is held with: numbers that change, of all frames.
+# Keys closer to a frame than this [frame], or within the relative precision of their
+# time, are on it.
+ON_FRAME, TIME_PRECISION = 1e-3, 4e-7
+# Limit of a take's animated numbers over all frames.
 MAX_VALUES = 60_000_000
 
 
@@ -36,7 +37,7 @@ class GltfFrames:
 
     fps: Fraction
     start: Fraction  # time code of time 0
-    first: Fraction  # of the first frame
+    first: Fraction  # time code of the first frame
     count: int
     notices: tuple[Fault, ...] = ()
 
@@ -50,34 +51,43 @@ def frames_of(
 ) -> GltfFrames:
     """Return the frame range and rate of an animation.
 
-    Time 0 is frame 0, unless animtool wrote the file, which then says.
+    Time 0 is frame 0, except in files written by animtool, which state the start.
 
     Args:
-        animation: The clip; None is one frame.
-        fps: The rate that is asked for; None is that of the keys.
+        animation: The animation; None is one frame.
+        fps: Requested frame rate; None derives it from the keys.
         path: The file, for notices.
-        width: Numbers of a frame.
+        width: Animated numbers per frame.
     """
     if animation is None or not animation.tracks:
         return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
     stated, start = _stated(animation.extras)
     times = key_times(animation)
     rate = (
-        fps or stated or next((one for one in RATES if _fits(times, one)), DEFAULT_RATE)
+        fps
+        or stated
+        or next((rate_ for rate_ in RATES if _fits(times, rate_)), DEFAULT_RATE)
     )
-    first, last = animation.span
-    low = math.floor(first * float(rate) + _room(first, rate)) if first < 0 else 0
-    high = max(low, math.ceil(last * float(rate) - _room(last, rate)))
-    count = high - low + 1
+    first_time, last_time = animation.span
+    first_frame = (
+        math.floor(first_time * float(rate) + _rounding(first_time, rate))
+        if first_time < 0
+        else 0
+    )
+    last_frame = max(
+        first_frame, math.ceil(last_time * float(rate) - _rounding(last_time, rate))
+    )
+    count = last_frame - first_frame + 1
     if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
-        message = f"{last - first:.6g} s at {rate_label(rate)} are {count} frames of "
+        duration = last_time - first_time
+        message = f"{duration:.6g} s at {rate_label(rate)} are {count} frames of "
         message += f"{width} numbers, above the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
     notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
-    return GltfFrames(rate, start, start + low, count, notices)
+    return GltfFrames(rate, start, start + first_frame, count, notices)
 
 
 def key_times(animation: Animation) -> FloatArray:
@@ -86,25 +96,29 @@ def key_times(animation: Animation) -> FloatArray:
     return np.unique(np.concatenate(list(distinct.values())))
 
 
-def _room(time: float, rate: Fraction) -> float:
-    return ON_FRAME + DIGITS * abs(time) * float(rate)
+def _rounding(time: float, rate: Fraction) -> float:
+    return ON_FRAME + TIME_PRECISION * abs(time) * float(rate)
 
 
-def _off(times: FloatArray, rate: Fraction) -> FloatArray:
+def _distances(times: FloatArray, rate: Fraction) -> FloatArray:
     """Return the distance of keys from frames beyond float rounding [frame]."""
     frames = times * float(rate)
-    return np.asarray(np.abs(frames - np.round(frames)) - DIGITS * np.abs(frames))
+    return np.asarray(
+        np.abs(frames - np.round(frames)) - TIME_PRECISION * np.abs(frames)
+    )
 
 
 def _fits(times: FloatArray, rate: Fraction) -> bool:
-    return bool((_off(times, rate) <= ON_FRAME).all())
+    return bool((_distances(times, rate) <= ON_FRAME).all())
 
 
 def _between(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
-    off = _off(times, rate) > ON_FRAME
-    message = f"{int(off.sum())} of {len(times)} key times fall between the frames at "
+    is_off = _distances(times, rate) > ON_FRAME
+    message = (
+        f"{int(is_off.sum())} of {len(times)} key times fall between the frames at "
+    )
     message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
     return Fault(
@@ -129,8 +143,8 @@ def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
     """Return a distinct name for every animation; unnamed ones are numbered."""
     from animtool.core.names import distinct
 
-    plain = [
-        "".join(c if c.isprintable() else "_" for c in one.name or "").strip()
-        for one in animations
+    names = [
+        "".join(c if c.isprintable() else "_" for c in animation.name or "").strip()
+        for animation in animations
     ]
-    return distinct(name or f"clip_{i + 1}" for i, name in enumerate(plain))
+    return distinct(name or f"clip_{i + 1}" for i, name in enumerate(names))

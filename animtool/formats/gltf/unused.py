@@ -1,4 +1,4 @@
-"""Parts of a glTF used only by images and materials, which are not checked."""
+"""Contents of a glTF used only by images and materials, which are not checked."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 from animtool.core.record import dataclass
 from animtool.formats.gltf.json_items import is_number
 
-# Of a primitive: what moves, and what faces are made of.
+# Attributes of a primitive that are read, and those for appearance.
 _READ = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
-_LOOKS = re.compile(r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL)
+_APPEARANCE = re.compile(r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +24,16 @@ class Unused:
 
 
 def unused_parts(root: dict[str, Any]) -> Unused:
-    """Return indices referenced only by parts that are not read."""
+    """Return indices referenced only by contents that are not read."""
     read: set[int] = set()
-    other: set[int] = set()
+    unread: set[int] = set()
     for primitive in _primitives(root):
         for attributes in _attributes(primitive):
             for name, index in attributes.items():
                 if is_number(index):
-                    (read if is_read(str(name)) else other).add(int(index))
+                    (read if is_read(str(name)) else unread).add(int(index))
     used = {*read, *_used_elsewhere(root)}
-    accessors = frozenset(other - used)
+    accessors = frozenset(unread - used)
     images = set(_images(root))
     entries = list(enumerate(_dicts(root.get("accessors"))))
     of_read = {
@@ -43,10 +43,14 @@ def unused_parts(root: dict[str, Any]) -> Unused:
         view for i, entry in entries if i in accessors for view in _views(entry)
     }
     views = frozenset((images | of_other) - of_read)
-    named = list(enumerate(_dicts(root.get("bufferViews"))))
-    kept = {_index(view.get("buffer")) for i, view in named if i not in views}
-    theirs = {_index(view.get("buffer")) for i, view in named if i in views}
-    return Unused(accessors, views, frozenset(theirs - kept - {-1}))
+    buffer_views = list(enumerate(_dicts(root.get("bufferViews"))))
+    used_buffers = {
+        _index(view.get("buffer")) for i, view in buffer_views if i not in views
+    }
+    unused_buffers = {
+        _index(view.get("buffer")) for i, view in buffer_views if i in views
+    }
+    return Unused(accessors, views, frozenset(unused_buffers - used_buffers - {-1}))
 
 
 def is_read(attribute: str) -> bool:
@@ -64,7 +68,7 @@ def is_known(attribute: str) -> bool:
     >>> is_known("COLOR_0"), is_known("_PAINT"), is_known("TEXCOORD_00")
     (True, True, False)
     """
-    return _LOOKS.fullmatch(attribute) is not None or is_read(attribute)
+    return _APPEARANCE.fullmatch(attribute) is not None or is_read(attribute)
 
 
 def _dicts(value: Any) -> Iterator[dict[str, Any]]:
@@ -110,6 +114,6 @@ def _views(accessor: dict[str, Any]) -> Iterator[int]:
     yield _index(accessor.get("bufferView"))
     sparse = accessor.get("sparse")
     for name in ("indices", "values"):
-        part = sparse.get(name) if isinstance(sparse, dict) else None
-        if isinstance(part, dict):
-            yield _index(part.get("bufferView"))
+        sparse_part = sparse.get(name) if isinstance(sparse, dict) else None
+        if isinstance(sparse_part, dict):
+            yield _index(sparse_part.get("bufferView"))

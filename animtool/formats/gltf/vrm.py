@@ -21,8 +21,8 @@ def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
         if isinstance(bones, dict):
             bones_ += [(str(name), bone) for name, bone in bones.items()]
         elif isinstance(bones, list):
-            named = [bone for bone in bones if isinstance(bone, dict)]
-            bones_ += [(str(bone.get("bone")), bone) for bone in named]
+            bone_entries = [bone for bone in bones if isinstance(bone, dict)]
+            bones_ += [(str(bone.get("bone")), bone) for bone in bone_entries]
     return [
         (name, int(bone["node"]))
         for name, bone in bones_

@@ -25,25 +25,28 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
 
     Args:
         take: The first take; its rig has the meshes.
-        path: ``.glb`` or ``.gltf``, in which the numbers are a data URI.
-        options: Other takes of the same rig, names of all, and a tolerance for keys.
+        path: ``.glb``, or ``.gltf`` with the numbers as a data URI.
+        options: Other takes of the same rig, names of all takes, and a tolerance for
+            keys.
 
     Raises:
         OptionError: The rig has neither joints nor shapes (RIG044).
     """
-    takes = [_upright(one) for one in (take, *options.others)]
-    first = takes[0]
-    rig = first.rig
+    takes = [_upright(each_take) for each_take in (take, *options.others)]
+    first_take = takes[0]
+    rig = first_take.rig
     if not rig.joints and not rig.meshes:
         message = f"{rig.name!r} has no joints and no meshes"
         raise OptionError(Fault("RIG044", message, hint="write USD, or a .clip.yaml"))
     builder = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
-    scales = _rest_scales(first)
-    written = write_rig(builder, rig, scales, _rest_weights(first))
+    scales = _rest_scales(first_take)
+    written_rig = write_rig(builder, rig, scales, _rest_weights(first_take))
     names = options.names or (path.stem,)
-    notices = list(written.notices)
-    for one, name in zip(takes, names, strict=True):
-        notices += write_clip(builder, one, name, written, scales, options.tolerance)
+    notices = list(written_rig.notices)
+    for each_take, name in zip(takes, names, strict=True):
+        notices += write_clip(
+            builder, each_take, name, written_rig, scales, options.tolerance
+        )
     clock = take.clock
     span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
     contents = {path: _contents(builder, path)}

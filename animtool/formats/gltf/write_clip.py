@@ -21,8 +21,8 @@ from animtool.formats.gltf.write_rig import WrittenRig
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 
-# A static value this near to that of the node needs no channel.
-SAME = 1e-9
+# A static value this close to that of the node needs no channel.
+STATIC_TOLERANCE = 1e-9
 
 
 @dataclass(slots=True)
@@ -32,8 +32,8 @@ class _Animation:
     builder: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
-    parts: list[tuple[int, str, Keys]] = field(default_factory=list)
-    # By their identity, times and the accessor that has them.
+    tracks: list[tuple[int, str, Keys]] = field(default_factory=list)
+    # By the id of the times: the times, to keep them alive, and their accessor.
     inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
 
     def input(self, times: FloatArray) -> int:
@@ -45,26 +45,23 @@ class _Animation:
 
     def add(self, node: int, path: str, keys: Keys) -> None:
         """Add the keys of a property."""
-        self.parts.append((node, path, keys))
+        self.tracks.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s], static ones extended.
-
-        The latter is given a second key there, where it is needed.
-        """
-        if any(keys.times[-1] >= end for *_, keys in self.parts):
+        """Return whether keys last until a time [s]; static ones get a second key."""
+        if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
-        for k, (node, path, keys) in enumerate(self.parts):
+        for k, (node, path, keys) in enumerate(self.tracks):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
                 extended = Keys(times, np.repeat(keys.values, 2, axis=0))
-                self.parts[k] = (node, path, extended)
+                self.tracks[k] = (node, path, extended)
                 return True
         return False
 
     def write(self) -> None:
         """Write all samplers and channels."""
-        for node, path, keys in self.parts:
+        for node, path, keys in self.tracks:
             self._write(node, path, keys)
 
     def _write(self, node: int, path: str, keys: Keys) -> None:
@@ -90,32 +87,35 @@ def write_clip(
 ) -> list[Fault]:
     """Write a take as an animation; return notices about lost data.
 
-    The first frame is time 0. What stands still is a channel with one key, where it is
-    not as the node has it. A take that is still what the keys of its clip say has these
-    keys; others have a key a frame, or with a tolerance those that linear keys need.
+    The first frame is time 0. A static value has a channel with one key if it differs
+    from
+    the node's. A take that still equals its source clip is written with the clip's
+    keys;
+    other takes have a key per frame or, with a tolerance, the keys that linear
+    interpolation needs.
 
     Args:
-        builder: What it is added to.
-        take: Y up.
-        name: Of the animation.
-        written: Where the rig is in it.
-        scales: Of the nodes ``(J, 3)``.
-        tolerance: How far keys may move a joint [m]; None keeps a key a frame.
+        builder: Builder of the file.
+        take: The take, Y up.
+        name: Name of the animation.
+        written: Indices of the rig in the file.
+        scales: Scales of the nodes ``(J, 3)``.
+        tolerance: Largest error of a joint position [m]; None writes a key per frame.
     """
     clock = take.clock
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
     animation = _Animation(builder)
-    keyed = {} if tolerance is not None else _source_keys(take)
+    source_keys = {} if tolerance is not None else _source_keys(take)
     bounds = None
     if tolerance is not None:
         bounds = joint_bounds(take.rig, tolerance, {})
     motion, rig = take.motion, take.rig
-    parts: list[tuple[str, Channel | None, FloatArray]] = [
+    channels: list[tuple[str, Channel | None, FloatArray]] = [
         ("translation", motion.translations, rig.rest_translations),
         ("rotation", motion.rotations, rig.rest_rotations),
         ("scale", motion.scales, scales),
     ]
-    for path, channel, rest in parts:
+    for path, channel, rest in channels:
         if channel is None:
             continue
         samples = _by_joint(channel, narrow=bounds is None)
@@ -123,21 +123,21 @@ def write_clip(
             values = samples.get(j, channel.rest[j][None])
             keys = _joint_keys(path, values, rest[j], seconds)
             if keys is not None and len(keys.times) > 1:
-                if (j, path) in keyed:
-                    keys = keyed[j, path]
+                if (j, path) in source_keys:
+                    keys = source_keys[j, path]
                 elif bounds is not None:
                     keys = linear_keys(keys, _tolerance(path, j, bounds, take))
             if keys is not None:
                 animation.add(written.joints[j], path, keys)
-    left = _weights(animation, take, written, seconds, keyed, tolerance)
-    end = float(seconds[-1])
+    lost_notices = _weights(animation, take, written, seconds, source_keys, tolerance)
+    duration = float(seconds[-1])
     if tolerance is None and is_of_curve(take):
         native = getattr(take.curve, "native", None)
-        end = native.last if isinstance(native, NativeKeys) else end
-    if not animation.lasts_until(end):
-        # glTF requires a channel: a static joint keeps the name and length of the clip.
-        _hold(animation, take, written, seconds[:1])
-        animation.lasts_until(end)
+        duration = native.last if isinstance(native, NativeKeys) else duration
+    if not animation.lasts_until(duration):
+        # glTF requires a channel: a static key keeps the name and duration of the clip.
+        _add_static_key(animation, take, written, seconds[:1])
+        animation.lasts_until(duration)
     animation.write()
     entry = {
         "name": name,
@@ -146,7 +146,7 @@ def write_clip(
         "extras": {"animtool": _stated(clock.fps, clock.start)},
     }
     builder.add("animations", entry)
-    return left
+    return lost_notices
 
 
 def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
@@ -161,20 +161,20 @@ def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
     return {} if clip is None else keys_of_clip(clip, take, start)
 
 
-def _hold(
+def _add_static_key(
     animation: _Animation, take: Take, written: WrittenRig, times: FloatArray
 ) -> None:
     """Add a static key for a joint, of the first part without keys."""
     rig = take.rig
-    taken = {(node, path) for node, path, _ in animation.parts}
+    keyed_paths = {(node, path) for node, path, _ in animation.tracks}
     rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
     for path, rest in rests.items():
         for node, row in zip(written.joints, rest, strict=True):
-            if (node, path) not in taken:
-                animation.add(node, path, _one(row, times))
+            if (node, path) not in keyed_paths:
+                animation.add(node, path, _single_key(row, times))
                 return
     if not rig.joints:
-        animation.add(0, "translation", _one(np.zeros(3), times))
+        animation.add(0, "translation", _single_key(np.zeros(3), times))
 
 
 def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
@@ -182,14 +182,14 @@ def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
     return {"fps": str(fps), "start": str(start)}
 
 
-def _one(row: FloatArray, times: FloatArray) -> Keys:
+def _single_key(row: FloatArray, times: FloatArray) -> Keys:
     return Keys(times[:1], row.reshape(1, -1))
 
 
 def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
-    """Yield samples of each animated joint ``(F, K)``.
+    """Return the samples of each animated joint ``(F, K)``.
 
-    narrow: whether they are float32, as files have them.
+    ``narrow`` converts them to float32, the type stored in files.
     """
     values = channel.values
     if not len(values):
@@ -201,45 +201,46 @@ def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
 def _by_column(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
     """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a dtype.
 
-    Numbers of a joint go as one element, some frames at a time, which stay in the
-    cache of the processor.
+    The samples of a joint are copied as one element, in chunks of frames that stay in
+    the
+    processor's cache.
     """
     frames, joints, width = values.shape
     element = np.dtype((np.void, width * np.dtype(kind).itemsize))
     table = np.empty((joints, frames), element)
-    for at in range(0, frames, _FRAMES):
-        rows = np.ascontiguousarray(values[at : at + _FRAMES], kind)
-        table[:, at : at + _FRAMES] = rows.view(element)[:, :, 0].T
+    for at in range(0, frames, _CHUNK_FRAMES):
+        rows = np.ascontiguousarray(values[at : at + _CHUNK_FRAMES], kind)
+        table[:, at : at + _CHUNK_FRAMES] = rows.view(element)[:, :, 0].T
     return table.view(kind).reshape(joints, frames, width)
 
 
-_FRAMES = 256
+_CHUNK_FRAMES = 256
 
 
 def _joint_keys(
     path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
 ) -> Keys | None:
     """Return the keys of a joint's samples; None if equal to the node."""
-    first = values[0]
-    if len(values) > 1 and (values[-1] != first).any():
+    first_value = values[0]
+    if len(values) > 1 and (values[-1] != first_value).any():
         return Keys(seconds, values)
     if len(values) > 1 and (values != values[:1]).any():
         return Keys(seconds, values)
-    off = np.abs(first - rest).max()
+    difference = np.abs(first_value - rest).max()
     if path == "rotation":
-        off = min(off, np.abs(first + rest).max())
-    return None if off <= SAME else _one(first, seconds)
+        difference = min(difference, np.abs(first_value + rest).max())
+    return None if difference <= STATIC_TOLERANCE else _single_key(first_value, seconds)
 
 
-def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:
+def _tolerance(path: str, joint: int, reaches: FloatArray, take: Take) -> float:
     """Return the key tolerance of a joint: [m], [rad] or [1]."""
-    bound = float(bounds[joint])
+    reach_ = float(reaches[joint])
     if path == "translation":
-        return bound
-    return bound / max(SHELL_DISTANCE, float(_reach(take)[joint]))
+        return reach_
+    return reach_ / max(SHELL_DISTANCE, float(_reaches(take)[joint]))
 
 
-def _reach(take: Take) -> FloatArray:
+def _reaches(take: Take) -> FloatArray:
     """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
     rig = take.rig
     reach = np.zeros(len(rig.joints))
@@ -256,7 +257,7 @@ def _weights(
     take: Take,
     written: WrittenRig,
     seconds: FloatArray,
-    keyed: dict[tuple[int, str], Keys],
+    source_keys: dict[tuple[int, str], Keys],
     tolerance: float | None,
 ) -> list[Fault]:
     """Write morph target weights of each mesh."""
@@ -271,14 +272,16 @@ def _weights(
         values = dense[:, rows]
         mesh = rest["meshes"][rest["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
-            if np.abs(values[0] - mesh["weights"]).max() > SAME:
+            if np.abs(values[0] - mesh["weights"]).max() > STATIC_TOLERANCE:
                 animation.add(node, "weights", _weight_keys(values[:1], seconds))
             continue
         keys = Keys(seconds, values)
         if tolerance is not None:
-            keys = linear_keys(keys, WEIGHT)
-        joined = _joined([keyed.get((row, "weight")) for row in rows], values)
-        animation.add(node, "weights", keys if joined is None else joined)
+            keys = linear_keys(keys, WEIGHT_TOLERANCE)
+        track_keys = _combine_weights(
+            [source_keys.get((row, "weight")) for row in rows], values
+        )
+        animation.add(node, "weights", keys if track_keys is None else track_keys)
     homeless = [
         names[row]
         for row in weights.animated.tolist()
@@ -290,16 +293,16 @@ def _weights(
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 
-WEIGHT = 1e-3
+WEIGHT_TOLERANCE = 1e-3
 
 
 def _weight_keys(values: FloatArray, seconds: FloatArray) -> Keys:
     return Keys(seconds[:1], values)
 
 
-def _same_times(one: Keys, other: Keys) -> bool:
-    same = one.interpolation == other.interpolation
-    return same and np.array_equal(one.times, other.times)
+def _same_times(first: Keys, second: Keys) -> bool:
+    is_equal = first.interpolation == second.interpolation
+    return is_equal and np.array_equal(first.times, second.times)
 
 
 def _static_keys(like: Keys, value: float) -> Keys:
@@ -309,50 +312,56 @@ def _static_keys(like: Keys, value: float) -> Keys:
     return Keys(like.times, values, like.interpolation, slopes, slopes)
 
 
-def _merged(parts: list[Keys]) -> Keys | None:
+def _merge_weights(tracks: list[Keys]) -> Keys | None:
     """Return linear or stepped weight keys at the union of their times."""
-    how = parts[0].interpolation
-    if how == "CUBICSPLINE" or any(one.interpolation != how for one in parts):
+    how = tracks[0].interpolation
+    if how == "CUBICSPLINE" or any(keys.interpolation != how for keys in tracks):
         return None
-    times = np.unique(np.concatenate([one.times for one in parts]))
+    times = np.unique(np.concatenate([keys.times for keys in tracks]))
     columns = []
-    for one in parts:
-        values = one.values[:, 0]
+    for keys in tracks:
+        values = keys.values[:, 0]
         if how == "STEP":
-            before = np.searchsorted(one.times, times, "right") - 1
-            columns.append(values[np.clip(before, 0, None)])
+            key_indices = np.searchsorted(keys.times, times, "right") - 1
+            columns.append(values[np.clip(key_indices, 0, None)])
         else:
-            columns.append(np.interp(times, one.times, values))
+            columns.append(np.interp(times, keys.times, values))
     return Keys(times, np.stack(columns, axis=1), how)
 
 
-def _joined(parts: list[Keys | None], samples: FloatArray) -> Keys | None:
-    """Return several weights as one track; None if glTF has none such.
+def _combine_weights(tracks: list[Keys | None], samples: FloatArray) -> Keys | None:
+    """Return several weights as one track; None if glTF cannot store them as one.
 
-    samples: of the weights ``(F, S)``; those that stand still take the times of others.
+    ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
+    of
+    the others.
     """
-    first = next((part for part in parts if part is not None), None)
-    if first is None:
+    first_track = next((track_ for track_ in tracks if track_ is not None), None)
+    if first_track is None:
         return None
     static = (samples == samples[:1]).all(axis=0).tolist()
-    parts = [
-        _static_keys(first, float(samples[0, k]))
-        if part is None and static[k]
-        else part
-        for k, part in enumerate(parts)
+    tracks = [
+        _static_keys(first_track, float(samples[0, k]))
+        if track_ is None and static[k]
+        else track_
+        for k, track_ in enumerate(tracks)
     ]
-    present = [part for part in parts if part is not None]
-    if len(present) < len(parts):
+    present = [track_ for track_ in tracks if track_ is not None]
+    if len(present) < len(tracks):
         return None
-    if not all(_same_times(one, first) for one in present):
-        return _merged(present)
+    if not all(_same_times(track, first_track) for track in present):
+        return _merge_weights(present)
 
     def columns(name: str) -> FloatArray | None:
-        rows = [getattr(one, name) for one in present]
+        rows = [getattr(track, name) for track in present]
         return None if rows[0] is None else np.concatenate(rows, axis=1)
 
     values = columns("values")
     assert values is not None
     return Keys(
-        first.times, values, first.interpolation, columns("ins"), columns("outs")
+        first_track.times,
+        values,
+        first_track.interpolation,
+        columns("ins"),
+        columns("outs"),
     )

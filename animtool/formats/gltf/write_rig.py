@@ -18,16 +18,16 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
 
 MAX_NAMED = 6
-# A weight below a part of the largest is none that shows [1].
+# Weights below this fraction of the largest have no visible effect [1].
 SMALLEST_WEIGHT = 1e-7
 
 
 @dataclass(slots=True)
 class WrittenRig:
-    """Indices of a rig's parts in the file."""
+    """Indices of a rig's joints and shapes in the file."""
 
     joints: list[int]  # node of each joint
-    # Of each shape: its mesh's node, and which target it is; none without a mesh.
+    # Mesh node and target index of each shape; shapes without a mesh are missing.
     shapes: dict[str, tuple[int, int]] = field(default_factory=dict)
     targets: dict[int, list[str]] = field(default_factory=dict)  # shapes by node
     notices: list[Fault] = field(default_factory=list)
@@ -42,17 +42,17 @@ def write_rig(
     """Write a rig with Y up, in metres.
 
     Args:
-        builder: What it is added to.
+        builder: Builder of the file.
         rig: J joints.
-        scales: Of the joints at rest ``(J, 3)``.
-        weights: Of the shapes at rest.
+        scales: Joint scales at rest ``(J, 3)``.
+        weights: Shape weights at rest, by name.
     """
     written = WrittenRig(list(range(len(rig.joints))))
     for j, joint in enumerate(rig.joints):
         node: dict[str, Any] = {"name": joint.source_name or joint.name}
         if joint.source_name:
             node["extras"] = {"animtool": {"name": joint.name}}
-        node |= _placed(
+        node |= _transform_properties(
             np.array(joint.translation), np.array(joint.rotation), scales[j]
         )
         builder.add("nodes", node)
@@ -60,49 +60,51 @@ def write_rig(
         if joint.parent >= 0:
             builder.json["nodes"][joint.parent].setdefault("children", []).append(j)
     roots = list(rig.roots)
-    left: dict[str, list[str]] = defaultdict(list)
+    left_out: dict[str, list[str]] = defaultdict(list)
     bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
     for surface in surfaces_of(rig):
-        at = _surface(builder, rig, surface, bind, weights, written, left)
+        at = _surface(builder, rig, surface, bind, weights, written, left_out)
         if at >= len(rig.joints):
             roots.append(at)
-    roots = _under_one(builder, rig, roots)
+    roots = _with_common_root(builder, rig, roots)
     builder.json["scene"] = 0
     builder.json["scenes"] = [{"name": rig.name, "nodes": roots}]
-    written.notices += _left_out(rig, left, written)
+    written.notices += _unstored_notice(rig, left_out, written)
     return written
 
 
-def _under_one(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
+def _with_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
     """Return the scene's roots; joints of a skin need a common root.
 
-    Where they have several, a node that is none of the rig is put above those.
+    If there are several, a node outside the rig is inserted above them.
     """
-    tops = np.array([rig.upwards(j)[-1] for j in range(len(rig.joints))], np.int64)
+    root_joints = np.array(
+        [rig.upwards(j)[-1] for j in range(len(rig.joints))], np.int64
+    )
     skins = [skin["joints"] for skin in builder.json.get("skins", ())]
-    if all(len(np.unique(tops[joints])) == 1 for joints in skins):
+    if all(len(np.unique(root_joints[joints])) == 1 for joints in skins):
         return roots
     node = {
         "name": rig.name,
         "children": list(rig.roots),
         "extras": {"animtool": {"above": True}},
     }
-    above = builder.add("nodes", node)
-    return [above, *(root for root in roots if root >= len(rig.joints))]
+    root_node = builder.add("nodes", node)
+    return [root_node, *(root for root in roots if root >= len(rig.joints))]
 
 
-def _placed(
+def _transform_properties(
     move: FloatArray, rotation: FloatArray, scale: FloatArray
 ) -> dict[str, Any]:
     """Return the transform properties that differ from the identity."""
-    parts: dict[str, Any] = {}
+    properties: dict[str, Any] = {}
     if np.abs(move).max() > 0:
-        parts["translation"] = move.tolist()
+        properties["translation"] = move.tolist()
     if np.abs(rotation[:3]).max() > 0:
-        parts["rotation"] = (rotation / np.linalg.norm(rotation)).tolist()
+        properties["rotation"] = (rotation / np.linalg.norm(rotation)).tolist()
     if np.abs(scale - 1.0).max() > 0:
-        parts["scale"] = scale.tolist()
-    return parts
+        properties["scale"] = scale.tolist()
+    return properties
 
 
 def _surface(
@@ -112,7 +114,7 @@ def _surface(
     bind: FloatArray,
     weights: dict[str, float],
     written: WrittenRig,
-    left: dict[str, list[str]],
+    left_out: dict[str, list[str]],
 ) -> int:
     """Write a mesh; return its node."""
     carrier, local = _carrier(builder, rig, surface, bind)
@@ -123,17 +125,19 @@ def _surface(
     if surface.skin is not None and carrier < 0:
         _write_influences(builder, surface.skin, primitive["attributes"])
         if surface.skin.method != "linear":
-            left["dual quaternion skinning (written as linear)"].append(surface.name)
+            left_out["dual quaternion skinning (written as linear)"].append(
+                surface.name
+            )
     faces = triangulated(surface.counts, surface.indices)
-    small = len(points) < 65535
-    flat = faces.reshape(-1, 1).astype(np.uint16 if small else np.uint32)
-    primitive["indices"] = builder.accessor(flat, target=ELEMENT_ARRAY_BUFFER)
+    fits_16_bits = len(points) < 65535
+    indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
+    primitive["indices"] = builder.accessor(indices, target=ELEMENT_ARRAY_BUFFER)
     if len(surface.counts) and surface.counts.max() > 3:
-        left["faces of more than three points (written as triangles)"].append(
+        left_out["faces of more than three points (written as triangles)"].append(
             surface.name
         )
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
-    _targets(builder, surface, primitive, mesh, weights, left)
+    _targets(builder, surface, primitive, mesh, weights, left_out)
     if carrier >= 0 and builder.json["nodes"][carrier]["name"] != surface.name:
         mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = builder.add("meshes", mesh)
@@ -160,10 +164,10 @@ def _write_influences(
     indices, values = influences(skin)
     kind = np.uint8 if indices.max(initial=0) < 256 else np.uint16
     for k in range(indices.shape[1] // 4):
-        some = slice(4 * k, 4 * k + 4)
-        joints = indices[:, some].astype(kind)
+        columns = slice(4 * k, 4 * k + 4)
+        joints = indices[:, columns].astype(kind)
         attributes[f"JOINTS_{k}"] = builder.accessor(joints, target=ARRAY_BUFFER)
-        some_weights = values[:, some].astype(np.float32)
+        some_weights = values[:, columns].astype(np.float32)
         attributes[f"WEIGHTS_{k}"] = builder.accessor(some_weights, target=ARRAY_BUFFER)
 
 
@@ -198,17 +202,17 @@ def _carrier(
 ) -> tuple[int, FloatArray]:
     """Return the joint that rigidly carries a mesh, -1 for none, and its bind.
 
-    That is the transform from the points to the joint; of a mesh that follows none to
-    the world. A node has one mesh: a second one is skinned.
+    The bind is the transform from the points to the joint, or to the world without a
+    joint. A node has one mesh: a second mesh at the same joint is skinned.
     """
     skin = surface.skin
     if skin is None or not len(skin.indices):
         return -1, surface.geom_bind
-    used = np.unique(skin.indices[skin.weights > 0])
+    used_joints = np.unique(skin.indices[skin.weights > 0])
     single = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
-    if len(used) != 1 or not single or len(skin.joints) > 1:
+    if len(used_joints) != 1 or not single or len(skin.joints) > 1:
         return -1, np.eye(4)
-    joint = rig.index(skin.joints[int(used[0])])
+    joint = rig.index(skin.joints[int(used_joints[0])])
     if "mesh" in builder.json["nodes"][joint]:
         return -1, np.eye(4)
     return joint, np.linalg.inv(bind[joint]) @ surface.geom_bind
@@ -231,17 +235,17 @@ def _skin(
         "inverseBindMatrices": builder.accessor(columns),
         "joints": joints,
     }
-    known = builder.json.get("skins", [])
-    if entry in known:
-        return int(known.index(entry))
+    skins = builder.json.get("skins", [])
+    if entry in skins:
+        return int(skins.index(entry))
     return builder.add("skins", entry)
 
 
 def _attributes(
     builder: GlbBuilder, points: FloatArray, normals: FloatArray | None
 ) -> dict[str, int]:
-    rounded = points.astype(np.float32)
-    position = builder.accessor(rounded, target=ARRAY_BUFFER, bounds=True)
+    positions = points.astype(np.float32)
+    position = builder.accessor(positions, target=ARRAY_BUFFER, bounds=True)
     attributes = {"POSITION": position}
     if normals is not None:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -257,7 +261,7 @@ def _targets(
     primitive: dict[str, Any],
     mesh: dict[str, Any],
     weights: dict[str, float],
-    left: dict[str, list[str]],
+    left_out: dict[str, list[str]],
 ) -> None:
     """Write shapes as morph targets."""
     if not surface.shapes:
@@ -269,17 +273,19 @@ def _targets(
             rows = np.arange(len(surface.points))
         dense = np.zeros((len(surface.points), 3))
         np.add.at(dense, rows, shape.deltas)
-        moved = dense.astype(np.float32)
-        target = {"POSITION": builder.accessor(moved, target=ARRAY_BUFFER, bounds=True)}
+        offsets = dense.astype(np.float32)
+        target = {
+            "POSITION": builder.accessor(offsets, target=ARRAY_BUFFER, bounds=True)
+        }
         if "NORMAL" in primitive["attributes"]:
-            turned = np.zeros_like(dense)
+            normal_offsets = np.zeros_like(dense)
             if shape.normals is not None:
-                np.add.at(turned, rows, shape.normals)
-            normals = turned.astype(np.float32)
+                np.add.at(normal_offsets, rows, shape.normals)
+            normals = normal_offsets.astype(np.float32)
             target["NORMAL"] = builder.accessor(normals, target=ARRAY_BUFFER)
         targets.append(target)
         if shape.inbetweens:
-            left["in-between shapes"].append(shape.name)
+            left_out["in-between shapes"].append(shape.name)
     primitive["targets"] = targets
     names = [shape.name for shape in surface.shapes]
     mesh["weights"] = [weights.get(name, 0.0) for name in names]
@@ -289,46 +295,52 @@ def _targets(
 def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     """Return joints and weights, largest first, padded to multiples of four.
 
-    Each joint occurs once for a vertex, weights have the sum 1, and those of no weight
-    are joint 0.
+    Each joint occurs once per vertex, weights sum to 1, and entries without weight have
+    joint 0.
     """
     indices, weights = skin.indices.copy(), skin.weights.astype(np.float64).copy()
     order = np.argsort(indices, axis=1, kind="stable")
     indices = np.take_along_axis(indices, order, 1)
     weights = np.take_along_axis(weights, order, 1)
     for k in range(indices.shape[1] - 1, 0, -1):
-        same = indices[:, k] == indices[:, k - 1]
-        weights[:, k - 1] += np.where(same, weights[:, k], 0.0)
-        weights[same, k] = 0.0
+        is_duplicate = indices[:, k] == indices[:, k - 1]
+        weights[:, k - 1] += np.where(is_duplicate, weights[:, k], 0.0)
+        weights[is_duplicate, k] = 0.0
     largest = weights.max(axis=1, keepdims=True)
     weights[weights <= SMALLEST_WEIGHT * largest] = 0.0
     order = np.argsort(-weights, axis=1, kind="stable")
     indices = np.take_along_axis(indices, order, 1)
     weights = np.take_along_axis(weights, order, 1)
-    used = int((weights > 0).sum(axis=1).max(initial=1))
-    width = max(4, -(-used // 4) * 4)
+    max_count = int((weights > 0).sum(axis=1).max(initial=1))
+    width = max(4, -(-max_count // 4) * 4)
     padded = np.zeros((len(indices), width), np.int64)
     shares = np.zeros((len(indices), width))
-    kept = min(width, indices.shape[1])
-    padded[:, :kept], shares[:, :kept] = indices[:, :kept], weights[:, :kept]
-    sums = shares.sum(axis=1, keepdims=True)
-    shares = np.where(sums > 0, shares / np.where(sums > 0, sums, 1.0), 0.0)
-    shares[sums[:, 0] <= 0, 0] = 1.0
-    rounded = shares.astype(np.float32).astype(np.float64)
-    rounded[:, 0] += 1.0 - rounded.sum(axis=1)
-    padded[rounded == 0.0] = 0
-    return padded, rounded
+    copied = min(width, indices.shape[1])
+    padded[:, :copied], shares[:, :copied] = indices[:, :copied], weights[:, :copied]
+    weight_sums = shares.sum(axis=1, keepdims=True)
+    shares = np.where(
+        weight_sums > 0, shares / np.where(weight_sums > 0, weight_sums, 1.0), 0.0
+    )
+    shares[weight_sums[:, 0] <= 0, 0] = 1.0
+    rounded_weights = shares.astype(np.float32).astype(np.float64)
+    rounded_weights[:, 0] += 1.0 - rounded_weights.sum(axis=1)
+    padded[rounded_weights == 0.0] = 0
+    return padded, rounded_weights
 
 
-def _left_out(rig: Rig, left: dict[str, list[str]], written: WrittenRig) -> list[Fault]:
-    """Return one notice about rig contents that glTF cannot hold."""
+def _unstored_notice(
+    rig: Rig, left_out: dict[str, list[str]], written: WrittenRig
+) -> list[Fault]:
+    """Return one notice about rig contents that glTF cannot store."""
     combined = [shape.name for shape in rig.shapes if shape.combine]
     if combined:
-        left["products of shapes (each gets its own weight)"] += combined
-    homeless = [one.name for one in rig.shapes if one.name not in written.shapes]
-    if homeless:
-        left["shapes without a mesh (skipped)"] += homeless
-    texts = [f"{what}: {listed(names, MAX_NAMED)}" for what, names in left.items()]
+        left_out["products of shapes (each gets its own weight)"] += combined
+    unwritten = [one.name for one in rig.shapes if one.name not in written.shapes]
+    if unwritten:
+        left_out["shapes without a mesh (skipped)"] += unwritten
+    texts = [
+        f"{label}: {listed(names, MAX_NAMED)}" for label, names in left_out.items()
+    ]
     if not texts:
         return []
     message = f"glTF cannot store {'; '.join(texts)}"

@@ -15,13 +15,13 @@ from animtool.core.files.signatures import expects
 from animtool.core.record import dataclass
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
-# As the app writes them; readers take any case.
+# Names as written by the app; they are read case-insensitively.
 TIMECODE, COUNT = "Timecode", "BlendShapeCount"
-# Rotations about the axes of the face: up, to its left, out of it.
+# Rotations about the axes of the face: up, left, and forward.
 AXES = ("Yaw", "Pitch", "Roll")
 PARTS = ("Head", "LeftEye", "RightEye")
 ANGLES = tuple(part + axis for part in PARTS for axis in AXES)
-# In the order of the app.
+# Shapes in the order of the app.
 APP_SHAPES = (
     *(
         f"Eye{what}{side}"
@@ -57,7 +57,7 @@ MAX_COLUMNS = 4096
 MAX_BYTES = 1_000_000_000
 MAX_FAULTS = 100
 MAX_NAMED = 12
-# Weights are about 1, and angles a few radians: what is beyond is no value.
+# Weights are about 1 and angles a few radians; larger numbers are invalid.
 MAX_VALUE = 1e18
 _DELIMITERS = ",;\t"
 _ANGLES = {name.lower(): name for name in ANGLES}
@@ -68,13 +68,13 @@ class Recording:
     """The rows of a recording, in file order.
 
     Attributes:
-        path: The file.
-        shapes: Name of each column of weights, ARKit's spelling where it is one.
-        angles: Which of `ANGLES` there are, in the order of ``rotations``.
+        path: Path of the file.
+        shapes: Name of each weight column, in ARKit's spelling if it is an ARKit shape.
+        angles: The `ANGLES` in the file, in the order of ``rotations``.
         labels: Time code of each row, as written.
-        lines: 1-based line of each row ``(R,)``.
-        weights: Of the shapes ``(R, S)``; NaN where the file has none.
-        rotations: Angles [rad] ``(R, A)``, as ``weights``.
+        lines: 1-based line number of each row ``(R,)``.
+        weights: Weights of the shapes ``(R, S)``; NaN if missing.
+        rotations: Angles [rad] ``(R, A)``; NaN if missing.
         notices: Warnings about the file.
     """
 
@@ -93,9 +93,11 @@ def read_recording(path: Path) -> Recording:
     """Read the rows of a recording.
 
     Raises:
-        FormatError: It cannot be read (IO001), is no recording (LLF001), names a
-            column twice (LLF002), a row has another number of columns (LLF003) or a
-            value that is no number (LLF004), or there is no row (LLF001).
+        FormatError: It cannot be read (IO001), is not a recording (LLF001), has a
+            duplicate
+            column (LLF002), a row with another number of columns (LLF003) or a value
+            that
+            is not a number (LLF004), or no row (LLF001).
     """
     lines = _lines(path)
     header = next((i for i, line in enumerate(lines) if line.strip()), None)
@@ -137,20 +139,24 @@ class _Table:
             raise FormatError(Fault("LLF001", message, str(path), (line,)))
         self.time = lower.index(TIMECODE.lower())
         self.count = lower.index(COUNT.lower()) if COUNT.lower() in lower else None
-        # What is known keeps its own spelling, so that a column named twice shows.
-        self.known = [
+        # Known columns get one spelling, so that duplicates are detected.
+        self.canonical = [
             arkit_name(n) or _ANGLES.get(n.lower(), n.lower()) for n in self.names
         ]
         faults = [
             self._fault("LLF002", i, f"duplicate column {name!r}")
             for i, name in enumerate(self.names)
-            if name and self.known.index(self.known[i]) < i
+            if name and self.canonical.index(self.canonical[i]) < i
         ]
         if faults:
             raise FormatError(faults)
-        rest = [i for i in range(len(lower)) if i not in (self.time, self.count)]
-        self.angle_columns = [i for i in rest if lower[i] in _ANGLES]
-        self.shapes = [i for i in rest if lower[i] not in _ANGLES and self.names[i]]
+        value_columns = [
+            i for i in range(len(lower)) if i not in (self.time, self.count)
+        ]
+        self.angle_columns = [i for i in value_columns if lower[i] in _ANGLES]
+        self.shapes = [
+            i for i in value_columns if lower[i] not in _ANGLES and self.names[i]
+        ]
 
     def _cells(self, line: str) -> list[str]:
         return line.split(self.delimiter)
@@ -166,7 +172,7 @@ class _Table:
         width = len(self.names)
         notices: list[Fault] = []
         cells = [(number, self._cells(line)) for number, line in rows]
-        # A comma behind the last value of each row is no column.
+        # A comma after the last value of each row is not a column.
         for _, row in cells:
             if len(row) == width + 1 and not row[-1].strip():
                 row.pop()
@@ -241,15 +247,14 @@ class _Table:
         """Return a warning about rows whose BlendshapeCount is wrong."""
         if self.count is None:
             return []
-        has = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
+        counts = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
         stated = values[:, self.count]
-        mismatched: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
+        mismatched: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(counts))
         if not mismatched.any():
             return []
         row = int(np.flatnonzero(mismatched)[0])
-        message = (
-            f"{COUNT} is {stated[row]:g}, but the row has {counted(max(has), 'value')}"
-        )
+        values_text = counted(max(counts), "value")
+        message = f"{COUNT} is {stated[row]:g}, but the row has {values_text}"
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))
         return [_warning(notice)]

@@ -30,7 +30,7 @@ Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
 MAX_NAMED = 12
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
-# Joint names and positions [m] of the default rig; they only need to be distinct.
+# Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
 _POSITIONS[RIGHT_EYE] = (-0.032, 0.03, 0.08)
@@ -46,23 +46,26 @@ def read_livelink(
 ) -> TakeStream:
     """Open a Live Link Face recording (CSV) as a take.
 
-    Weights go to the shapes of the same names, in any of ARKit's spellings. Head and
-    eyes turn joints of those names; angles are radians about the axes of the face, yaw
-    about up, then pitch about its left, then roll about ahead.
+    Weights drive the shapes of the same names, in any of ARKit's spellings. Head and
+    eyes
+    rotate joints of those names; angles are radians about the axes of the face: yaw
+    about
+    up, then pitch about left, then roll about forward.
 
     Args:
         path: The file.
-        rig: The rig to move; None builds one with the columns as shapes.
-        fps: Labels a second that its time code counts; None finds it.
+        rig: The rig to animate; None builds one with the columns as shapes.
+        fps: Time code labels per second; None derives it.
         remap: A remap file, for shapes with other names.
-        dropped: What becomes of frames without a row: values between those of their
-            neighbours, those of the frame before (``hold``), or none, so that later
-            frames move up (``close``).
+        dropped: Handling of frames without a row: ``interpolate`` between neighbours,
+            ``hold`` the previous frame, or ``close`` the gap, so that later frames move
+            up.
 
     Raises:
         FormatError: The file is malformed (LLF001 to LLF006), or the remap file is.
-        OptionError: The rig has none of its shapes and no head (LLF007), or ``fps`` is
-            no rate (SCN022).
+        OptionError: The rig has none of the shapes and no head (LLF007), or ``fps`` is
+            not
+            a frame rate (SCN022).
     """
     path = Path(path)
     if dropped not in DROPPED:
@@ -79,15 +82,15 @@ def read_livelink(
     )
     joints = head_joints(target)
     notices = [*recording.notices, *frames.notices]
-    turned = _turned(recording)
-    if not links.links and not (set(turned) & set(joints)):
+    rotations = _rotations(recording)
+    if not links.links and not (set(rotations) & set(joints)):
         message = f"{target.name!r} has no shape of this recording, and no head joint"
         hint = f"map the shapes of other conventions with {argument('source.remap')}"
         if not target.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
     notices += _notices(recording, frames, dropped)
-    notices += _unmatched(recording, links, turned, joints, rig is not None)
+    notices += _unmatched(recording, links, rotations, joints, rig is not None)
     motion = _motion(recording, frames, target, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
@@ -113,7 +116,7 @@ def read_livelink_rig(path: Path) -> Rig:
 def face_rig(recording: Recording) -> Rig:
     """Return the default rig of a recording: shapes without meshes, head, eyes."""
     parts = [
-        part for part in PARTS if part == "Head" or part in _turned_parts(recording)
+        part for part in PARTS if part == "Head" or part in _rotated_parts(recording)
     ]
     joints = tuple(
         Joint(_JOINT_NAMES[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
@@ -124,17 +127,17 @@ def face_rig(recording: Recording) -> Rig:
     return Rig(recording.path.stem, joints, shapes=shapes)
 
 
-def _turned_parts(recording: Recording) -> list[str]:
+def _rotated_parts(recording: Recording) -> list[str]:
     """Return the parts (head, eyes) that have all three angles."""
     return [
         part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
     ]
 
 
-def _turned(recording: Recording) -> dict[str, FloatArray]:
+def _rotations(recording: Recording) -> dict[str, FloatArray]:
     """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
     angles_of = {}
-    for part in _turned_parts(recording):
+    for part in _rotated_parts(recording):
         columns = [recording.angles.index(part + axis) for axis in AXES]
         angles = np.degrees(recording.rotations[:, columns])
         angles_of[_JOINTS[part]] = angles
@@ -152,19 +155,19 @@ def _motion(
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
     at = np.arange(int(times[-1]) + 1)
     raw = fill_gaps(recording.weights[frames.rows], times)
-    moved = links.apply(raw, len(rig.shapes))
+    shape_weights = links.apply(raw, len(rig.shapes))
     weights = np.stack(
-        [_between(column, times, at, dropped) for column in moved.T], axis=-1
+        [_between(column, times, at, dropped) for column in shape_weights.T], axis=-1
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
     channel = Channel.static(rig.rest_rotations, len(at))
-    for part, angles in _turned(recording).items():
+    for part, angles in _rotations(recording).items():
         if part not in joints:
             continue
         rotations = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
         local = local_rotations(rig, joints[part], rotations)
-        values = _slerped(align_signs(local), times, at, dropped)
-        which = np.array([joints[part]])
-        channel = channel.put(which, values[:, None])
+        values = _slerp_rows(align_signs(local), times, at, dropped)
+        joint_index = np.array([joints[part]])
+        channel = channel.put(joint_index, values[:, None])
     return Motion(
         Channel.static(rig.rest_translations, len(at)),
         channel.compact(),
@@ -181,19 +184,19 @@ def _between(
     return np.interp(at, times, values)
 
 
-def _slerped(
+def _slerp_rows(
     rotations: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
 ) -> FloatArray:
-    before = np.searchsorted(times, at, side="right") - 1
+    row_before = np.searchsorted(times, at, side="right") - 1
     if dropped == "hold" or len(times) == 1:
-        return rotations[before]
-    after = np.minimum(before + 1, len(times) - 1)
-    span = np.maximum(times[after] - times[before], 1)
-    fraction = (at - times[before]) / span
-    between = slerp(rotations[before], rotations[after], fraction)
+        return rotations[row_before]
+    row_after = np.minimum(row_before + 1, len(times) - 1)
+    span = np.maximum(times[row_after] - times[row_before], 1)
+    fraction = (at - times[row_before]) / span
+    rotations_ = slerp(rotations[row_before], rotations[row_after], fraction)
     exact: BoolArray = fraction == 0
-    between[exact] = rotations[before[exact]]
-    return between
+    rotations_[exact] = rotations[row_before[exact]]
+    return rotations_
 
 
 def _notices(
@@ -204,13 +207,13 @@ def _notices(
     notices = []
     gaps = frames.dropped
     if len(gaps):
-        what = {
+        handling = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
         message = (
-            f"{len(gaps)} of {frames.count} frames have no row: {what}; from the "
+            f"{len(gaps)} of {frames.count} frames have no row: {handling}; from the "
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
@@ -228,13 +231,13 @@ def _notices(
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
             notices.append(replace(fault, severity=Severity.WARNING))
-    # Values are kept: some rigs go beyond 1, and percentages are recognised.
+    # Values are kept: some rigs exceed 1, and percentages are detected.
     with np.errstate(invalid="ignore"):
-        beyond = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
-    if beyond.any():
-        row, column = np.argwhere(beyond)[0].tolist()
+        out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
+    if out_of_range.any():
+        row, column = np.argwhere(out_of_range)[0].tolist()
         message = (
-            f"{counted(int(beyond.sum()), 'weight')} outside 0 to 1, the first "
+            f"{counted(int(out_of_range.sum()), 'weight')} outside 0 to 1, the first "
             f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
         )
         line = (int(recording.lines[row]),)
@@ -246,7 +249,7 @@ def _notices(
 def _unmatched(
     recording: Recording,
     links: ShapeLinks,
-    turned: dict[str, FloatArray],
+    rotations: dict[str, FloatArray],
     joints: dict[str, int],
     named: bool,
 ) -> list[Fault]:
@@ -259,23 +262,23 @@ def _unmatched(
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
             if not np.nan_to_num(column).any()
         }
-        lost = [name for name in links.lost if name not in static]
-        if lost:
-            message = f"{len(lost)} shapes are not in the rig: "
+        unmatched_names = [name for name in links.lost if name not in static]
+        if unmatched_names:
+            message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
             notices.append(
-                naming("LLF108", message, lost, path, hint, Severity.WARNING)
+                naming("LLF108", message, unmatched_names, path, hint, Severity.WARNING)
             )
-    for part, angles in turned.items():
+    for part, angles in rotations.items():
         if part not in joints and np.nan_to_num(angles).any():
             message = f"the rig has no joint for the {part}: its rotation is skipped"
             notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
-    lone = {
+    rig_only = {
         angle
         for angle in recording.angles
-        if not any(angle.startswith(part) for part in _turned_parts(recording))
+        if not any(angle.startswith(part) for part in _rotated_parts(recording))
     }
-    if lone:
-        message = f"{listed(sorted(lone))} without the two others: skipped"
+    if rig_only:
+        message = f"{listed(sorted(rig_only))} without the two others: skipped"
         notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     return notices

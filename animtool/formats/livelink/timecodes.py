@@ -15,15 +15,15 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import day_frames, parse_timecode
 
-# What clocks of recorders count, and the one that the app starts with.
+# Clock rates of recorders [1/s], and the app's default.
 CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 DEFAULT_CLOCK = 60
 # Rows have a constant step if this fraction of them does.
 REGULAR_FRACTION = 0.9
 MAX_STEP = 16
-# Parts of a frame by which rows that follow a clock miss its beat: that of phones is
-# off by 2e-4 a row, while time stamps of a network jitter by a frame.
-STEADY = 0.1
+# Largest jitter of rows on a clock [frame]: phone clocks drift by 2e-4 per row, while
+# network time stamps jitter by a frame.
+MAX_CLOCK_JITTER = 0.1
 # Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
 MAX_NAMED = 12
@@ -35,10 +35,10 @@ class TimecodeFrames:
     """Frame rate, and the frame of each row.
 
     Attributes:
-        clock: Labels a second, exact.
-        step: Labels from one frame to the next.
-        rows: The rows that count, in the order of time ``(N,)``.
-        frames: Which frame each of them is, from 0, ascending ``(N,)``.
+        clock: Labels per second, exact.
+        step: Labels per frame.
+        rows: Indices of the rows that are used, sorted by time ``(N,)``.
+        frames: Frame of each used row, from 0, ascending ``(N,)``.
         notices: Warnings about the timecodes.
     """
 
@@ -74,31 +74,34 @@ def row_frames(
 ) -> TimecodeFrames:
     """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
 
-    The clock is the one whose seconds end where those of the labels do. A recorder may
-    write a row every second label. Where rows keep the beat of the clock, parts of
-    frames are rounded; where they jitter, a label is the frame.
+    The clock is the one whose seconds end with those of the labels. A recorder may
+    write
+    a row every second label. If rows follow the clock, fractions of frames are rounded;
+    if
+    they jitter, the label is the frame.
 
     Args:
-        labels: One a row, as written.
-        lines: Line of each in the file.
+        labels: One per row, as written.
+        lines: Line number of each row.
         path: The file, for messages.
-        clock: Labels a second; None finds it.
+        clock: Labels per second; None derives it.
 
     Raises:
-        FormatError: One is no time code (LLF005), or two are very far apart (LLF006).
+        FormatError: A label is not a time code (LLF005), or two are very far apart
+            (LLF006).
     """
     fields = _fields(labels, lines, path)
     notices: list[Fault] = []
     drop = any(";" in label for label in labels)
     rate = clock if clock is not None else _clock(fields, drop, path, notices)
-    counts, parts = _counted(labels, rate, lines, path)
+    counts, fractions = _label_numbers(labels, rate, lines, path)
     day = day_frames(rate, drop=drop)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     steps = (np.diff(counts) + day // 2) % day - day // 2
     times = np.concatenate([[0], np.cumsum(steps)])
-    order = np.argsort(times + parts, kind="stable")
-    notices += _unsorted(order, lines, path)
-    times, parts = times[order] - times[order[0]], parts[order]
+    order = np.argsort(times + fractions, kind="stable")
+    notices += _unsorted_notice(order, lines, path)
+    times, fractions = times[order] - times[order[0]], fractions[order]
     steps_ = np.diff(times)
     if len(steps_) and (worst := steps_.max()) > MAX_GAP_SECONDS * rate:
         at = int(steps_.argmax())
@@ -108,10 +111,10 @@ def row_frames(
         hint = "split the recording there, or repair the time code"
         line = (int(lines[order[at + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
-    step, frames = _frames(times, parts)
-    first = np.concatenate([[True], np.diff(frames) > 0])
-    notices += _repeated(first, order, lines, path)
-    return TimecodeFrames(rate, step, order[first], frames[first], tuple(notices))
+    step, frames = _frames(times, fractions)
+    is_first = np.concatenate([[True], np.diff(frames) > 0])
+    notices += _repeated_notice(is_first, order, lines, path)
+    return TimecodeFrames(rate, step, order[is_first], frames[is_first], tuple(notices))
 
 
 def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
@@ -135,11 +138,11 @@ def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
 
 def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fraction:
     """Return the timecode rate [1/s] that fits the labels best."""
-    most = int(fields[:, 3].max())
+    max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
-    fitting = [n for n in CLOCKS if n > most] or [most + 1]
+    fitting = [n for n in CLOCKS if n > max_label] or [max_label + 1]
     if drop:
-        fitting = [n for n in (30, 60) if n > most] or [60]
+        fitting = [n for n in (30, 60) if n > max_label] or [60]
         return Fraction(fitting[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
     if len(fitting) > 1 and not len(seconds_ends):
@@ -153,19 +156,19 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
         return Fraction(rate)
     if len(fitting) == 1:
         return Fraction(fitting[0])
-    inside = np.diff(fields[:, 3])[np.diff(seconds) == 0]
-    typical = np.median(inside[inside > 0]) if (inside > 0).any() else 1
-    # The step from a second's last label to the next second's first is as others.
-    over = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
-    misses = [np.median(np.abs(over + n - typical)) for n in fitting]
+    steps = np.diff(fields[:, 3])[np.diff(seconds) == 0]
+    typical = np.median(steps[steps > 0]) if (steps > 0).any() else 1
+    # A step across the end of a second equals those within it.
+    wrap_steps = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
+    misses = [np.median(np.abs(wrap_steps + n - typical)) for n in fitting]
     return Fraction(fitting[int(np.argmin(misses))])
 
 
-def _counted(
+def _label_numbers(
     labels: Sequence[str], rate: Fraction, lines: IntArray, path: str
 ) -> tuple[IntArray, FloatArray]:
     """Return labels counted from midnight, and fractions of a frame."""
-    counts, parts, faults = [], [], []
+    counts, fractions, faults = [], [], []
     for label, line in zip(labels, lines.tolist(), strict=True):
         text = label if label[1] != ":" else f"0{label}"
         try:
@@ -175,29 +178,31 @@ def _counted(
             faults.append(Fault("LLF005", message, path, (line,), column=1))
             continue
         counts.append(exact.numerator // exact.denominator)
-        parts.append(float(exact - counts[-1]))
+        fractions.append(float(exact - counts[-1]))
     if faults:
         raise FormatError(faults[:100])
-    return np.array(counts, np.int64), np.array(parts)
+    return np.array(counts, np.int64), np.array(fractions)
 
 
-def _frames(times: IntArray, parts: FloatArray) -> tuple[int, IntArray]:
+def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     """Return labels per frame, and the frame of each row, from 0."""
     steps = np.diff(times)
-    moving = steps[steps > 0]
-    if not len(moving):
+    positive_steps = steps[steps > 0]
+    if not len(positive_steps):
         return 1, np.zeros(len(times), np.int64)
-    exact = steps + np.diff(parts)
+    exact = steps + np.diff(fractions)
     step = 1
-    for every in range(min(MAX_STEP, int(np.median(moving))), 1, -1):
-        regular = max((moving % every == 0).mean(), _on_beat(exact, every).mean())
+    for every in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
+        regular = max(
+            (positive_steps % every == 0).mean(), _on_beat(exact, every).mean()
+        )
         if regular >= REGULAR_FRACTION:
             step = every
             break
-    if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(parts) > 0:
+    if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(fractions) > 0:
         beats = np.round(exact / step)
     else:
-        # The label decides, whatever fraction of a frame follows it.
+        # The label is the frame, whatever fraction follows it.
         return step, np.round(times / step).astype(np.int64)
     return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
 
@@ -205,28 +210,28 @@ def _frames(times: IntArray, parts: FloatArray) -> tuple[int, IntArray]:
 def _on_beat(exact: FloatArray, step: int) -> BoolArray:
     """Return which rows are an integer number of steps after the previous one."""
     beats = exact / step
-    return np.asarray(np.abs(beats - np.round(beats)) * step <= STEADY)
+    return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)
 
 
-def _unsorted(order: IntArray, lines: IntArray, path: str) -> list[Fault]:
-    moved = np.flatnonzero(np.diff(order) < 0)
-    if not len(moved):
+def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]:
+    out_of_order = np.flatnonzero(np.diff(order) < 0)
+    if not len(out_of_order):
         return []
-    late = lines[order[moved + 1]].tolist()
-    message = f"{counted(len(late), 'row')} not in order of time: sorted"
+    late_lines = lines[order[out_of_order + 1]].tolist()
+    message = f"{counted(len(late_lines), 'row')} not in order of time: sorted"
     notice = Fault(
-        "LLF104", message, path, tuple(late[:MAX_NAMED]), None, Severity.WARNING
+        "LLF104", message, path, tuple(late_lines[:MAX_NAMED]), None, Severity.WARNING
     )
     return [notice]
 
 
-def _repeated(
-    first: BoolArray,
+def _repeated_notice(
+    is_first: BoolArray,
     order: IntArray,
     lines: IntArray,
     path: str,
 ) -> list[Fault]:
-    again = sorted(lines[order[~first]].tolist())
+    again = sorted(lines[order[~is_first]].tolist())
     if not again:
         return []
     message = (

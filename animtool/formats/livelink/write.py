@@ -20,7 +20,7 @@ from animtool.motion.take import Take
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
 from animtool.rig.shapes import arkit_name
 
-# As the app prints them.
+# Decimals, as in files of the app.
 DECIMALS = 10
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 
@@ -31,16 +31,17 @@ def write_livelink(
     """Write a take as a Live Link Face recording; see `livelink_text`.
 
     Args:
-        take: What to write.
-        path: ``.csv``.
-        overwrite: Replace a file that exists.
+        take: The take.
+        path: Path of the file, ``.csv``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold.
+        Warnings about data that the format cannot store.
 
     Raises:
-        OptionError: The rig has no shape of ARKit's (LLF008), time codes do not count
-            its rate (LLF009), or the file exists (OUT001).
+        OptionError: The rig has no ARKit shape (LLF008), time codes cannot count its
+            rate
+            (LLF009), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
     return write_text(take, path, livelink_text, overwrite=overwrite)
@@ -49,9 +50,10 @@ def write_livelink(
 def livelink_text(take: Take) -> TakeText:
     """Return a take as CSV: ARKit's 52 weights, head and eye rotations.
 
-    The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97
-    and 59.94. What the rig lacks is 0. Other shapes and joints have no place in the
-    format; shapes that move are named in the notices.
+    The first frame is 00:00:00:00 of a clock with the take's rate, drop-frame at 29.97
+    and
+    59.94. Shapes missing in the rig are 0. The format cannot store other shapes and
+    joints; notices list the animated shapes.
     """
     columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
     columns.pop(None, None)
@@ -69,24 +71,26 @@ def livelink_text(take: Take) -> TakeText:
         raise OptionError(Fault("LLF009", str(error), hint=hint)) from error
     weights = np.zeros((take.clock.count, len(APP_SHAPES)))
     channel = take.motion.weights
-    dense = None if channel is None else channel.dense()[..., 0]
+    all_weights = None if channel is None else channel.dense()[..., 0]
     for i, name in enumerate(APP_SHAPES):
         at = columns.get(arkit_name(name))
-        if dense is not None and at is not None:
-            weights[:, i] = dense[:, at]
+        if all_weights is not None and at is not None:
+            weights[:, i] = all_weights[:, at]
     notices = []
-    if dense is not None:
-        known = set(columns.values())
-        lost = [
+    if all_weights is not None:
+        written_shapes = set(columns.values())
+        unwritten = [
             shape.name
             for i, shape in enumerate(take.rig.shapes)
-            if i not in known and dense[:, i].any()
+            if i not in written_shapes and all_weights[:, i].any()
         ]
-        if lost:
-            message = f"{len(lost)} shapes have no column in the CSV: "
-            notices.append(naming("LLF111", message, lost, severity=Severity.WARNING))
-    head = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
-    return TakeText([head], _rows(weights, _angles(take), rate), notices)
+        if unwritten:
+            message = f"{len(unwritten)} shapes have no column in the CSV: "
+            notices.append(
+                naming("LLF111", message, unwritten, severity=Severity.WARNING)
+            )
+    header = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
+    return TakeText([header], _rows(weights, _angles(take), rate), notices)
 
 
 def _angles(take: Take) -> FloatArray:
@@ -98,8 +102,8 @@ def _angles(take: Take) -> FloatArray:
         if joint is None:
             continue
         local = take.motion.rotations.gather(np.array([joint]))[:, 0]
-        turned = align_signs(face_rotations(take.rig, joint, local))
-        angles[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
+        rotations = align_signs(face_rotations(take.rig, joint, local))
+        angles[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(rotations, "YXZ"))
     return angles
 
 

@@ -11,13 +11,13 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import JointEqualities
-from animtool.formats.mjcf.reduced import MIN_MASS, Reduced, label_of
+from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, label_of
 from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
-    UNTURNED,
+    IDENTITY_ROTATION,
     Link,
-    Move,
     Robot,
+    RobotJoint,
     SimpleShape,
     Triangles,
     Weight,
@@ -34,22 +34,22 @@ MAX_NAMED = 8
 _LINE = re.compile(r",? line (\d+)")
 _START = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
 _EXTRA = "pip install 'animtool[mjcf]'"
-# As MuJoCo counts kinds of joints and geoms.
+# Joint and geom types by MuJoCo's numbers.
 _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
-# No body weighs more, nor has more inertia [kg], [kg m²].
-HEAVIEST = 1e30
+# Limit of mass and inertia of a body [kg], [kg m²].
+MAX_MASS = 1e30
 # MuJoCo hides geoms of this group and above.
-HIDDEN = 3
+HIDDEN_GROUP = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
+def compiled(reduced: ReducedModel, notes: XmlNotes) -> Any:
     """Compile a reduced MJCF with MuJoCo.
 
     Raises:
         OptionError: MuJoCo is not installed (MJC005).
-        FormatError: It refuses the model (MJC008).
+        FormatError: MuJoCo rejects the model (MJC008).
     """
     try:
         import mujoco
@@ -57,20 +57,20 @@ def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
         fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
         raise OptionError(fault) from error
-    # MuJoCo prints and logs its warnings, which are about simulation.
-    before = mujoco.get_mju_user_warning()
+    # MuJoCo prints and logs warnings about simulation; they are suppressed.
+    warning_handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         return mujoco.MjModel.from_xml_string(reduced.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        _refused(str(error), reduced, notes)
+        _record_error(str(error), reduced, notes)
     finally:
-        mujoco.set_mju_user_warning(before)
+        mujoco.set_mju_user_warning(warning_handler)
     notes.check()
     raise AssertionError
 
 
-def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
+def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
     """Record a MuJoCo error at its line in the source file."""
     match = _LINE.search(text)
     element, body = None, ""
@@ -86,18 +86,18 @@ def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
     notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
 
 
-def robot_of(model: Any, reduced: Reduced, notes: XmlNotes) -> Robot:
-    """Return the robot of a compiled model; record what a rig cannot hold."""
+def robot_of(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
+    """Return the robot of a compiled model; record what a rig cannot store."""
     _check_sizes(model, notes)
-    ties = JointEqualities.of(model, notes)
+    equalities = JointEqualities.of(model, notes)
     notes.check()
-    links = [_link(model, body, ties, reduced) for body in range(1, model.nbody)]
+    links = [_link(model, body, equalities, reduced) for body in range(1, model.nbody)]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
             pose = vector(model.site_pos[site]), rotation_of(model.site_quat[site])
             links[body - 1].sites.append((name, *pose))
-    _note(model, reduced, ties, notes)
+    _note(model, reduced, equalities, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
@@ -123,31 +123,39 @@ def rotation_of(wxyz: FloatArray) -> Quaternion:
     return quaternion(np.array([x, y, z, w]))
 
 
-def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Link:
+def _link(
+    model: Any, body: int, equalities: JointEqualities, reduced: ReducedModel
+) -> Link:
     """Return the link of a body; joints pivot at positions in the body frame."""
     position = np.array(model.body_pos[body])
     rotation = np.array(rotation_of(model.body_quat[body]))
     name = model.body(body).name
     link = Link(name, int(model.body_parentid[body]) - 1)
-    before = np.zeros(3)
-    first = int(model.body_jntadr[body])
-    for joint in range(first, first + int(model.body_jntnum[body])):
+    pivot = np.zeros(3)
+    first_joint = int(model.body_jntadr[body])
+    for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
         at = np.array(model.jnt_pos[joint])
         if model.jnt_type[joint] in {_FREE, _SLIDE}:
-            at = before  # where it is makes no difference
-        translation = position + so3.rotate(rotation, at - before)
-        link.moves.append(_move(model, joint, translation, rotation, ties))
-        position, rotation, before = np.zeros(3), np.array(UNTURNED), at
-    if link.moves:
-        link.after = vector(-before)
+            at = pivot  # where it is makes no difference
+        translation = position + so3.rotate(rotation, at - pivot)
+        link.joints.append(_move(model, joint, translation, rotation, equalities))
+        position, rotation, pivot = np.zeros(3), np.array(IDENTITY_ROTATION), at
+    if link.joints:
+        link.offset = vector(-pivot)
     else:
-        fixed = Move("", JointType.FIXED, vector(position), quaternion(rotation))
-        link.moves.append(fixed)
-    link.solids, link.shown = _simple_geoms(model, body)
+        fixed_joint = RobotJoint(
+            "", JointType.FIXED, vector(position), quaternion(rotation)
+        )
+        link.joints.append(fixed_joint)
+    link.solids, link.surfaces = _simple_geoms(model, body)
     mass = float(model.body_mass[body])
-    heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
-    stated = mass > 2 * MIN_MASS and name not in reduced.unweighed
-    if stated and np.isfinite(heavy).all() and np.abs(heavy).max() < HEAVIEST:
+    inertial_values = [mass, *model.body_inertia[body], *model.body_ipos[body]]
+    has_mass = mass > 2 * MIN_MASS and name not in reduced.with_unknown_mass
+    if (
+        has_mass
+        and np.isfinite(inertial_values).all()
+        and np.abs(inertial_values).max() < MAX_MASS
+    ):
         link.weight = _weight(model, body, mass)
     return link
 
@@ -157,12 +165,12 @@ def _move(
     joint: int,
     translation: FloatArray,
     rotation: FloatArray,
-    ties: JointEqualities,
-) -> Move:
+    equalities: JointEqualities,
+) -> RobotJoint:
     """Return a joint whose coordinate is MuJoCo's qpos (except free joints).
 
-    A hinge or slide is at 0 where qpos is 0, and so not at ``ref``, where the file has
-    it. A free joint is at rest where the file has it.
+    A hinge or slide is at 0 where qpos is 0, which differs from the file's pose by
+    ``ref``. A free joint is at rest in the pose of the file.
     """
     kind = int(model.jnt_type[joint])
     axis = vector(model.jnt_axis[joint])
@@ -170,42 +178,42 @@ def _move(
     if kind in {_SLIDE, _HINGE}:
         ref = float(model.qpos0[model.jnt_qposadr[joint]])
         if kind == _HINGE and ref:
-            back = so3.from_axis_angle(np.array(axis), np.array(-ref))
-            rotation = so3.multiply(rotation, back)
+            inverse_ref = so3.from_axis_angle(np.array(axis), np.array(-ref))
+            rotation = so3.multiply(rotation, inverse_ref)
         elif ref:
             translation = translation - so3.rotate(rotation, np.array(axis) * ref)
         if model.jnt_limited[joint]:
-            low, high = np.array(model.jnt_range[joint]).tolist()
-            limits = RangeLimit(low, high)
+            lower, upper = np.array(model.jnt_range[joint]).tolist()
+            limits = RangeLimit(lower, upper)
     else:
         axis = (0.0, 0.0, 1.0)
     name = model.joint(joint).name
-    return Move(
+    return RobotJoint(
         name,
         _TYPES[kind],
         vector(translation),
         quaternion(rotation),
         axis,
         limits,
-        ties.mimics.get(joint),
-        ties.drivers.get(joint),
+        equalities.mimics.get(joint),
+        equalities.drivers.get(joint),
     )
 
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return a body's simple geoms: colliding ones, and visible ones."""
-    colliding, shown = [], []
-    first = int(model.body_geomadr[body])
-    for geom in range(first, first + int(model.body_geomnum[body])):
+    colliding, visible = [], []
+    first_geom = int(model.body_geomadr[body])
+    for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
         if kind is None:
             continue
-        half = np.array(model.geom_size[geom]).tolist()
+        half_sizes = np.array(model.geom_size[geom]).tolist()
         size = {
-            "sphere": half[:1],
-            "capsule": [half[0], 2 * half[1]],
-            "cylinder": [half[0], 2 * half[1]],
-            "box": [2 * side for side in half],
+            "sphere": half_sizes[:1],
+            "capsule": [half_sizes[0], 2 * half_sizes[1]],
+            "cylinder": [half_sizes[0], 2 * half_sizes[1]],
+            "box": [2 * half_size for half_size in half_sizes],
         }[kind]
         position: Vector = vector(model.geom_pos[geom])
         solid = SimpleShape(
@@ -213,9 +221,9 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
         )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
             colliding.append(solid)
-        if model.geom_group[geom] < HIDDEN and model.geom_rgba[geom][3] > 0:
-            shown.append(triangles_of(solid))
-    return colliding, shown
+        if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
+            visible.append(triangles_of(solid))
+    return colliding, visible
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:
@@ -226,22 +234,24 @@ def _weight(model: Any, body: int, mass: float) -> Weight:
     )
 
 
-def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) -> None:
-    """Record what a rig holds differently, and joints without actuators."""
+def _note(
+    model: Any, reduced: ReducedModel, equalities: JointEqualities, notes: XmlNotes
+) -> None:
+    """Record what a rig represents differently, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
     def add(code: str, joints: list[int], message: str, hint: str) -> None:
         if joints:
-            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
+            labels = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
             message = message.format(counted(len(joints), "joint"))
-            message += f": {listed(shown, MAX_NAMED)}"
+            message += f": {listed(labels, MAX_NAMED)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 
     scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
     refs = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
     hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
     add("MJC109", refs, "the file draws {} at another value (ref) than 0", hint)
-    off = [
+    reversed_ref = [
         j
         for j in scalar
         if model.jnt_limited[j]
@@ -249,7 +259,7 @@ def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) 
         and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
-    add("MJC109", off, "0 is outside the limits of {}", hint)
+    add("MJC109", reversed_ref, "0 is outside the limits of {}", hint)
     balls = [
         j
         for j in range(model.njnt)
@@ -260,11 +270,15 @@ def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) 
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
     if reduced.idle:
-        tied = {*ties.mimics, *ties.drivers}
-        idle = [j for j in scalar if names[j] not in reduced.driven and j not in tied]
+        constrained = {*equalities.mimics, *equalities.drivers}
+        idle = [
+            j
+            for j in scalar
+            if names[j] not in reduced.actuated and j not in constrained
+        ]
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
-    if reduced.unweighed:
-        bodies = sorted(reduced.unweighed)
+    if reduced.with_unknown_mass:
+        bodies = sorted(reduced.with_unknown_mass)
         message = "masses computed from meshes are ignored: "
         message += listed([excerpt(name) for name in bodies], MAX_NAMED)
         notes.add("MJC107", None, message, severity=Severity.NOTE)

@@ -21,8 +21,9 @@ def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]
     """Return the root of a model with all includes replaced by their content.
 
     Raises:
-        FormatError: A file is no MJCF in XML, or an include leads out of the project,
-            to no file, or to one that is included already (MJC001 to MJC006).
+        FormatError: A file is not MJCF in XML, or an include points outside the
+            project,
+            to a missing file, or to a file that is already included (MJC001 to MJC006).
     """
     root = read_xml(path, CODES)
     if root.tag != ROOT:
@@ -36,39 +37,39 @@ def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]
         notes.add("MJC004", root, message, hint)
         notes.check()
     folders = PackageFolders.of(path, CODES)
-    _Including(path, folders, notes).run(root)
+    _IncludeResolver(path, folders, notes).run(root)
     notes.check()
     return root, folders
 
 
-class _Including:
+class _IncludeResolver:
     """Replaces include elements with the content of their files."""
 
     def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
         self._folders, self._notes = folders, notes
-        self._known = {path.resolve()}
+        self._included_files = {path.resolve()}
         self._count = 0
 
     def run(self, root: XmlElement) -> None:
         """Resolve all includes below an element."""
-        waiting = [root]
-        while waiting and not self._notes.faults:
-            element = waiting.pop()
+        pending = [root]
+        while pending and not self._notes.faults:
+            element = pending.pop()
             self._count += 1
             if self._count > MAX_ELEMENTS:
                 message = f"more than {MAX_ELEMENTS:,} elements with all includes"
                 self._notes.add("MJC003", element, message)
                 return
             children: list[XmlElement] = []
-            left = list(reversed(element.children))
-            while left and not self._notes.faults:
-                child = left.pop()
+            remaining = list(reversed(element.children))
+            while remaining and not self._notes.faults:
+                child = remaining.pop()
                 if child.tag == "include":
-                    left += reversed(self._included(child))
+                    remaining += reversed(self._included(child))
                 else:
                     children.append(child)
             element.children = children
-            waiting += reversed(children)
+            pending += reversed(children)
 
     def _included(self, element: XmlElement) -> list[XmlElement]:
         """Return the elements that replace an include."""
@@ -76,18 +77,18 @@ class _Including:
         path = self._path_of(element, name)
         if path is None:
             return []
-        if path in self._known:
+        if path in self._included_files:
             message = f"{excerpt(name, 100)} is included already"
             if path == element.path.resolve():
                 message = f"{excerpt(name, 100)} includes itself"
             hint = "a file may be included once; attach makes several copies"
             self._notes.add("MJC006", element, message, hint)
             return []
-        if len(self._known) > MAX_INCLUDES:
+        if len(self._included_files) > MAX_INCLUDES:
             message = f"more than {MAX_INCLUDES} files are included"
             self._notes.add("MJC003", element, message)
             return []
-        self._known.add(path)
+        self._included_files.add(path)
         return read_xml(path, CODES).children
 
     def _path_of(self, element: XmlElement, name: str) -> Path | None:
@@ -99,8 +100,8 @@ class _Including:
         try:
             path = self._folders.find(name)
             if path is None:
-                inner = element.path.resolve().parent / name
-                path = self._folders.find(str(inner))
+                by_including_file = element.path.resolve().parent / name
+                path = self._folders.find(str(by_including_file))
         except OutsideError as error:
             message = f"{excerpt(name, 100)} is not included: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
@@ -108,7 +109,7 @@ class _Including:
             return None
         if path is None or not exists(path):
             message = f"{excerpt(name, 100)} does not exist"
-            near = nearest_file(Path(name), self._folders.folder)
-            self._notes.add("MJC006", element, message, near)
+            similar_file = nearest_file(Path(name), self._folders.folder)
+            self._notes.add("MJC006", element, message, similar_file)
             return None
         return path

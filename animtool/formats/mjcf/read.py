@@ -9,7 +9,7 @@ from animtool.formats.mjcf.includes import read_model
 from animtool.formats.mjcf.reduced import reduced_model
 from animtool.formats.robots.build import RobotCodes, build_rig
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.standing import standing
+from animtool.formats.robots.standing import zero_pose_stream
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
@@ -19,16 +19,18 @@ _CODES = RobotCodes("MJC102", "MJC106", "MJC101")
 def read_mjcf_rig(path: Path | str) -> Rig:
     """Return the rig of an MJCF: metres, radians, Z up.
 
-    Bodies are joints of their names, and so are their joints and sites. Coordinates are
-    MuJoCo's qpos; only a free joint counts from where the file has its body. Simple
-    geoms that collide are capsules, those that are shown meshes, and inertias masses.
-    MuJoCo compiles the model, but opens no file.
+    Every body becomes a joint of its name, and so does every joint and site.
+    Coordinates
+    are MuJoCo's qpos, except that a free joint counts from the body's pose in the file.
+    Colliding simple geoms become capsules, visible ones meshes, and inertias masses.
+    MuJoCo
+    compiles the model, but opens no file.
 
     Args:
         path: A .xml or .mjcf file.
 
     Raises:
-        FormatError: With the faults of the file (MJC001 to MJC016).
+        FormatError: All faults of the file (MJC001 to MJC016).
         OptionError: MuJoCo is not installed (MJC005).
     """
     path = Path(path)
@@ -53,7 +55,7 @@ def read_mjcf(path: Path | str) -> TakeStream:
         path: A .xml or .mjcf file.
 
     Raises:
-        FormatError: As `read_mjcf_rig` does.
+        FormatError: As for `read_mjcf_rig`.
         OptionError: MuJoCo is not installed (MJC005).
     """
-    return standing(read_mjcf_rig(path), "MJCF")
+    return zero_pose_stream(read_mjcf_rig(path), "MJCF")

@@ -1,4 +1,4 @@
-"""An MJCF reduced to moving parts, which MuJoCo compiles without other files."""
+"""An MJCF reduced to bodies, joints and shapes, compiled without other files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.formats.robots.notes import XmlNotes, to_number
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
 
-# Sections that a rig cannot hold, and their labels.
+# Sections that a rig cannot store, and their labels.
 _SECTIONS = {
     "actuator": "actuators",
     "asset": "assets",
@@ -30,9 +30,9 @@ _SECTIONS = {
 }
 _IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
 _IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
-# Parts that MuJoCo generates from other files or by plug-ins.
+# Elements that MuJoCo expands from other files or by plug-ins.
 _GENERATED = frozenset({"attach", "composite", "flexcomp"})
-# Attributes that name what is left out, or change which bodies there are.
+# Attributes that refer to removed elements, or change the set of bodies.
 _DROPPED = {
     "geom": ("material", "mesh", "hfield", "user"),
     "site": ("material", "user"),
@@ -44,41 +44,41 @@ _DROPPED = {
     ),
 }
 _MESHES = frozenset({"mesh", "hfield", "sdf"})
-# Texts, which may be "nan" as numbers may not.
+# Text attributes, which may be "nan", unlike numbers.
 _TEXTS = frozenset(
     {
         *("name", "class", "childclass", "joint", "joint1", "joint2", "site", "type"),
         *("angle", "eulerseq", "model", "prefix"),
     }
 )
-# Lower masses and inertias count as zero [kg], [kg m²].
+# Smaller masses and inertias count as zero [kg], [kg m²].
 MIN_MASS, MIN_INERTIA = 1e-9, 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reduced:
+class ReducedModel:
     """A model of only bodies, joints and simple shapes.
 
     Attributes:
         text: The XML.
-        elements: What each line of it is of.
-        bodies: In which body each line is; empty outside of all.
-        unweighed: Bodies whose meshes, which are not read, have their mass.
-        idle: Whether every actuator acts on a joint, and there is one.
-        driven: Joints that actuators act on.
+        elements: Source element of each line.
+        bodies: Body of each line; empty outside bodies.
+        with_unknown_mass: Bodies whose mass depends on meshes, which are not read.
+        idle: Whether there are actuators, and each acts on a joint.
+        actuated: Joints with actuators.
     """
 
     text: str
     elements: list[XmlElement]
     bodies: list[str]
-    unweighed: frozenset[str]
+    with_unknown_mass: frozenset[str]
     idle: bool
-    driven: frozenset[str]
+    actuated: frozenset[str]
 
 
 def reduced_model(
     root: XmlElement, packages: PackageFolders, notes: XmlNotes
-) -> Reduced:
+) -> ReducedModel:
     """Return a model's moving parts; record omissions and faults."""
     _check_files(root, packages, notes)
     _name_bodies(root)
@@ -86,7 +86,7 @@ def reduced_model(
     lines: list[str] = []
     elements: list[XmlElement] = []
     bodies: list[str] = []
-    unweighed: set[str] = set()
+    with_unknown_mass: set[str] = set()
 
     def put(element: XmlElement, text: str, body: str = "") -> None:
         lines.append(text)
@@ -95,7 +95,7 @@ def reduced_model(
 
     def write(element: XmlElement, inside: str, classes: str, body: str) -> None:
         tag = element.tag
-        kept = [
+        kept_children = [
             child
             for child in element.children
             if _is_kept(element, child, inside, notes)
@@ -103,29 +103,29 @@ def reduced_model(
         of_body = tag == "geom" and inside == "worldbody"
         if of_body and meshes.is_mesh(element, classes):
             notes.leave_out(["geoms of meshes"])
-            unweighed.add(body)
+            with_unknown_mass.add(body)
             return
         if tag in {"body", "frame", "replicate"}:
             classes = element.attributes.get("childclass", classes)
         if tag == "body":
             body = element.attributes.get("name", "")
         put(element, f"<{tag}{_attributes(element, inside, notes)}>", body)
-        for child in kept:
+        for child in kept_children:
             write(child, inside or child.tag, classes, body)
         put(element, f"</{tag}>", body)
 
-    bound = XmlElement("compiler", {}, root.path, root.line, root.column)
+    compiler = XmlElement("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
     put(root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>")
-    # Before the file's defaults, which may override these.
-    put(bound, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>')
+    # Written before the file's defaults, which may override these.
+    put(compiler, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>')
     for section in root.children:
         if section.tag in _SECTIONS:
             notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
         else:
             write(section, section.tag, "", "")
     put(root, "</mujoco>")
-    weighed = {
+    with_inertia = {
         body.attributes.get("name", "")
         for body in root.walk()
         if body.tag == "body" and body.all("inertial")
@@ -136,14 +136,14 @@ def reduced_model(
         for actuator in section.children
         if actuator.tag != "plugin"
     ]
-    driven = frozenset(one.attributes.get("joint", "") for one in acts)
-    return Reduced(
+    actuated = frozenset(one.attributes.get("joint", "") for one in acts)
+    return ReducedModel(
         "\n".join(lines),
         elements,
         bodies,
-        frozenset(unweighed - weighed),
-        bool(acts) and "" not in driven,
-        driven,
+        frozenset(with_unknown_mass - with_inertia),
+        bool(acts) and "" not in actuated,
+        actuated,
     )
 
 
@@ -182,41 +182,41 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
 
 def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
     """Return the kept attributes of an element as XML."""
-    dropped: tuple[str, ...] = _DROPPED.get(element.tag, ())
+    removed: tuple[str, ...] = _DROPPED.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESHES:
-        dropped = (*dropped, "type")
-    parts = []
+        removed = (*removed, "type")
+    texts = []
     for name, value in element.attributes.items():
-        if name in dropped:
+        if name in removed:
             continue
         if name not in _TEXTS:
             _check_numbers(element, name, value, notes)
         if name == "range" and element.tag == "joint":
             _check_range(element, value, notes)
-        parts.append(f" {name}={quoteattr(value)}")
-    return "".join(parts)
+        texts.append(f" {name}={quoteattr(value)}")
+    return "".join(texts)
 
 
 def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) -> None:
     """Record numbers that are not finite, which MuJoCo would accept."""
-    for word in value.split():
-        number = to_number(word)
+    for text in value.split():
+        number = to_number(text)
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
-            message += f"{excerpt(word)} is not finite"
+            message += f"{excerpt(text)} is not finite"
             notes.add("MJC007", element, message, where=label_of(element))
             return
 
 
 def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
     """Record reversed ranges, which MuJoCo would drop without ``limited``."""
-    ends = [to_number(word) for word in value.split()]
-    low, high = (*ends, None, None)[:2]
-    if low is None or high is None or not low > high:
+    limits = [to_number(text) for text in value.split()]
+    lower, upper = (*limits, None, None)[:2]
+    if lower is None or upper is None or not lower > upper:
         return
     if element.attributes.get("limited") != "false":
-        message = f"range {excerpt(value)} is reversed: {low:g} is above {high:g}"
-        hint = f'write range="{high:g} {low:g}" if they are swapped'
+        message = f"range {excerpt(value)} is reversed: {lower:g} is above {upper:g}"
+        hint = f'write range="{upper:g} {lower:g}" if they are swapped'
         notes.add("MJC011", element, message, hint, where=label_of(element))
 
 
@@ -234,12 +234,12 @@ def _name_bodies(root: XmlElement) -> None:
         for element in section.walk()
         if element.tag == "body"
     ]
-    taken = {body.attributes.get("name") for body in bodies}
+    used_names = {body.attributes.get("name") for body in bodies}
     number = 0
     for body in bodies:
         if not body.attributes.get("name"):
             number += 1
-            while f"body_{number}" in taken:
+            while f"body_{number}" in used_names:
                 number += 1
             body.attributes["name"] = f"body_{number}"
 
@@ -255,13 +255,13 @@ class _MeshClasses:
         self._main = self._classes.get("main", False)
 
     def _add(self, default: XmlElement, name: str, *, inherited: bool) -> None:
-        waiting = [(default, name, inherited)]
-        while waiting:
-            element, class_name, mesh = waiting.pop()
+        pending = [(default, name, inherited)]
+        while pending:
+            element, class_name, mesh = pending.pop()
             for geom in element.all("geom"):
                 mesh = _inherited_is_mesh(geom, mesh)
             self._classes[class_name] = mesh
-            waiting += [
+            pending += [
                 (child, child.attributes.get("class", ""), mesh)
                 for child in element.all("default")
             ]

@@ -12,8 +12,8 @@ from animtool.maths import euler
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Turns of balls and free joints, about axes that turn along: R = Rx · Ry · Rz from the
-# rest frame, as OpenSim's free and ball joints have them.
+# Rotation order of ball and free joints about rotating axes: R = Rx · Ry · Rz from the
+# rest frame, as in OpenSim.
 ORDER = "XYZ"
 _SLIDE = re.compile(
     r"(?:_t|_?trans(?:lation)?_?|\.translation\.)([xyz])|\.slide", re.IGNORECASE
@@ -24,14 +24,14 @@ _SLIDE = re.compile(
 class Coordinate:
     """One scalar coordinate of a joint."""
 
-    joint: int  # its index
-    part: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
-    axis: int = 0  # of a rotation or translation
+    joint: int  # joint index
+    component: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
+    axis: int = 0  # axis of a rotation or translation
 
     @property
     def is_angle(self) -> bool:
         """Whether it is an angle."""
-        return self.part in {"angle", "rotation"}
+        return self.component in {"angle", "rotation"}
 
 
 def coordinates_of(rig: Rig) -> list[Coordinate]:
@@ -52,10 +52,11 @@ def coordinates_of(rig: Rig) -> list[Coordinate]:
 def spellings(rig: Rig) -> dict[str, Coordinate]:
     """Return all accepted column names with their coordinates.
 
-    ``knee.angle`` and ``knee`` of a pin, ``lift.slide`` and ``lift`` of a prismatic
-    joint, ``hip.rotation.x`` and ``hip_x`` of a ball or free joint, and
-    ``hip.translation.x`` and ``hip_tx`` of a free one. Where two are spelled alike, a
-    joint's whole name goes before a name with a suffix.
+    These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
+    prismatic joint, ``hip.rotation.x`` and ``hip_x`` for a ball or free joint, and
+    ``hip.translation.x`` and ``hip_tx`` for a free one. If two names are equal, a
+    joint's
+    full name takes precedence over a name with a suffix.
 
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
     >>> list(spellings(door))
@@ -63,32 +64,39 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
     """
     names: dict[str, Coordinate] = {}
     coordinates = coordinates_of(rig)
-    for one in coordinates:
-        names[_dotted(rig, one)] = one
-    for one in sorted(coordinates, key=lambda one: one.part not in {"angle", "slide"}):
-        names.setdefault(_short(rig, one), one)
+    for coordinate in coordinates:
+        names[_dotted(rig, coordinate)] = coordinate
+    for coordinate in sorted(
+        coordinates,
+        key=lambda coordinate: coordinate.component not in {"angle", "slide"},
+    ):
+        names.setdefault(_short(rig, coordinate), coordinate)
     return names
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return column names that `spellings` resolves, short ones if unique."""
-    known = spellings(rig)
+    """Return column names that `spellings` resolves, short ones if unambiguous."""
+    by_name = spellings(rig)
     return [
-        short if known[short := _short(rig, one)] == one else _dotted(rig, one)
-        for one in coordinates
+        short
+        if by_name[short := _short(rig, coordinate)] == coordinate
+        else _dotted(rig, coordinate)
+        for coordinate in coordinates
     ]
 
 
-def _dotted(rig: Rig, one: Coordinate) -> str:
-    name = f"{rig.joints[one.joint].name}.{one.part}"
-    if one.part in {"angle", "slide"}:
+def _dotted(rig: Rig, coordinate: Coordinate) -> str:
+    name = f"{rig.joints[coordinate.joint].name}.{coordinate.component}"
+    if coordinate.component in {"angle", "slide"}:
         return name
-    return f"{name}.{'xyz'[one.axis]}"
+    return f"{name}.{'xyz'[coordinate.axis]}"
 
 
-def _short(rig: Rig, one: Coordinate) -> str:
-    name, axis = rig.joints[one.joint].name, "xyz"[one.axis]
-    suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(one.part, "")
+def _short(rig: Rig, coordinate: Coordinate) -> str:
+    name, axis = rig.joints[coordinate.joint].name, "xyz"[coordinate.axis]
+    suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(
+        coordinate.component, ""
+    )
     return f"{name}{suffix}"
 
 
@@ -101,15 +109,15 @@ def plain_name(column: str) -> str | None:
     """
     if not column.startswith("/"):
         return column
-    parts = column.split("/")
-    return parts[-2] if parts[-1] == "value" and parts[-2] else None
+    segments = column.split("/")
+    return segments[-2] if segments[-1] == "value" and segments[-2] else None
 
 
 def rig_of_columns(name: str, columns: list[str]) -> Rig:
     """Return a rig with a joint for each column.
 
-    It is a pin about Z, or a prismatic joint where the name ends like one of a
-    translation: ``pelvis_tx``, ``box_transX``.
+    The joint is a pin about Z, or prismatic if the name ends like a translation:
+    ``pelvis_tx``, ``box_transX``.
 
     >>> rig = rig_of_columns("run", ["knee", "pelvis_ty"])
     >>> [(joint.type.value, joint.axis) for joint in rig.joints]
@@ -132,7 +140,7 @@ def rows_to_coordinates(
 ) -> FloatArray:
     """Return joint coordinates ``(F, Q)`` of columns ``(F, C)`` [deg, m].
 
-    What no column gives is as in the rest pose.
+    Coordinates without a column are at rest.
     """
     slices = coordinate_slices(rig)
     coordinates = np.zeros((len(values), slices[-1].stop if slices else 0))
@@ -140,14 +148,16 @@ def rows_to_coordinates(
     for joint, slice_ in zip(rig.joints, slices, strict=True):
         if joint.type in (JointType.BALL, JointType.FREE):
             coordinates[:, slice_.stop - 1] = 1.0
-    for one, column in zip(columns, values.T, strict=True):
-        slice_ = slices[one.joint]
-        if one.part == "rotation":
-            angles = rotations.setdefault(one.joint, np.zeros((len(values), 3)))
-            angles[:, one.axis] = column
+    for coordinate, column in zip(columns, values.T, strict=True):
+        slice_ = slices[coordinate.joint]
+        if coordinate.component == "rotation":
+            angles = rotations.setdefault(coordinate.joint, np.zeros((len(values), 3)))
+            angles[:, coordinate.axis] = column
         else:
-            at = slice_.start + (one.axis if one.part == "translation" else 0)
-            coordinates[:, at] = np.radians(column) if one.is_angle else column
+            at = slice_.start + (
+                coordinate.axis if coordinate.component == "translation" else 0
+            )
+            coordinates[:, at] = np.radians(column) if coordinate.is_angle else column
     for j, angles in rotations.items():
         stop = slices[j].stop
         coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ORDER)
@@ -161,16 +171,20 @@ def rows_of_coordinates(
     slices = coordinate_slices(rig)
     values = np.zeros((len(coordinates), len(columns)))
     rotations: dict[int, FloatArray] = {}
-    for c, one in enumerate(columns):
-        slice_ = slices[one.joint]
-        if one.part == "rotation":
-            if one.joint not in rotations:
+    for c, coordinate in enumerate(columns):
+        slice_ = slices[coordinate.joint]
+        if coordinate.component == "rotation":
+            if coordinate.joint not in rotations:
                 quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
-                rotations[one.joint] = euler.from_quaternion(quaternions, ORDER)
-            values[:, c] = rotations[one.joint][:, one.axis]
+                rotations[coordinate.joint] = euler.from_quaternion(quaternions, ORDER)
+            values[:, c] = rotations[coordinate.joint][:, coordinate.axis]
         else:
-            at = slice_.start + (one.axis if one.part == "translation" else 0)
+            at = slice_.start + (
+                coordinate.axis if coordinate.component == "translation" else 0
+            )
             values[:, c] = (
-                np.degrees(coordinates[:, at]) if one.is_angle else coordinates[:, at]
+                np.degrees(coordinates[:, at])
+                if coordinate.is_angle
+                else coordinates[:, at]
             )
     return values

@@ -25,7 +25,7 @@ from animtool.formats.row_times import (
     LAST_START,
     RowFrames,
     find_steps,
-    has_room,
+    has_few_empty_frames,
     is_rate_of,
     rate_of_step,
     rounding_of,
@@ -52,20 +52,21 @@ def read_points(
 ) -> Markers:
     """Return a table's vectors as markers; NaN means not visible.
 
-    Time 0 is frame 1. Frames without a row have no position; rows at uneven times
-    become even by straight lines between them.
+    Time 0 is frame 1. Frames without a row have no position; rows at irregular times
+    are
+    resampled linearly.
 
     Args:
         path: The file.
-        unit: What its numbers are in; None is what it states, metres without.
-        up: Which of its axes points up; None is Y.
-        fps: Rows a second, where the times are wrong.
-        subject: Whose prefix is left out of names, as `read_c3d` does.
+        unit: Unit of its lengths; None is the stated unit, or metres.
+        up: Its up axis; None is Y.
+        fps: Rows per second, if the times are wrong.
+        subject: Subject whose prefix is removed from names, as in `read_c3d`.
 
     Raises:
-        FormatError: The file is malformed (MOF001 to MOF006), no table of vectors
+        FormatError: The file is malformed (MOF001 to MOF006), not a table of vectors
             (MOF009), or states an unknown unit (MKR011).
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))
@@ -91,7 +92,7 @@ def read_points(
     times = values[:, 0]
     check_times(path, times, rows.lines)
     frames = _frames(file, header, times, rounding_of(rows.decimals(0)), fps)
-    positions = frames.placed(positions)
+    positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices, begin = tuple(file.notices), frames.begin
     return Markers(names, clock, positions, axis, notices=notices, begin=begin)
@@ -108,10 +109,10 @@ def _frames(
     stated, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
         rate, at = file.rate(stated, fps), np.arange(count, dtype=np.float64)
-        return _from(times, rate, at, rounding)
+        return _rows_from(times, rate, at, rounding)
     steps = find_steps(times, None, stated, rounding)
-    between = int(steps.frames[-1]) if steps.even else 1
-    exact_rate = rate_of_step(steps.step, rounding, between)
+    intervals = int(steps.frames[-1]) if steps.regular else 1
+    exact_rate = rate_of_step(steps.step, rounding, intervals)
     if exact_rate is None:
         raise file.error(
             "MOF006",
@@ -127,13 +128,13 @@ def _frames(
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
         at = (times - times[0]) * float(exact_rate)
-    if steps.even:
+    if steps.regular:
         at = steps.frames.astype(np.float64)
-    if not has_room(at, len(header.names)):
+    if not has_few_empty_frames(at, len(header.names)):
         message = f"{count} rows span {float(at[-1]) + 1:.3g} frames"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
-    if not steps.even:
+    if not steps.regular:
         message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (absent := int(at[-1]) + 1 - count) > 0:
@@ -141,13 +142,13 @@ def _frames(
             f"{counted(absent, 'frame')} without a row; markers have no positions there"
         )
         file.warn("MOF105", message)
-    return _from(times, exact_rate, at, rounding)
+    return _rows_from(times, exact_rate, at, rounding)
 
 
-def _from(
+def _rows_from(
     times: FloatArray, rate: Fraction, at: FloatArray, rounding: float
 ) -> RowFrames:
-    first = float(times[0]) * float(rate)
-    start = round(first) + 1 if abs(first) < LAST_START else 1
-    exact = abs(first - (start - 1)) <= 3 * rounding * float(rate)
+    first_frame = float(times[0]) * float(rate)
+    start = round(first_frame) + 1 if abs(first_frame) < LAST_START else 1
+    exact = abs(first_frame - (start - 1)) <= 3 * rounding * float(rate)
     return RowFrames(rate, start, at, None if exact else float(times[0]))

@@ -29,8 +29,8 @@ from animtool.formats.mot.coordinates import (
 )
 from animtool.formats.mot.table import MotionTable, check_once, read_table
 from animtool.formats.row_times import (
-    EVEN,
     LAST_START,
+    STEP_TOLERANCE,
     fit_frames,
     median_step,
     rate_of_step,
@@ -44,10 +44,11 @@ from animtool.rig.joints import local_from_coordinates
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Frames that rows at uneven times may become, for each of them. More are gaps, and
-# filling these would be inventing motion.
+# Maximum frames per row at irregular times. More are gaps, and filling these would be
+# invented motion.
 MAX_FRAMES_EACH = 10
-# Two revolutions: joints of a body turn less, and degrees soon exceed it [rad].
+# Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
+# it.
 MAX_RADIANS = 4 * np.pi
 
 
@@ -61,17 +62,19 @@ def read_mot(
 
     Columns are coordinates of a rig by name, see
     `animtool.formats.mot.coordinates.spellings`: angles in degrees or radians, as the
-    header says, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
-    Rows at uneven times become even by straight lines between them.
+    header states, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
+    Rows
+    at irregular times are resampled linearly.
 
     Args:
         path: The file.
-        rig: The rig to move; None builds one with a joint for each column.
-        fps: Rows a second, where the times are wrong; None is what the times say.
+        rig: The rig to animate; None builds one with a joint for each column.
+        fps: Rows per second, if the times are wrong; None derives it from the times.
 
     Raises:
         FormatError: The file is malformed (MOF001 to MOF006, MOF009).
-        OptionError: The rig has none of its coordinates (MOF007), or ``fps`` is no
+        OptionError: The rig has none of the coordinates (MOF007), or ``fps`` is not a
+            frame
             rate (SCN022).
     """
     path = Path(path)
@@ -79,16 +82,16 @@ def read_mot(
     table = read_table(path)
     notices = list(table.notices)
     target = _default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
-    at, columns, lost = _matched(table, target)
+    table_columns, columns, unmatched = _matched(table, target)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
         hint = f"set the rig of its coordinates with {argument('source.rig')}"
         notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
-    elif lost:
-        message = f"{len(lost)} columns are not coordinates of {target.name!r}: "
+    elif unmatched:
+        message = f"{len(unmatched)} columns are not coordinates of {target.name!r}: "
         hint = "name columns after joints: knee.angle, lift.slide, hip_x"
         warning = Severity.WARNING
-        notices.append(naming("MOF102", message, lost, str(path), hint, warning))
+        notices.append(naming("MOF102", message, unmatched, str(path), hint, warning))
     degrees = table.degrees
     if degrees is None:
         degrees = False
@@ -99,13 +102,17 @@ def read_mot(
         hint = "write inDegrees=yes or no in its header"
         warning = Severity.WARNING
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
-    values = fill_gaps(table.values[:, at], table.times)
+    values = fill_gaps(table.values[:, table_columns], table.times)
     if not degrees:
-        turning = [one.is_angle for one in columns]
-        names = [table.names[c] for c, angle in zip(at, turning, strict=True) if angle]
-        notices += _degrees_notice(str(path), names, values[:, turning])
-        values[:, turning] = np.degrees(values[:, turning])
-    rate, values, even_notices = _even(table, values, option)
+        is_angle = [coordinate.is_angle for coordinate in columns]
+        names = [
+            table.names[c]
+            for c, angle in zip(table_columns, is_angle, strict=True)
+            if angle
+        ]
+        notices += _degrees_notice(str(path), names, values[:, is_angle])
+        values[:, is_angle] = np.degrees(values[:, is_angle])
+    rate, values, even_notices = _resampled(table, values, option)
     motion = _motion(target, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
@@ -118,8 +125,8 @@ def read_mot(
     if rig is not None:
         details["rig"] = str(rig)
         notices = [*target.notices, *notices]
-    first = float(table.times[0]) * float(rate)
-    start = Fraction(round(first) + 1) if abs(first) < LAST_START else None
+    first_frame = float(table.times[0]) * float(rate)
+    start = Fraction(round(first_frame) + 1) if abs(first_frame) < LAST_START else None
     return TakeStream(
         target,
         rate,
@@ -160,25 +167,33 @@ def _matched(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
     """Return columns known to the rig, their coordinates, and unknown names."""
-    known = spellings(rig)
-    at, columns, lost = [], [], []
+    by_name = spellings(rig)
+    table_columns, columns, unmatched = [], [], []
     for c, name in enumerate(table.names):
-        one = known.get(plain_name(name) or "")
-        if one is None:
-            lost.append(name)
+        coordinate = by_name.get(plain_name(name) or "")
+        if coordinate is None:
+            unmatched.append(name)
         else:
-            at.append(c)
-            columns.append(one)
+            table_columns.append(c)
+            columns.append(coordinate)
     if not columns:
-        message = f"{rig.name!r} has no coordinate of this file, such as {lost[0]!r}"
-        near = similar(lost[0], known)
-        hint = f"did you mean {near}?" if near else "columns have the names of joints"
+        message = (
+            f"{rig.name!r} has no coordinate of this file, such as {unmatched[0]!r}"
+        )
+        similar_name = similar(unmatched[0], by_name)
+        hint = (
+            f"did you mean {similar_name}?"
+            if similar_name
+            else "columns have the names of joints"
+        )
         raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
-    check_once(table.path, tuple(columns), tuple(table.names[c] for c in at), None)
-    return at, columns, lost
+    check_once(
+        table.path, tuple(columns), tuple(table.names[c] for c in table_columns), None
+    )
+    return table_columns, columns, unmatched
 
 
-def _even(
+def _resampled(
     table: MotionTable, values: FloatArray, option: Fraction | None
 ) -> tuple[Fraction, FloatArray, list[Fault]]:
     """Return the rate, and values resampled to constant steps."""
@@ -194,7 +209,7 @@ def _even(
     span = float(times[-1] - times[0])
     rounding = rounding_of(table.decimals)
     steps = fit_frames(times, np.arange(len(times)), rounding)
-    if steps.even:
+    if steps.regular:
         return _rate(path, steps.step, rounding, len(times) - 1), values, []
     rate = _rate(path, median_step(times), rounding, 1)
     count = span * float(rate) + 1
@@ -202,10 +217,10 @@ def _even(
         message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
-    at = times[0] + np.arange(int(count + EVEN)) / float(rate)
+    at = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
     resampled = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
     message = (
-        f"times are uneven, up to {steps.off:.3g} s off: resampled at "
+        f"times are uneven, up to {steps.error:.3g} s off: resampled at "
         f"{float(rate):g} fps, linearly between rows"
     )
     hint = f"{argument('source.fps')} reads each row as a frame"
@@ -223,8 +238,8 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = rows_to_coordinates(rig, columns, values)
-    moved = {rig.joints[one.joint].name for one in columns}
-    local = local_from_coordinates(rig, with_mimics(rig, coordinates, moved))
+    animated_joints = {rig.joints[coordinate.joint].name for coordinate in columns}
+    local = local_from_coordinates(rig, with_mimics(rig, coordinates, animated_joints))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )

@@ -21,11 +21,11 @@ from animtool.formats.delimited import (
     split_cells,
 )
 
-# Headers of OpenSim hold some ten lines; those of results a page of remarks.
+# OpenSim headers have about ten lines; those of results may have a page of remarks.
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 10_000
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-# Types of OpenSim's tables with one number in a cell.
+# OpenSim data types with one number per cell.
 _NUMBERS = {"", "double", "float", "real"}
 _KINDS = {
     "quaternion": "orientations (w, x, y, z)",
@@ -48,13 +48,13 @@ class MotionTable:
     """Header, times and columns of a motion file.
 
     Attributes:
-        path: The file.
-        names: Of the C columns, the time left out.
-        values: ``(R, C)``, NaN where a cell is empty or no finite number.
-        times: Of the rows ``(R,)`` [s], ascending.
-        decimals: Places after the point of the times, at most.
-        lines: Line of each row ``(R,)``, from 1.
-        degrees: Whether angles are degrees; None where the file does not say.
+        path: Path of the file.
+        names: Names of the C columns, without the time.
+        values: ``(R, C)``, NaN if a cell is empty or not a finite number.
+        times: Times of the rows ``(R,)`` [s], ascending.
+        decimals: Largest number of decimals of the times.
+        lines: 1-based line number of each row ``(R,)``.
+        degrees: Whether angles are degrees; None if not stated.
         in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
         notices: Warnings about the file.
     """
@@ -77,9 +77,10 @@ def read_table(path: Path) -> MotionTable:
     Cells are separated by tabs, semicolons, commas or blanks.
 
     Raises:
-        FormatError: The file has no header (MOF001), no names of columns (MOF002), a
-            row that is none (MOF003), a column twice (MOF004), or times that do not
-            ascend (MOF005), or cannot be read.
+        FormatError: The file cannot be read, or has no header (MOF001), no column names
+            (MOF002), an invalid row (MOF003), a duplicate column (MOF004), or times
+            that do
+            not ascend (MOF005).
     """
     lines = read_lines(path)
     header = read_header(path, lines)
@@ -90,9 +91,9 @@ def read_table(path: Path) -> MotionTable:
     decimals, numbers = rows.decimals(0), rows.lines
     values = numbers_of(path, rows, len(names) + 1)
     counts = {"rows": len(values), "columns": len(names) + 1}
-    for what, count in counts.items():
-        if what in stated and stated[what] != count:
-            message = f"states {stated[what]:g} {what}, but has {count}"
+    for noun, count in counts.items():
+        if noun in stated and stated[noun] != count:
+            message = f"states {stated[noun]:g} {noun}, but has {count}"
             warning = Severity.WARNING
             notices.append(Fault("MOF101", message, str(path), (), None, warning))
     times = values[:, 0].copy()
@@ -124,14 +125,14 @@ class MotHeader:
     """Header values above the rows.
 
     Attributes:
-        names: Of the C columns, the time left out.
-        counts: ``rows`` and ``columns``, and ``rate`` [1/s], where they are stated.
-        degrees: Whether angles are degrees; None where the file does not say.
+        names: Names of the C columns, without the time.
+        counts: ``rows`` and ``columns``, and ``rate`` [1/s], if stated.
+        degrees: Whether angles are degrees; None if not stated.
         in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
-        kind: DataType, empty without.
-        unit: Units, None without.
-        separator: Between cells.
-        begin: Index of the first line below the names.
+        kind: DataType; empty if not stated.
+        unit: Units; None if not stated.
+        separator: Separator of cells.
+        begin: Index of the first line below the column names.
     """
 
     names: tuple[str, ...]
@@ -153,14 +154,18 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
     at = _end_of_header(path, lines)
     counts, degrees, texts = _header(lines[:at])
-    head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
-    if head is None:
+    names_line = next(
+        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None
+    )
+    if names_line is None:
         raise _error("MOF002", path, "ends after its header", at + 1)
-    separator = separator_of(lines[head])
-    names = _names(path, lines[head], separator, head + 1)
+    separator = separator_of(lines[names_line])
+    names = _names(path, lines[names_line], separator, names_line + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
     stated = texts.get("indegrees", "")
-    return MotHeader(names, counts, degrees, stated, kind, unit, separator, head + 1)
+    return MotHeader(
+        names, counts, degrees, stated, kind, unit, separator, names_line + 1
+    )
 
 
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
@@ -178,15 +183,17 @@ def _header(
     counts: dict[str, float] = {}
     texts: dict[str, str] = {}
     degrees = None
-    said = None
+    stated_degrees = None
     for line in lines:
         text = decoded(line).strip(" \t,;").lower()
-        key, _, value = (part.strip() for part in text.partition("="))
+        key, _, value = (text_.strip() for text_ in text.partition("="))
         if not value:
-            # As SIMM writes: datarows 250.
-            key, _, value = (part.strip() for part in text.partition(" "))
+            # SIMM writes: datarows 250.
+            key, _, value = (text_.strip() for text_ in text.partition(" "))
             # SIMM files are in degrees.
-            said = True if key in {"datarows", "datacolumns"} else said
+            stated_degrees = (
+                True if key in {"datarows", "datacolumns"} else stated_degrees
+            )
         what = {
             "nrows": "rows",
             "datarows": "rows",
@@ -204,8 +211,10 @@ def _header(
             if value not in _YES:
                 texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
-            said = {"degrees": True, "radians": False}.get(text[14:].rstrip(". "), said)
-    return counts, said if degrees is None else degrees, texts
+            stated_degrees = {"degrees": True, "radians": False}.get(
+                text[14:].rstrip(". "), stated_degrees
+            )
+    return counts, stated_degrees if degrees is None else degrees, texts
 
 
 def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str, ...]:
@@ -215,12 +224,12 @@ def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str,
         message = f"the first column is {excerpt(cells[0])}, not time"
         raise _error("MOF002", path, message, number)
     if len(cells) < 2 or not all(cells):
-        what = (
+        problem = (
             "has no column besides the time"
             if len(cells) < 2
             else "has an unnamed column"
         )
-        raise _error("MOF002", path, what, number)
+        raise _error("MOF002", path, problem, number)
     if len(cells) - 1 > MAX_COLUMNS:
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
         raise _error("MOF002", path, message, number)
@@ -233,14 +242,18 @@ def check_once(
     path: Path, keys: tuple[object, ...], names: tuple[str, ...], line: int | None
 ) -> None:
     """Raise for two columns with the same key (MOF004)."""
-    first: dict[object, str] = {}
+    first_names: dict[object, str] = {}
     for key, name in zip(keys, names, strict=True):
-        if key in first:
-            two = f"{excerpt(first[key])} and {excerpt(name)}"
-            what = f"duplicate column {excerpt(name)}"
-            message = what if first[key] == name else f"{two} are the same coordinate"
+        if key in first_names:
+            both = f"{excerpt(first_names[key])} and {excerpt(name)}"
+            message_start = f"duplicate column {excerpt(name)}"
+            message = (
+                message_start
+                if first_names[key] == name
+                else f"{both} are the same coordinate"
+            )
             raise _error("MOF004", path, message, line)
-        first[key] = name
+        first_names[key] = name
 
 
 def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
@@ -255,11 +268,11 @@ def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     decimal = width == 2 and b"." not in lines[row]
     if kind.lower() in _NUMBERS and (width == 1 or separator == b"," or decimal):
         return
-    what = f"DataType {excerpt(kind)}" if kind else "no DataType"
+    stated_kind = f"DataType {excerpt(kind)}" if kind else "no DataType"
     columns = counted(len(names), "column")
-    message = f"has {what}: {columns} of {width} numbers in a cell"
-    shown = _KINDS.get(kind.lower().partition("<")[0].rstrip("0123456789_"))
-    message += f" ({shown})" if shown else ""
+    message = f"has {stated_kind}: {columns} of {width} numbers in a cell"
+    kind_label = _KINDS.get(kind.lower().partition("<")[0].rstrip("0123456789_"))
+    message += f" ({kind_label})" if kind_label else ""
     message += f", {listed(list(names[:3]))}"
     hint = _HINTS.get(kind.lower(), "MOT and STO are read with one number in a cell")
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
@@ -281,16 +294,16 @@ def read_rows(
     rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING
     while len(rows.texts):
-        wrong = np.flatnonzero((rows.filled > width) | (rows.cells < width))
-        if not len(wrong):
+        bad_rows = np.flatnonzero((rows.filled > width) | (rows.cells < width))
+        if not len(bad_rows):
             break
-        row = int(wrong[0])
-        line, short = int(rows.lines[row]), rows.cells[row] < width
-        count = int(rows.cells[row] if short else rows.filled[row])
+        row = int(bad_rows[0])
+        line, is_short = int(rows.lines[row]), rows.cells[row] < width
+        count = int(rows.cells[row] if is_short else rows.filled[row])
         message = f"has {count} values instead of {width}"
         # The last row of a truncated file has no line end.
-        last = row == len(rows.texts) - 1 and line == len(lines)
-        if not (last and short and row):
+        is_last = row == len(rows.texts) - 1 and line == len(lines)
+        if not (is_last and is_short and row):
             raise _error("MOF003", path, message, line)
         message = f"is truncated: {message}; it is skipped"
         notices.append(Fault("MOF103", message, str(path), (line,), None, warning))
@@ -307,10 +320,10 @@ def read_rows(
 def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
     """Raise for times that do not ascend (MOF005)."""
     with np.errstate(invalid="ignore", over="ignore"):
-        wrong = ~np.isfinite(times)
-        wrong[1:] |= ~(np.diff(times) > 0)
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
+        is_invalid = ~np.isfinite(times)
+        is_invalid[1:] |= ~(np.diff(times) > 0)
+    if is_invalid.any():
+        row = int(np.flatnonzero(is_invalid)[0])
         message = f"time {times[row]:g} does not come after the row before"
         if not np.isfinite(times[row]):
             message = "the time is not a finite number"
@@ -321,14 +334,14 @@ def _missing(
     path: Path, names: tuple[str, ...], values: FloatArray, lines: IntArray
 ) -> list[Fault]:
     """Return a warning about columns with missing values."""
-    missing: BoolArray = np.isnan(values)
-    columns = np.flatnonzero(missing.any(axis=0)).tolist()
+    is_missing: BoolArray = np.isnan(values)
+    columns = np.flatnonzero(is_missing.any(axis=0)).tolist()
     if not columns:
         return []
-    count = counted(int(missing.sum()), "value")
+    count = counted(int(is_missing.sum()), "value")
     message = (
         f"{count} missing in {listed([names[c] for c in columns])}: interpolated, or "
         "0 where a column has no values"
     )
-    row = int(lines[np.flatnonzero(missing.any(axis=1))[0]])
+    row = int(lines[np.flatnonzero(is_missing.any(axis=1))[0]])
     return [Fault("MOF104", message, str(path), (row,), None, Severity.WARNING)]

@@ -25,26 +25,26 @@ from animtool.rig.joints import (
 )
 from animtool.rig.skeleton import Rig
 
-# A nanometre, and 2e-11 radians.
+# Decimals: a nanometre, and 2e-11 radians.
 DECIMALS = 9
-# What joints may lose [m, rad]: a micrometre, or one on a bone of a metre.
-LOST = 1e-6
+# Error of joints that is not reported [m, rad]: a micrometre, also on a bone of a
+# metre.
+LOSS_TOLERANCE = 1e-6
 
 
 def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
     """Write a take as an OpenSim motion file; see `mot_text`.
 
     Args:
-        take: What to write.
-        path: ``.mot`` or ``.sto``.
-        overwrite: Replace a file that exists.
+        take: The take.
+        path: Path of the file, ``.mot`` or ``.sto``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold.
+        Warnings about data that the format cannot store.
 
     Raises:
-        OptionError: The rig has no joint that moves (MOF008), or the file exists
-            (OUT001).
+        OptionError: The rig has no movable joint (MOF008), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
     return write_text(take, path, mot_text, overwrite=overwrite)
@@ -53,10 +53,13 @@ def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 def mot_text(take: Take) -> TakeText:
     """Return a take as joint coordinates over time, in degrees and metres.
 
-    A pin or prismatic joint has a column of its name. A ball has ``hip_x``, ``hip_y``
-    and ``hip_z``: turns about X, then the new Y, then the new Z. A free joint has
-    ``hip_tx``, ``hip_ty`` and ``hip_tz`` too, unless it never leaves its rest offset.
-    Frame 1 is time 0.
+    A pin or prismatic joint has a column of its name. A ball joint has ``hip_x``,
+    ``hip_y``
+    and ``hip_z``: rotations about X, then the new Y, then the new Z. A free joint also
+    has
+    ``hip_tx``, ``hip_ty`` and ``hip_tz``, unless it never leaves its rest offset. Frame
+    1 is
+    time 0.
     """
     rig = take.rig
     columns = coordinates_of(rig)
@@ -69,36 +72,42 @@ def mot_text(take: Take) -> TakeText:
     values = rows_of_coordinates(rig, columns, coordinates)
     static = {
         j
-        for j in {one.joint for one in columns if one.part == "translation"}
+        for j in {
+            coordinate.joint
+            for coordinate in columns
+            if coordinate.component == "translation"
+        }
         if not np.round(values[:, _translations(columns, j)], DECIMALS).any()
     }
-    kept = [
+    written_columns = [
         c
-        for c, one in enumerate(columns)
-        if one.part != "translation" or one.joint not in static
+        for c, coordinate in enumerate(columns)
+        if coordinate.component != "translation" or coordinate.joint not in static
     ]
-    columns = [columns[c] for c in kept]
-    values = values[:, kept]
-    notices = _lost(take, columns, values, local, scales)
+    columns = [columns[c] for c in written_columns]
+    values = values[:, written_columns]
+    notices = _loss_warnings(take, columns, values, local, scales)
     rate = float(take.clock.rate)
     begin = float((take.clock.start - 1) / take.clock.fps)
     times = begin + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
     decimals = [DECIMALS] * rows.shape[1]
     return TakeText(
-        _head(rig, columns, len(rows)), number_rows(rows, decimals, tabs=True), notices
+        _header_lines(rig, columns, len(rows)),
+        number_rows(rows, decimals, tabs=True),
+        notices,
     )
 
 
 def _translations(columns: list[Coordinate], joint: int) -> list[int]:
     return [
         c
-        for c, one in enumerate(columns)
-        if one.joint == joint and one.part == "translation"
+        for c, coordinate in enumerate(columns)
+        if coordinate.joint == joint and coordinate.component == "translation"
     ]
 
 
-def _head(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
+def _header_lines(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
     names = [
         "_".join(name.replace(",", " ").split()) for name in column_names(rig, columns)
     ]
@@ -113,35 +122,38 @@ def _head(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
     ]
 
 
-def _lost(
+def _loss_warnings(
     take: Take,
     columns: list[Coordinate],
     values: FloatArray,
     local: LocalTransforms,
     scales: FloatArray | None,
 ) -> list[Fault]:
-    """Return warnings about motion that coordinates cannot hold."""
+    """Return warnings about motion that coordinates cannot represent."""
     rig, warning = take.rig, Severity.WARNING
     again = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
     shift = np.abs(again.translations - local.translations).max(axis=(0, 2), initial=0)
     difference = so3.multiply(so3.conjugate(again.rotations), local.rotations)
     angle = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
-    bent = [rig.joints[j].name for j in np.flatnonzero(np.maximum(shift, angle) > LOST)]
+    inexact = [
+        rig.joints[j].name
+        for j in np.flatnonzero(np.maximum(shift, angle) > LOSS_TOLERANCE)
+    ]
     notices = []
-    if bent:
+    if inexact:
         message = "motion that the joint types do not allow is skipped: "
         hint = "free joints in the rig can hold any motion"
-        notices.append(naming("MOF108", message, bent, None, hint, warning))
-    lost = []
-    if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOST:
-        lost.append("scales")
+        notices.append(naming("MOF108", message, inexact, None, hint, warning))
+    warnings = []
+    if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOSS_TOLERANCE:
+        warnings.append("scales")
     weights = take.motion.weights
     if weights is not None and (weights.rest.any() or weights.values.any()):
-        lost.append("weights of shapes")
-    lost += [track.path for track in take.tracks]
-    lost += list(take.motion.points)
-    if lost:
-        message = f"a MOT cannot hold {listed(lost)}: skipped"
+        warnings.append("weights of shapes")
+    warnings += [track.path for track in take.tracks]
+    warnings += list(take.motion.points)
+    if warnings:
+        message = f"a MOT cannot hold {listed(warnings)}: skipped"
         hint = "write USD too, which can hold them"
         notices.append(Fault("MOF109", message, None, (), hint, warning))
     return notices

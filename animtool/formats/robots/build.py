@@ -1,9 +1,10 @@
 """Rig of a robot: a joint for every link and every moving joint.
 
-A joint that moves a link of the same name, in the same frame, is one with it; otherwise
-the link is a fixed joint below. What hangs from the link hangs from the joint that
-moves it, so that chains of IK are those of moving joints. Joints that cannot move are
-named by their link alone.
+A joint that moves a link of the same name in the same frame is merged with it;
+otherwise
+the link is a fixed joint below. Children of a link are attached to the joint that moves
+it, so that IK chains consist of moving joints. Fixed joints only have the name of their
+link.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from animtool.core.quantities import CONTROL, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
+from animtool.formats.robots.parts import ORIGIN, Link, Robot, RobotJoint
 from animtool.formats.robots.solids import capsule_of, masses_of
 from animtool.formats.robots.triangles import joined
 from animtool.rig.kinematics import rest_world
@@ -27,22 +28,22 @@ from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivis
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 MAX_NAMED = 8
-# As long as names of rig files are.
+# Longest name in rig files.
 MAX_NAME = 4000
 _CONTROL = re.compile(f"[{CONTROL}]")
 
 
 @dataclass(frozen=True, slots=True)
 class RobotCodes:
-    """Codes of notices about what a rig holds differently."""
+    """Codes of notices about differences between robot and rig."""
 
     renamed: str
-    approximate: str  # colliders
+    approximate: str  # approximate colliders
     left_out: str
 
 
 def legal_name(name: str) -> str:
-    r"""Return a name without characters that text files cannot hold.
+    r"""Return a name without characters that text files cannot contain.
 
     >>> legal_name("a\x1bb"), legal_name("elbow flex")
     ('a_b', 'elbow flex')
@@ -53,25 +54,25 @@ def legal_name(name: str) -> str:
 def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     """Return a robot's rig: metres, radians, Z up, at rest at zero coordinates.
 
-    Notices of ``notes`` are the rig's, and what is not read is added to them.
+    The rig has the notices of ``notes``, to which contents that are not read are added.
     """
     names = _names(robot, notes, codes)
     joints: list[Joint] = []
     frames: list[int] = []
     colliders: list[Collider] = []
     masses: list[Mass] = []
-    known = names.of_file
-    off = 0.0
+    rig_names = names.of_file
+    largest_error = 0.0
     for i, link in enumerate(robot.links):
         parent = frames[link.parent] if link.parent >= 0 else -1
-        for move, name in zip(link.moves, names.moves[i], strict=True):
-            joints.append(_joint(move, name, parent, known))
+        for move, name in zip(link.joints, names.joints[i], strict=True):
+            joints.append(_joint(move, name, parent, rig_names))
             parent = len(joints) - 1
         carrier = parent
         if not names.merged[i]:
             name = names.links[i]
-            joints.append(Joint(name, parent, JointType.FIXED, link.after))
-            if not link.moves or np.any(link.after):
+            joints.append(Joint(name, parent, JointType.FIXED, link.offset))
+            if not link.joints or np.any(link.offset):
                 parent = len(joints) - 1
         frames.append(parent)
         for site, position, rotation in link.sites:
@@ -79,16 +80,16 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
             if site_name is not None:
                 fixed = JointType.FIXED
                 joints.append(Joint(site_name, frames[i], fixed, position, rotation))
-        joint_name = joints[carrier if link.moves else parent].name
-        shift = link.after if link.moves else ORIGIN
+        joint_name = joints[carrier if link.joints else parent].name
+        shift = link.offset if link.joints else ORIGIN
         for solid in link.solids:
-            capsule, far = capsule_of(solid, shift)
-            off = max(off, far)
+            capsule, error = capsule_of(solid, shift)
+            largest_error = max(largest_error, error)
             colliders.append(Collider(joint_name, capsule))
         if link.weight is not None:
             masses.append(masses_of(joint_name, link.weight, shift))
-    if off:
-        _note_approximate(robot, notes, codes, off)
+    if largest_error:
+        _note_approximate(robot, notes, codes, largest_error)
     meshes = _meshes(robot, names, joints)
     if notes.left_out:
         message = f"not read: {listed(list(notes.left_out), 20)}"
@@ -105,17 +106,17 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     )
 
 
-def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...]:
+def _meshes(robot: Robot, names: _JointNames, joints: list[Joint]) -> tuple[Mesh, ...]:
     """Return one rigid mesh per visible link."""
-    if not any(link.shown for link in robot.links):
+    if not any(link.surfaces for link in robot.links):
         return ()
-    rest = Rig("", tuple(joints))
-    world = rest_world(rest)
+    rest_rig = Rig("", tuple(joints))
+    world = rest_world(rest_rig)
     meshes = []
     for link, name in zip(robot.links, names.links, strict=True):
-        if not link.shown:
+        if not link.surfaces:
             continue
-        surface, j = joined(link.shown), rest.index(name)
+        surface, j = joined(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
         bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
         count = len(surface.points)
@@ -138,10 +139,12 @@ def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...
     return tuple(meshes)
 
 
-def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Joint:
-    mimic, driven = move.mimic, move.driven
+def _joint(
+    move: RobotJoint, name: str, parent: int, rig_names: Mapping[str, str]
+) -> Joint:
+    mimic, driven = move.mimic, move.driver
     if mimic is not None:
-        mimic = replace(mimic, joint=known[mimic.joint])
+        mimic = replace(mimic, joint=rig_names[mimic.joint])
     return Joint(
         name,
         parent,
@@ -151,38 +154,38 @@ def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Join
         move.axis,
         limits=move.limits,
         mimic=mimic,
-        driven=None if driven is None else driven.renamed(known),
+        driven=None if driven is None else driven.renamed(rig_names),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Names:
+class _JointNames:
     """Joint names of the rig."""
 
-    links: list[str]  # by link
-    moves: list[list[str]]  # by link, of its moves
-    merged: list[bool]  # by link, whether its last move is it
-    sites: dict[tuple[int, str], str]  # by link and site
-    of_file: dict[str, str]  # by the file's name of a joint
+    links: list[str]  # name of each link
+    joints: list[list[str]]  # names of the joints of each link
+    merged: list[bool]  # whether each link is merged with its last joint
+    sites: dict[tuple[int, str], str]  # name of each site, by link and site
+    of_file: dict[str, str]  # name of each joint, by its name in the file
 
 
-def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _Names:
-    taken: set[str] = set()
+def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
+    used_names: set[str] = set()
     numbers: dict[str, int] = {}
-    changed: list[str] = []
+    renamed: list[str] = []
 
     def unique_name(name: str, source: str, ending: str = "") -> str:
-        """Return a name that is not taken; one that differs is noted."""
+        """Return a name that is not used yet; changed names are recorded."""
         unique = name
-        if unique in taken and ending:
+        if unique in used_names and ending:
             unique = f"{name}{ending}"
         stem = unique
-        while unique in taken:
+        while unique in used_names:
             numbers[stem] = numbers.get(stem, 1) + 1
             unique = f"{stem}_{numbers[stem]}"
-        taken.add(unique)
+        used_names.add(unique)
         if source and unique != source:
-            changed.append(f"{source!r} is {unique!r}")
+            renamed.append(f"{source!r} is {unique!r}")
         return unique
 
     links = [unique_name(legal_name(link.name), link.name) for link in robot.links]
@@ -190,12 +193,12 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _Names:
     merged: list[bool] = []
     of_file: dict[str, str] = {}
     for link, name in zip(robot.links, links, strict=True):
-        last = link.moves[-1] if link.moves else None
-        one = last is not None and _is_link(link, last)
-        merged.append(one)
+        last_joint = link.joints[-1] if link.joints else None
+        is_merged = last_joint is not None and _is_link(link, last_joint)
+        merged.append(is_merged)
         row = []
-        for k, move in enumerate(link.moves):
-            if one and move is last:
+        for k, move in enumerate(link.joints):
+            if is_merged and move is last_joint:
                 new = name
             elif move.name:
                 new = unique_name(legal_name(move.name), move.name, "_joint")
@@ -210,20 +213,20 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _Names:
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }
-    if changed:
-        message = f"{counted(len(changed), 'name')} changed, as links and joints "
-        message += f"of a rig share their names: {listed(changed, MAX_NAMED)}"
+    if renamed:
+        message = f"{counted(len(renamed), 'name')} changed, as links and joints "
+        message += f"of a rig share their names: {listed(renamed, MAX_NAMED)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
-    return _Names(links, moves, merged, sites, of_file)
+    return _JointNames(links, moves, merged, sites, of_file)
 
 
-def _is_link(link: Link, last: Move) -> bool:
+def _is_link(link: Link, joint: RobotJoint) -> bool:
     """Return whether a link's last joint has its name and frame."""
-    return last.name in {"", link.name} and not np.any(link.after)
+    return joint.name in {"", link.name} and not np.any(link.offset)
 
 
 def _note_approximate(
-    robot: Robot, notes: XmlNotes, codes: RobotCodes, off: float
+    robot: Robot, notes: XmlNotes, codes: RobotCodes, largest_error: float
 ) -> None:
     count = sum(
         solid.kind in {"box", "cylinder"}
@@ -231,6 +234,6 @@ def _note_approximate(
         for solid in link.solids
     )
     message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
-    message += f"capsules, whose surfaces are up to {length_text(off)} off"
+    message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"
     hint = "colliders of a rig are capsules; a rig file over this one may have others"
     notes.add(codes.approximate, None, message, hint, severity=Severity.NOTE)

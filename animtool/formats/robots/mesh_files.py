@@ -23,7 +23,7 @@ def read_mesh(path: Path) -> Triangles:
     """Return the triangles of an OBJ or STL, in file units.
 
     Raises:
-        ValueError: It is neither, is broken, or is larger than is read.
+        ValueError: It is neither, is malformed, or is too large.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

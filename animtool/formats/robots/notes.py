@@ -12,9 +12,9 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlElement
 
-# More are of one cause.
+# Maximum number of faults; more usually have one cause.
 MAX_FAULTS = 50
-# No robot is larger [m], and no angle or weight says more.
+# Largest value of lengths [m], angles and masses.
 MAX_VALUE = 1e9
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -24,11 +24,11 @@ class XmlNotes:
     """Faults and notices of a file.
 
     Attributes:
-        path: The file.
-        number_code: Of an attribute that is not a number.
+        path: Path of the file.
+        number_code: Code of an attribute that is not a number.
         faults: Errors, in the order found.
         notices: Warnings and notes.
-        left_out: What is not read, in words, each once.
+        left_out: Labels of contents that are not read.
     """
 
     path: Path
@@ -61,13 +61,13 @@ class XmlNotes:
         """Raise `FormatError` with all faults, if any."""
         if not self.faults:
             return
-        shown = self.faults[:MAX_FAULTS]
-        more = len(self.faults) - len(shown)
-        if more:
-            last = shown[-1]
-            message = f"and {counted(more, 'more fault')} of this kind or another"
-            shown.append(Fault(last.code, message, str(self.path)))
-        raise FormatError(shown)
+        first_faults = self.faults[:MAX_FAULTS]
+        omitted = len(self.faults) - len(first_faults)
+        if omitted:
+            last_fault = first_faults[-1]
+            message = f"and {counted(omitted, 'more fault')} of this kind or another"
+            first_faults.append(Fault(last_fault.code, message, str(self.path)))
+        raise FormatError(first_faults)
 
     def numbers(
         self,
@@ -76,11 +76,11 @@ class XmlNotes:
         count: int,
         default: tuple[float, ...],
         where: str,
-        most: float = MAX_VALUE,
+        limit: float = MAX_VALUE,
     ) -> tuple[float, ...]:
         """Return the numbers of an attribute, or its default.
 
-        Those beyond ``most`` are noted, and all that are not finite.
+        Numbers beyond ``limit`` or not finite are recorded as faults.
         """
         text = element.attributes.get(name)
         if text is None:
@@ -100,8 +100,8 @@ class XmlNotes:
                     hint = "separate numbers by blanks, and write decimals with a point"
             elif not math.isfinite(number):
                 problem = problem or f"{excerpt(value)} is not finite"
-            elif abs(number) > most:
-                problem = problem or f"{excerpt(value)} is beyond {most:g}"
+            elif abs(number) > limit:
+                problem = problem or f"{excerpt(value)} is beyond {limit:g}"
             else:
                 numbers.append(number)
         if problem:
@@ -117,7 +117,7 @@ class XmlNotes:
         return self.numbers(element, name, 1, (default,), where)[0]
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Record parts that are not read."""
+        """Record labels of contents that are not read."""
         self.left_out.update(dict.fromkeys(names))
 
 
@@ -134,7 +134,7 @@ def to_number(text: str) -> float | None:
     return None
 
 
-def named(kind: str, name: str) -> str:
+def label(kind: str, name: str) -> str:
     """Return a joint's or link's label for messages.
 
     >>> named("joint", "elbow flex")

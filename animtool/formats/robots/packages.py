@@ -1,4 +1,4 @@
-"""Files that a robot names, restricted to the project's folders."""
+"""Files that a robot refers to, restricted to the project's folders."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from animtool.formats.robots.xml import XmlCodes, read_xml
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 _PACKAGES = {"package", "model"}
-# Folders above a file that are looked at for its package.
+# Maximum number of parent folders that are searched for a file's package.
 MAX_ABOVE = 12
 PACKAGE = "package.xml"
 MAX_PACKAGE_BYTES = 1_000_000
 
 
 class OutsideError(ValueError):
-    """A name points outside the project; that file was not opened."""
+    """A file name points outside the project; the file was not opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class PackageFolders:
-    """Folders in which a robot may name files.
+    """Folders in which a robot may refer to files.
 
     Attributes:
-        folder: Of the file; relative names are seen from it.
+        folder: Folder of the file, to which names are relative.
         roots: Folders that names may lead into.
-        packages: Folders of the packages that the file is in, by name.
+        packages: Folders of the packages that contain the file, by name.
     """
 
     folder: Path
@@ -42,17 +42,18 @@ class PackageFolders:
     def of(path: Path, codes: XmlCodes) -> PackageFolders:
         """Return the folders of a file.
 
-        The package that a file is in is part of its project: the folder above it whose
-        ``package.xml`` names it, or that has its name.
+        The package that contains a file is part of its project: the parent folder with
+        that
+        name, or with it in ``package.xml``.
         """
         folder = path.resolve().parent
         packages: dict[str, Path] = {}
-        for above in [folder, *folder.parents][:MAX_ABOVE]:
-            if above == Path(above.anchor):
+        for parent in [folder, *folder.parents][:MAX_ABOVE]:
+            if parent == Path(parent.anchor):
                 break
-            name = _package_name(above, codes)
+            name = _package_name(parent, codes)
             if name:
-                packages.setdefault(name, above)
+                packages.setdefault(name, parent)
                 break
         roots = (*project_roots(path), *packages.values())
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
@@ -61,26 +62,26 @@ class PackageFolders:
         """Return the path of a file name; None if missing.
 
         Raises:
-            OutsideError: It leads out of the project.
+            OutsideError: It points outside the project.
         """
         scheme = _SCHEME.fullmatch(name)
         if scheme is None:
-            return self._inside(self.folder / name, name)
-        kind, rest = scheme[1].lower(), scheme[2]
+            return self._inside_project(self.folder / name, name)
+        kind, location = scheme[1].lower(), scheme[2]
         if kind == "file":
-            return self._inside(Path("/" + rest.lstrip("/")), name)
+            return self._inside_project(Path("/" + location.lstrip("/")), name)
         if kind not in _PACKAGES:
             raise OutsideError(f"{kind}:// is of a network, and is never opened")
         # Some writers add a third slash.
-        package, _, inner = rest.lstrip("/").partition("/")
-        tried = [folder for folder in self._folders(package) if inner]
-        for folder in tried:
-            path = self._inside(folder / inner, name)
+        package, _, relative = location.lstrip("/").partition("/")
+        candidates = [folder for folder in self._folders(package) if relative]
+        for folder in candidates:
+            path = self._inside_project(folder / relative, name)
             if path is not None:
                 return path
-        if not tried:
-            # A name that leaves one folder leaves all of them.
-            self._inside(self.folder / package / inner, name)
+        if not candidates:
+            # A name that leaves one candidate folder leaves all of them.
+            self._inside_project(self.folder / package / relative, name)
         return None
 
     def _folders(self, package: str) -> list[Path]:
@@ -91,28 +92,28 @@ class PackageFolders:
         if package in {"", ".", ".."}:
             return folders
         for root in self.roots:
-            above = [self.folder, *self.folder.parents]
-            inside = [one for one in above if one.is_relative_to(root)]
-            folders += [one for one in inside if one.name == package]
-            folders += [one / package for one in inside]
+            parents = [self.folder, *self.folder.parents]
+            in_project = [parent for parent in parents if parent.is_relative_to(root)]
+            folders += [parent for parent in in_project if parent.name == package]
+            folders += [parent / package for parent in in_project]
         return folders
 
-    def _inside(self, path: Path, name: str) -> Path | None:
+    def _inside_project(self, path: Path, name: str) -> Path | None:
         try:
             resolved = path.resolve()
         except (OSError, RuntimeError, ValueError) as error:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(resolved.is_relative_to(root) for root in self.roots):
-            raise OutsideError(f"it leads out of {_shown(self.roots)}")
+            raise OutsideError(f"it leads out of {_folder_list(self.roots)}")
         return resolved if exists(resolved) else None
 
 
-def _shown(roots: Sequence[Path]) -> str:
+def _folder_list(roots: Sequence[Path]) -> str:
     return ", ".join(dict.fromkeys(map(str, roots)))
 
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:
-    """Return the ROS package name of a folder; empty if it is none."""
+    """Return the ROS package name of a folder; empty if it is not a package."""
     file = folder / PACKAGE
     if not exists(file):
         return ""

@@ -14,32 +14,32 @@ from animtool.rig.parts import Vector
 from animtool.rig.skeleton import JointType, Mimic, Quaternion
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
-UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
+IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class RobotJoint:
     """A rig joint: all or part of a joint of the file.
 
     Attributes:
-        name: The file's name of the joint; empty where it has none.
-        type: What it can do.
-        translation: Where it is, in the frame before it [m].
-        rotation: How it is turned there.
+        name: Name of the joint in the file; empty without one.
+        type: Joint type.
+        translation: Position in the frame of the previous joint [m].
+        rotation: Rotation in the frame of the previous joint.
         axis: Unit axis of a pin or prismatic joint.
-        limits: How far it may go; None is any way.
-        mimic: The joint of the file that it follows.
-        driven: What it is otherwise; names are those of the file.
+        limits: Limits of its coordinate; None is unlimited.
+        mimic: The joint of the file that it follows linearly.
+        driver: Driver of its coordinate; names are those of the file.
     """
 
     name: str
     type: JointType
     translation: Vector = ORIGIN
-    rotation: Quaternion = UNTURNED
+    rotation: Quaternion = IDENTITY_ROTATION
     axis: Vector = (0.0, 0.0, 1.0)
     limits: RangeLimit | None = None
     mimic: Mimic | None = None
-    driven: Driver | None = None
+    driver: Driver | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +48,16 @@ class SimpleShape:
 
     Attributes:
         kind: ``box``, ``sphere``, ``cylinder`` or ``capsule``; the last two along z.
-        size: Three sides of a box; radius; radius and length, of a capsule without
+        size: Three sides of a box; radius; or radius and length, for a capsule without
             its ends [m].
-        position: Its centre [m].
-        rotation: How it is turned.
+        position: Position of its centre [m].
+        rotation: Rotation in the frame of the link.
     """
 
     kind: str
     size: tuple[float, ...]
     position: Vector = ORIGIN
-    rotation: Quaternion = UNTURNED
+    rotation: Quaternion = IDENTITY_ROTATION
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,22 +82,22 @@ class Link:
     """A link or body with the joints that move it.
 
     Attributes:
-        name: As the file names it.
-        parent: Index of the link that it hangs from, -1 for none; less than its own.
-        moves: The joints between the two, in order.
-        after: From the last of them to the link [m].
-        solids: Its shapes that collide.
-        shown: What it looks like.
-        weight: None where the file says none.
-        sites: Named places on it, with their poses.
+        name: Name in the file.
+        parent: Index of the parent link, -1 for none; less than its own.
+        joints: Joints between parent and link, in order.
+        offset: Offset from the last joint to the link [m].
+        solids: Shapes that collide.
+        surfaces: Visible surfaces.
+        weight: Mass and inertia; None if not stated.
+        sites: Named poses on the link.
     """
 
     name: str
     parent: int
-    moves: list[Move] = field(default_factory=list)
-    after: Vector = ORIGIN
+    joints: list[RobotJoint] = field(default_factory=list)
+    offset: Vector = ORIGIN
     solids: list[SimpleShape] = field(default_factory=list)
-    shown: list[Triangles] = field(default_factory=list)
+    surfaces: list[Triangles] = field(default_factory=list)
     weight: Weight | None = None
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
 
@@ -107,8 +107,8 @@ class Robot:
     """A tree of links.
 
     Attributes:
-        name: What it is called.
-        links: Parents before children.
+        name: Name of the robot.
+        links: Links, parents before children.
     """
 
     name: str

@@ -16,32 +16,33 @@ from animtool.rig.parts import Capsule, Mass, Vector
 def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
     """Return the capsule of a shape, and its surface error [m].
 
-    A cylinder that is longer than wide has a capsule of its radius and length, a
-    flatter one a ball of its volume; a box has a capsule along its longest side, as
-    thick as its cross section in area. ``shift`` is from the joint to the link.
+    A cylinder that is longer than wide becomes a capsule of its radius and length, a
+    flatter one a ball of its volume; a box becomes a capsule along its longest side
+    with
+    its cross section in area. ``shift`` is from the joint to the link.
 
     >>> rod = SimpleShape("cylinder", (0.1, 1.0))
-    >>> capsule, off = capsule_of(rod, (0.0, 0.0, 0.0))
-    >>> capsule.length, capsule.axis, round(off, 4)
+    >>> capsule, error = capsule_of(rod, (0.0, 0.0, 0.0))
+    >>> capsule.length, capsule.axis, round(error, 4)
     (0.8, (0.0, 0.0, 1.0), 0.0414)
     """
-    along, far = np.array([0.0, 0.0, 1.0]), 0.0
+    direction, error = np.array([0.0, 0.0, 1.0]), 0.0
     if solid.kind == "sphere":
         radius, length = solid.size[0], 0.0
     elif solid.kind == "capsule":
         radius, length = solid.size
     elif solid.kind == "cylinder":
-        radius, length, far = _round(*solid.size)
+        radius, length, error = _cylinder_capsule(*solid.size)
     else:
         sides = np.array(solid.size)
-        along = np.eye(3)[int(np.argmax(sides))]
-        radius, length, far = _square(*sorted(sides.tolist()))
-    axis = so3.rotate(solid.rotation, along)
+        direction = np.eye(3)[int(np.argmax(sides))]
+        radius, length, error = _box_capsule(*sorted(sides.tolist()))
+    axis = so3.rotate(solid.rotation, direction)
     offset = np.array(solid.position) + np.array(shift)
-    return Capsule(radius, length, vector(axis), vector(offset)), far
+    return Capsule(radius, length, vector(axis), vector(offset)), error
 
 
-def _round(radius: float, height: float) -> tuple[float, float, float]:
+def _cylinder_capsule(radius: float, height: float) -> tuple[float, float, float]:
     """Return radius, length and error of a cylinder's capsule."""
     if height >= 2 * radius:
         return radius, height - 2 * radius, (math.sqrt(2) - 1) * radius
@@ -49,12 +50,14 @@ def _round(radius: float, height: float) -> tuple[float, float, float]:
     return ball, 0.0, max(math.hypot(radius, height / 2) - ball, ball - height / 2)
 
 
-def _square(thin: float, wide: float, long: float) -> tuple[float, float, float]:
+def _box_capsule(
+    shortest: float, middle: float, longest: float
+) -> tuple[float, float, float]:
     """Return radius, length and error of a box's capsule."""
-    radius = math.sqrt(thin * wide / math.pi)
-    length = max(long - 2 * radius, 0.0)
-    corner = math.hypot(thin / 2, wide / 2, (long - length) / 2)
-    return radius, length, max(corner - radius, radius - thin / 2)
+    radius = math.sqrt(shortest * middle / math.pi)
+    length = max(longest - 2 * radius, 0.0)
+    corner = math.hypot(shortest / 2, middle / 2, (longest - length) / 2)
+    return radius, length, max(corner - radius, radius - shortest / 2)
 
 
 def masses_of(joint: str, weight: Weight, shift: Vector) -> Mass:

@@ -21,7 +21,7 @@ RATE = Fraction(24)
 def zero_coordinates(rig: Rig) -> FloatArray:
     """Return coordinates ``(1, Q)`` at 0, or at the nearest limit.
 
-    Joints that follow others are where those put them.
+    Mimic joints follow their leaders.
     """
     slices = coordinate_slices(rig)
     q = np.zeros((1, slices[-1].stop if slices else 0))
@@ -33,14 +33,14 @@ def zero_coordinates(rig: Rig) -> FloatArray:
     return with_mimics(rig, q, rig.names)
 
 
-def standing(rig: Rig, format_name: str) -> TakeStream:
+def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:
     """Return a one-frame take of a robot at zero coordinates."""
     local = local_from_coordinates(rig, zero_coordinates(rig))
     motion = Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )
-    one = Fraction(1)
-    stream = TakeStream(rig, RATE, one, one, iter([motion]))
+    single_frame = Fraction(1)
+    stream = TakeStream(rig, RATE, single_frame, single_frame, iter([motion]))
     stream.notices += rig.notices
     stream.details = {"format": format_name}
     return stream

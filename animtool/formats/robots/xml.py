@@ -12,12 +12,12 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
 from animtool.core.record import dataclass
 
-# A robot of thousands of links has some ten thousand elements.
+# Maximum elements; a robot of thousands of links has some ten thousand.
 MAX_ELEMENTS = 300_000
 MAX_DEPTH = 500
 MAX_ATTRIBUTES = 100
 MAX_VALUE = 100_000  # letters of an attribute
-# Text of an element that is kept, such as the name of a package.
+# Longest text of an element that is read, such as the name of a package.
 MAX_TEXT = 1000
 
 
@@ -26,13 +26,13 @@ class XmlElement:
     """An element of a file.
 
     Attributes:
-        tag: Its name, as written.
-        attributes: By name.
-        path: The file.
-        line: Its line, from 1 on.
-        column: Its column, likewise.
-        children: In the order of the file.
-        text: What is written in it, beside elements.
+        tag: Tag name, as written.
+        attributes: Attribute values by name.
+        path: Path of the file.
+        line: 1-based line number.
+        column: 1-based column number.
+        children: Child elements in file order.
+        text: Text content, without that of children.
     """
 
     tag: str
@@ -49,11 +49,11 @@ class XmlElement:
 
     def walk(self) -> Iterator[XmlElement]:
         """Yield the element and all descendants in file order."""
-        waiting = [self]
-        while waiting:
-            element = waiting.pop()
+        pending = [self]
+        while pending:
+            element = pending.pop()
             yield element
-            waiting += reversed(element.children)
+            pending += reversed(element.children)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +61,12 @@ class XmlCodes:
     """Codes of XML faults."""
 
     malformed: str
-    entities: str  # of a DTD, and so of entities
+    entities: str  # a DTD, which may define entities
     limits: str
 
 
-class _Refused(Exception):  # noqa: N818  # control flow inside this module
-    """Raised by handlers: a code, a message and a hint."""
+class _InvalidXmlError(Exception):  # control flow inside this module
+    """Raised by handlers for an invalid file: a code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         self.code, self.message, self.hint = code, message, hint
@@ -78,17 +78,17 @@ def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
 
     Raises:
         FormatError: It cannot be read (IO001, IO010), or is malformed, has a DTD, or
-            is larger or deeper than any robot, by ``codes``.
+            exceeds the limits; ``codes`` has the codes.
     """
     return parse_xml(read_input(path, MAX_TEXT_BYTES), path, codes)
 
 
 def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
     """Return the root element of a file's content; see `read_xml`."""
-    return _Parsing(path, codes).root_of(content)
+    return _TreeBuilder(path, codes).root_of(content)
 
 
-class _Parsing:
+class _TreeBuilder:
     """Expat handlers that build the tree."""
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
@@ -96,7 +96,7 @@ class _Parsing:
         self._open: list[XmlElement] = []
         self._root: XmlElement | None = None
         self._count = 0
-        self._before = 0  # lines that the parser is not given
+        self._skipped_lines = 0  # blank lines before the declaration
         parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
@@ -110,18 +110,20 @@ class _Parsing:
 
     def root_of(self, content: bytes) -> XmlElement:
         # A declaration after blank lines is invalid XML, but many tools write it.
-        declared = content.lstrip(b" \t\r\n")
-        if declared.startswith(b"<?xml"):
-            self._before = content[: len(content) - len(declared)].count(b"\n")
-            content = declared
+        from_declaration = content.lstrip(b" \t\r\n")
+        if from_declaration.startswith(b"<?xml"):
+            self._skipped_lines = content[: len(content) - len(from_declaration)].count(
+                b"\n"
+            )
+            content = from_declaration
         try:
             self._parser.Parse(content, True)
-        except _Refused as error:
+        except _InvalidXmlError as error:
             self._fail(error.code, error.message, error.hint)
         except expat.ExpatError as error:
             self._malformed(error)
         except (LookupError, ValueError, UnicodeError) as error:
-            # An encoding that is unknown, or not a text encoding.
+            # The encoding is unknown, or not a text encoding.
             message = f"cannot be decoded: {error}"
             self._fail(self._codes.malformed, message, "save it as UTF-8")
         assert self._root is not None
@@ -160,25 +162,25 @@ class _Parsing:
             parser.CurrentLineNumber,
             parser.CurrentColumnNumber + 1,
         )
-        line += self._before
+        line += self._skipped_lines
         fault = Fault(code, message, str(self._path), (line,), hint, column=column)
         raise FormatError(fault)
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
-        over = "no robot is that large: is it the right file?"
+        hint = "no robot is that large: is it the right file?"
         if self._count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS:,} elements"
-            raise _Refused(self._codes.limits, message, over)
+            raise _InvalidXmlError(self._codes.limits, message, hint)
         if len(self._open) >= MAX_DEPTH:
             message = f"elements are nested deeper than {MAX_DEPTH}"
-            raise _Refused(self._codes.limits, message, over)
+            raise _InvalidXmlError(self._codes.limits, message, hint)
         longest = max(map(len, attributes.values()), default=0)
         if len(attributes) > MAX_ATTRIBUTES or longest > MAX_VALUE:
             message = f"<{excerpt(tag)[1:-1]}> has more than {MAX_ATTRIBUTES} "
             message += f"attributes, or one of more than {MAX_VALUE:,} letters"
-            raise _Refused(self._codes.limits, message, over)
-        line = self._parser.CurrentLineNumber + self._before
+            raise _InvalidXmlError(self._codes.limits, message, hint)
+        line = self._parser.CurrentLineNumber + self._skipped_lines
         column = self._parser.CurrentColumnNumber + 1
         element = XmlElement(tag, attributes, self._path, line, column)
         if self._open:
@@ -191,11 +193,11 @@ class _Parsing:
         self._open.pop()
 
     def _text(self, text: str) -> None:
-        inner = self._open[-1]
-        if len(inner.text) < MAX_TEXT:
-            inner.text += text[:MAX_TEXT]
+        element = self._open[-1]
+        if len(element.text) < MAX_TEXT:
+            element.text += text[:MAX_TEXT]
 
     def _doctype(self, *_names: object) -> int:
         message = "it has a DTD, and so may have entities: these are not read"
         hint = "delete the DOCTYPE, and write out what its entities stand for"
-        raise _Refused(self._codes.entities, message, hint)
+        raise _InvalidXmlError(self._codes.entities, message, hint)

@@ -29,10 +29,10 @@ from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.formats.trc.timing import frames_of_rows
 from animtool.motion.markers import Markers
 
-# The first lines of a TRC file: what they state, and the names of markers.
+# Header of a TRC file: its values and marker names.
 
 MAX_MARKERS = 10_000
-# The marker names are within these first lines.
+# Maximum header lines before the marker names.
 MAX_LINES = 12
 _NAMES = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
@@ -42,14 +42,14 @@ class TrcHeader:
     """The values of the header lines.
 
     Attributes:
-        rate: DataRate, None without a number [1/s].
-        unit: Units, None where the key is missing.
-        frames: NumFrames, None without a number.
-        markers: NumMarkers, None without a number.
-        names: Of markers in the order of their columns, empty where one has none.
-        axes: Markers that the line of axes, X1 Y1 Z1, has; 0 where it is missing.
-        begin: Index of the first line of numbers.
-        separator: Between the cells of rows.
+        rate: DataRate [1/s]; None without a number.
+        unit: Units; None if missing.
+        frames: NumFrames; None without a number.
+        markers: NumMarkers; None without a number.
+        names: Marker names in column order, empty for unnamed markers.
+        axes: Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
+        begin: Index of the first row.
+        separator: Separator of cells in rows.
     """
 
     rate: float | None
@@ -68,16 +68,16 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     Raises:
         FormatError: They are not those of a TRC (TRC001).
     """
-    first = re.split(rb"[\s,;]+", lines[0].strip(BLANK + b'"'))[0].strip(b'"')
-    if first.lower() != b"pathfiletype":
+    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANK + b'"'))[0].strip(b'"')
+    if first_word.lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
     starts = [_NAMES.match(line) for line in lines[:MAX_LINES]]
     at = next((i for i, start in enumerate(starts) if start), 0)
-    above = [i for i in range(1, at) if lines[i].strip(BLANK)]
-    if len(above) < 2:
-        what = "line that starts with Frame#" if not at else "DataRate line"
-        raise file.error("TRC001", f"no {what} in the first {MAX_LINES} lines")
-    stated = _stated(lines[above[-2]], lines[above[-1]])
+    lines_above = [i for i in range(1, at) if lines[i].strip(BLANK)]
+    if len(lines_above) < 2:
+        missing_line = "line that starts with Frame#" if not at else "DataRate line"
+        raise file.error("TRC001", f"no {missing_line} in the first {MAX_LINES} lines")
+    values = _header_values(lines[lines_above[-2]], lines[lines_above[-1]])
     start = starts[at]
     assert start is not None
     names = _names_of_header(file, lines[at], start[1], at + 1)
@@ -89,10 +89,10 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
         begin += 1
     row = lines[begin] if begin < len(lines) else b""
     return TrcHeader(
-        number_of(stated.get("datarate")),
-        stated.get("units"),
-        number_of(stated.get("numframes")),
-        number_of(stated.get("nummarkers")),
+        number_of(values.get("datarate")),
+        values.get("units"),
+        number_of(values.get("numframes")),
+        number_of(values.get("nummarkers")),
         names,
         axes,
         begin,
@@ -100,29 +100,31 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     )
 
 
-def _stated(above: bytes, below: bytes) -> dict[str, str]:
+def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     """Return the values below the header's keys."""
-    separator = separator_of(above)
+    separator = separator_of(keys_line)
     keys = [
-        key for cell in split_cells(above, separator) for key in cell.split() or [""]
+        key
+        for cell in split_cells(keys_line, separator)
+        for key in cell.split() or [""]
     ]
-    values = split_cells(below, row_separator(below, separator))
+    values = split_cells(values_line, row_separator(values_line, separator))
     if len(values) < len(keys):
-        words = [each for value in values for each in value.split() or [""]]
-        values = words if len(words) <= len(keys) else values
-    lowered = [key.lower() for key in keys]
-    unit = lowered.index("units") if "units" in lowered else len(values)
+        cells = [text for value in values for text in value.split() or [""]]
+        values = cells if len(cells) <= len(keys) else values
+    names = [key.lower() for key in keys]
+    unit = names.index("units") if "units" in names else len(values)
     if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
         values.insert(unit, "")  # between blanks an empty unit is not seen
-    return dict(zip(lowered, values, strict=False))
+    return dict(zip(names, values, strict=False))
 
 
 def _names_of_header(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
     """Return marker names, each above three columns or one."""
-    if separator == b" " and (other := separator_of(line)) != b" ":
-        separator = other
+    if separator == b" " and (line_separator := separator_of(line)) != b" ":
+        separator = line_separator
     if separator == b" ":
         names = [decoded(cell) for cell in line.split()[2:]]
     else:
@@ -155,18 +157,18 @@ def _stems(cells: list[str]) -> list[str]:
 
 def _is_heading(line: bytes) -> bool:
     """Return whether a line is not a row of numbers."""
-    word = line.strip(BLANK)
-    return not word or word[:1].upper() in {b"X", b"Y", b"Z"}
+    text = line.strip(BLANK)
+    return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
 
 def columns_of(
     file: MarkerFile, header: TrcHeader, filled: int
 ) -> tuple[list[str], int]:
-    """Return the marker names of the rows' columns, and the count of unnamed.
+    """Return the marker names of the rows' columns, and the count of unnamed markers.
 
-    A count in the header that says otherwise is a warning (TRC101).
+    Warns if the header states another count (TRC101).
 
-    filled: Cells of the longest row, up to the last that is not empty.
+    ``filled`` is the number of cells of the longest row, up to the last nonempty one.
     """
     rows = max(0, -(-(filled - 2) // 3))
     names, stated = header.names, header.markers
@@ -201,23 +203,26 @@ def read_trc(
     """Return the markers of a TRC file; an empty cell or NaN is not visible.
 
     Cells are separated by tabs, semicolons, commas or blanks. Columns beyond those with
-    names are points without label. The Time of rows decides when they are, where
-    DataRate or Frame# say otherwise; frames without a row have no position. Rows at
-    uneven times become even by straight lines between them.
+    names are unlabelled points. If DataRate or Frame# contradict the Time of rows, Time
+    is
+    used; frames without a row have no position. Rows at irregular times are resampled
+    linearly.
 
     Args:
         path: The file.
-        unit: What its numbers are in; None is what it states, millimetres without.
-        up: Which of its axes points up; None is Y, as OpenSim takes it.
-        fps: The frame rate, where the file has a wrong one or none: rows are then at
-            the frames of Frame#, and Time is not read.
-        subject: Whose prefix is left out of names, as `read_c3d` does.
+        unit: Unit of its lengths; None is the stated unit, or millimetres.
+        up: Its up axis; None is Y, as in OpenSim.
+        fps: The frame rate, if the file has a wrong one or none: rows are then at the
+            frames of Frame#, and Time is ignored.
+        subject: Subject whose prefix is removed from names, as in `read_c3d`.
 
     Raises:
-        FormatError: It cannot be read, is no TRC (TRC001), has a row that is none
-            (TRC002) or times that do not grow (TRC003), states no rate (MKR010) or an
-            unknown unit (MKR011), or has no markers or frames (MKR013).
-        OptionError: fps is no rate (SCN022).
+        FormatError: It cannot be read, is not a TRC (TRC001), has an invalid row
+            (TRC002)
+            or times that do not ascend (TRC003), states no rate (MKR010) or an unknown
+            unit
+            (MKR011), or has no markers or frames (MKR013).
+        OptionError: fps is not a frame rate (SCN022).
     """
     path = Path(path)
     file = MarkerFile(str(path))
@@ -254,7 +259,7 @@ def read_trc(
     frames = frames_of_rows(
         file, values[:, :2], rows.lines, decimals, header.rate, fps, len(names)
     )
-    positions = frames.placed(positions)
+    positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices = tuple(file.notices)
     return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
@@ -266,20 +271,20 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
         if not header.names:
             raise file.error("MKR013", "the file has no markers")
         raise file.error("MKR013", "the file has no frames")
-    most = int(rows.filled.max())
-    names, unnamed = columns_of(file, header, most)
+    max_cells = int(rows.filled.max())
+    names, unnamed = columns_of(file, header, max_cells)
     if not names:
         raise file.error("MKR013", "the file has no markers")
-    wide = rows.filled > 2 + 3 * len(header.names)
-    # The last cell may end in a separator.
-    ragged = ((rows.filled - 2) % 3 != 0) & ((rows.cells - 2) % 3 != 0)
-    ragged &= (rows.cells == rows.filled) | ((rows.cells - 3) % 3 != 0)
-    wrong = np.flatnonzero(wide & ragged)
-    if len(wrong) or len(names) > MAX_MARKERS:
-        row = int(wrong[0]) if len(wrong) else int(rows.filled.argmax())
+    is_too_wide = rows.filled > 2 + 3 * len(header.names)
+    # The last cell may be followed by a separator.
+    is_ragged = ((rows.filled - 2) % 3 != 0) & ((rows.cells - 2) % 3 != 0)
+    is_ragged &= (rows.cells == rows.filled) | ((rows.cells - 3) % 3 != 0)
+    bad_rows = np.flatnonzero(is_too_wide & is_ragged)
+    if len(bad_rows) or len(names) > MAX_MARKERS:
+        row = int(bad_rows[0]) if len(bad_rows) else int(rows.filled.argmax())
         message = f"the row has {int(rows.filled[row])} values, not "
         message += str(2 + 3 * len(names))
-        if len(wrong):
+        if len(bad_rows):
             message = (
                 f"the row has {int(rows.filled[row])} values, but frame, time and "
             )
@@ -291,14 +296,14 @@ def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
         at = (int(rows.lines[row]),)
         raise FormatError(Fault("TRC002", message, file.path, at, hint))
     if unnamed:
-        first = next(i for i, name in enumerate(names) if not name)
+        first_unnamed = next(i for i, name in enumerate(names) if not name)
         message = (
             f"{unnamed} of {counted(len(names), 'marker')} "
             f"{'has' if unnamed == 1 else 'have'} no name, the first in column "
-            f"{3 + 3 * first}"
+            f"{3 + 3 * first_unnamed}"
         )
-        if wide.any() and not wide.all():
-            lines = rows.lines[wide]
+        if is_too_wide.any() and not is_too_wide.all():
+            lines = rows.lines[is_too_wide]
             message += f", in {counted(len(lines), 'row')} from line {lines[0]}"
         hint = "name the points with mocap label"
         file.warn("TRC103", f"{message}; read as unlabelled points", hint)
@@ -310,23 +315,33 @@ def _complete_rows(
 ) -> TextRows:
     """Return rows without a truncated last one; warn about it (TRC109).
 
-    unended: The line that the file ends in without an end of line, 0 without.
+    ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """
-    short = (rows.cells < width) & (rows.filled > 1)
-    cut = np.flatnonzero(short & (rows.cells == rows.filled) & (rows.cells % 3 != 2))
-    last = len(rows.texts) - 1
-    # A row that ends after a marker is not truncated if others are short too.
-    within = len(cut) > 0 and int(cut[-1]) == last
-    alone = bool(short[last]) and int(short.sum()) == 1
-    dropped = last > 0 and rows.lines[last] == unterminated_line and (within or alone)
-    if not len(cut) and not dropped:
+    is_short = (rows.cells < width) & (rows.filled > 1)
+    incomplete_markers = np.flatnonzero(
+        is_short & (rows.cells == rows.filled) & (rows.cells % 3 != 2)
+    )
+    last_row = len(rows.texts) - 1
+    # A row that ends after a complete marker is not truncated if others are short too.
+    is_cut_in_marker = (
+        len(incomplete_markers) > 0 and int(incomplete_markers[-1]) == last_row
+    )
+    is_only_short = bool(is_short[last_row]) and int(is_short.sum()) == 1
+    is_truncated = (
+        last_row > 0
+        and rows.lines[last_row] == unterminated_line
+        and (is_cut_in_marker or is_only_short)
+    )
+    if not len(incomplete_markers) and not is_truncated:
         return rows
-    row = last if dropped else int(cut[0])
+    row = last_row if is_truncated else int(incomplete_markers[0])
     cells = f"{int(rows.cells[row])} of {width} values"
     message = f"the last row is truncated ({cells}) and is skipped"
-    if not dropped:
+    if not is_truncated:
         message = f"the row ends within a marker ({cells}), which is missing there"
-        if len(cut) > 1:
-            message += f", and so do {counted(len(cut) - 1, 'other row')}"
+        if len(incomplete_markers) > 1:
+            message += (
+                f", and so do {counted(len(incomplete_markers) - 1, 'other row')}"
+            )
     file.warn("TRC109", message, "copy or export it again", int(rows.lines[row]))
-    return rows.without_last() if dropped else rows
+    return rows.without_last() if is_truncated else rows

@@ -11,12 +11,12 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, counted
 from animtool.core.rates import FractionLike, rate_from_float
 from animtool.formats.row_times import (
-    EVEN,
     LAST_START,
+    STEP_TOLERANCE,
     RowFrames,
     TimeSteps,
     find_steps,
-    has_room,
+    has_few_empty_frames,
     is_rate_of,
     rate_of_step,
     rounding_of,
@@ -38,16 +38,16 @@ def frames_of_rows(
     Args:
         file: The file.
         columns: Frame# and Time [s] ``(R, 2)``.
-        lines: Of rows ``(R,)``.
-        decimals: Places after the point of times.
-        stated: DataRate, None without [1/s].
-        fps: The rate that is asked for; Time is not read then.
-        markers: How many there are, for the room that frames without a row take.
+        lines: Line numbers of the rows ``(R,)``.
+        decimals: Number of decimals of the times.
+        stated: DataRate [1/s]; None without one.
+        fps: Requested rate; Time is then ignored.
+        markers: Number of markers, to limit the memory of frames without a row.
 
     Raises:
-        FormatError: Times do not grow, or are too far apart (TRC003), or there is no
+        FormatError: Times do not ascend, or are too far apart (TRC003), or there is no
             rate (MKR010).
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a frame rate (SCN022).
     """
     numbers, times = columns[:, 0], columns[:, 1]
     counted_frames = _counted_frames(numbers)
@@ -65,31 +65,31 @@ def frames_of_rows(
         rounding = rounding_of(decimals)
         steps = find_steps(times, counted_frames, stated, rounding)
         rate = _rate(file, steps, stated, rounding)
-        if not steps.even:
+        if not steps.regular:
             with np.errstate(over="ignore"):
                 at_times = (times - times[0]) * float(rate)
-            _check_room(file, at_times, markers, lines)
-            _warn_uneven(file, steps, times, rate, lines)
+            _check_gaps(file, at_times, markers, lines)
+            _warn_irregular(file, steps, times, rate, lines)
             start = _start(numbers[0])
             return RowFrames(rate, start, at_times, float(times[0]))
         at = steps.frames
-        start, begin = _compared(file, columns, at, lines, rate, rounding)
-    _check_room(file, at, markers, lines)
+        start, begin = _first_frame_and_time(file, columns, at, lines, rate, rounding)
+    _check_gaps(file, at, markers, lines)
     _warn_gaps(file, at, lines, float(rate))
     return RowFrames(rate, start, at.astype(np.float64), begin)
 
 
 def _counted_frames(numbers: FloatArray) -> IntArray | None:
     """Return frames from 0 by Frame#; None if it does not count by one."""
-    first = numbers[0]
+    first_number = numbers[0]
     usable = np.isfinite(numbers) & (np.abs(numbers) < LAST_START)
     if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
         return None
-    between = np.diff(numbers)
-    if len(between) and between.min() < 1:
+    steps = np.diff(numbers)
+    if len(steps) and steps.min() < 1:
         return None
-    stride = int(np.gcd.reduce(between.astype(np.int64))) if len(between) else 1
-    return np.asarray((numbers - first).astype(np.int64) // stride, np.int64)
+    stride = int(np.gcd.reduce(steps.astype(np.int64))) if len(steps) else 1
+    return np.asarray((numbers - first_number).astype(np.int64) // stride, np.int64)
 
 
 def _start(number: float) -> int:
@@ -98,8 +98,8 @@ def _start(number: float) -> int:
 
 
 def _frame(number: float, line: int) -> str:
-    known = np.isfinite(number)
-    return f"frame {number:g} in line {line}" if known else f"line {line}"
+    is_number = np.isfinite(number)
+    return f"frame {number:g} in line {line}" if is_number else f"line {line}"
 
 
 def _check_times(
@@ -107,21 +107,21 @@ def _check_times(
 ) -> None:
     """Raise for times that do not ascend (TRC003)."""
     with np.errstate(invalid="ignore", over="ignore"):
-        wrong = ~np.isfinite(times)
-        wrong[1:] |= ~(np.diff(times) > 0)
-    rows = np.flatnonzero(wrong)
+        is_invalid = ~np.isfinite(times)
+        is_invalid[1:] |= ~(np.diff(times) > 0)
+    rows = np.flatnonzero(is_invalid)
     if not len(rows):
         return
-    row, more = int(rows[0]), len(rows) - 1
-    here = _frame(numbers[row], int(lines[row]))
-    message = f"the time of {here} is not a finite number"
+    row, other_count = int(rows[0]), len(rows) - 1
+    row_frame = _frame(numbers[row], int(lines[row]))
+    message = f"the time of {row_frame} is not a finite number"
     if np.isfinite(times[row]):
-        before = _frame(numbers[row - 1], int(lines[row - 1]))
+        previous_frame = _frame(numbers[row - 1], int(lines[row - 1]))
         again = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
-        what = "repeats" if again else "does not come after"
-        message = f"{here}, at {times[row]:g} s, {what} {before}, at "
+        relation = "repeats" if again else "does not come after"
+        message = f"{row_frame}, at {times[row]:g} s, {relation} {previous_frame}, at "
         message += f"{times[row - 1]:g} s"
-    message += f"; {counted(more, 'other row')} too" if more else ""
+    message += f"; {counted(other_count, 'other row')} too" if other_count else ""
     hint = (
         f"repair the rows, or set the rate with {argument('source.fps')} to place "
         "them by Frame#"
@@ -136,19 +136,19 @@ def _rate(
     """Return the rate of the times; the header's if it fits."""
     if stated is not None and is_rate_of(stated, steps, rounding):
         return file.rate(stated, None)
-    count = int(steps.frames[-1]) if steps.even else 1
+    count = int(steps.frames[-1]) if steps.regular else 1
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
         message = f"no frame rate fits a row every {steps.step:g} s"
         hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated is None or stated <= 0:
-        none = (
+        no_rate = (
             "the header has no DataRate"
             if stated is None
             else f"DataRate is {stated:g}"
         )
-        message = f"{none}; using {float(rate):g} fps, from Time"
+        message = f"{no_rate}; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
     message = (
@@ -162,11 +162,11 @@ def _rate(
     return rate
 
 
-def _check_room(
+def _check_gaps(
     file: MarkerFile, at: FloatArray | IntArray, markers: int, lines: IntArray
 ) -> None:
     """Raise if frames far outnumber rows (TRC003)."""
-    if has_room(at, markers):
+    if has_few_empty_frames(at, markers):
         return
     frames = float(at[-1]) + 1
     row = int(np.diff(at).argmax()) + 1
@@ -197,18 +197,19 @@ def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> 
     )
 
 
-def _warn_uneven(
+def _warn_irregular(
     file: MarkerFile,
     steps: TimeSteps,
     times: FloatArray,
     rate: Fraction,
     lines: IntArray,
 ) -> None:
-    """Warn about resampled uneven times (TRC106)."""
-    between = np.diff(times)
-    row = int(np.abs(between - steps.step).argmax()) + 1
+    """Warn about resampled irregular times (TRC106)."""
+    intervals = np.diff(times)
+    row = int(np.abs(intervals - steps.step).argmax()) + 1
     message = (
-        f"rows are {between.min():.4g} to {between.max():.4g} s apart; resampled to "
+        f"rows are {intervals.min():.4g} to {intervals.max():.4g} s apart; resampled "
+        "to "
         f"{float(rate):g} fps by linear interpolation, except across gaps"
     )
     hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
@@ -220,22 +221,24 @@ def _warn_numbers(
 ) -> None:
     """Warn about a Frame# column that does not count frames (TRC107)."""
     with np.errstate(invalid="ignore"):
-        known = np.isfinite(numbers)
-        wrong = ~known | (np.floor(numbers) != numbers)
-        wrong[1:] |= ~(np.diff(numbers) >= 1)
-    rows = np.flatnonzero(wrong)
+        is_number = np.isfinite(numbers)
+        is_invalid = ~is_number | (np.floor(numbers) != numbers)
+        is_invalid[1:] |= ~(np.diff(numbers) >= 1)
+    rows = np.flatnonzero(is_invalid)
     if not len(rows):
         return
     row = int(rows[0])
-    message = f"Frame# is {numbers[row]:g}" if known[row] else "Frame# is not a number"
-    if row and known[row]:
+    message = (
+        f"Frame# is {numbers[row]:g}" if is_number[row] else "Frame# is not a number"
+    )
+    if row and is_number[row]:
         message += f" after {numbers[row - 1]:g}"
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} too"
     file.warn("TRC107", f"{message}; {result}", None, int(lines[row]))
 
 
-def _compared(
+def _first_frame_and_time(
     file: MarkerFile,
     columns: FloatArray,
     at: IntArray,
@@ -243,9 +246,9 @@ def _compared(
     rate: Fraction,
     rounding: float,
 ) -> tuple[int, float | None]:
-    """Return the first frame and its time, None if they agree.
+    """Return the first frame and its time; no time if frame 1 is time 0.
 
-    Warn where Frame# and Time disagree.
+    Warns if Frame# and Time disagree.
     """
     numbers, times = columns[:, 0], columns[:, 1]
     start = _start(numbers[0])
@@ -253,16 +256,16 @@ def _compared(
     if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by Time")
         return start, float(times[0])
-    off = np.flatnonzero(numbers - numbers[0] != at)
-    if len(off):
-        row = int(off[0])
+    mismatched = np.flatnonzero(numbers - numbers[0] != at)
+    if len(mismatched):
+        row = int(mismatched[0])
         message = (
             f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
             f"{numbers[0]:g}; at {float(rate):g} fps it would be "
             f"{numbers[0] + at[row]:g}; rows are placed by Time"
         )
         file.warn("TRC107", message, None, int(lines[row]))
-    elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
+    elif abs(by_time - start) > STEP_TOLERANCE + 3 * rounding * float(rate):
         message = (
             f"frame {start} is at {times[0]:.6g} s; a TRC keeps that, but in a MOT "
             f"it would be {(start - 1) / float(rate):.6g} s, as frame 1 is at 0 s"

@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.units import UpAxis
 from animtool.motion.markers import Markers
 
-# A micrometre in a thousand: below what any camera sees.
+# Decimals [mm]: finer than any camera resolves.
 DECIMALS = 6
 ROWS_AT_ONCE = 4096
 
@@ -24,12 +24,12 @@ def write_trc(
     """Write markers as TRC in millimetres; empty cells are not visible.
 
     Args:
-        markers: What to write.
-        path: ``.trc``.
-        overwrite: Replace a file that exists.
+        markers: The markers.
+        path: Path of the file, ``.trc``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What the format cannot hold.
+        Warnings about data that the format cannot store.
 
     Raises:
         OptionError: The file exists (OUT001), or there are no markers or frames
@@ -44,16 +44,16 @@ def write_trc(
         message = "a TRC needs at least one marker and one frame"
         raise OptionError(Fault("TRC010", message, str(path)))
     write_parts(path, _parts(markers, path.name))
-    lost = []
+    warnings = []
     if markers.filled is not None and markers.filled.any():
-        lost.append("which positions were filled")
+        warnings.append("which positions were filled")
     if markers.up is not UpAxis.Y:
-        lost.append(f"that {markers.up} is up")
+        warnings.append(f"that {markers.up} is up")
     if markers.residuals is not None:
-        lost.append("residuals")
-    if not lost:
+        warnings.append("residuals")
+    if not warnings:
         return []
-    message = f"a TRC cannot store {' and '.join(lost)}"
+    message = f"a TRC cannot store {' and '.join(warnings)}"
     return [Fault("TRC102", message, str(path), (), "write .npz", Severity.NOTE)]
 
 
@@ -62,7 +62,7 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
     rate, start = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
     names = [" ".join(name.split()) for name in markers.names]
     axes = [f"{axis}{i + 1}" for i in range(count) for axis in "XYZ"]
-    head = [
+    header = [
         f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t"
         "OrigDataStartFrame\tOrigNumFrames",
@@ -71,31 +71,33 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
         "\t\t" + "\t".join(axes),
         "",
     ]
-    yield ("\n".join(head) + "\n").encode()
-    # Frame 1 is time 0, as in motion files, so that the two go together.
+    yield ("\n".join(header) + "\n").encode()
+    # Frame 1 is time 0, as in motion files, so that both match.
     seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
     if markers.begin is not None:
         seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
     decimals = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
     for begin in range(0, frames, ROWS_AT_ONCE):
-        part = slice(begin, begin + ROWS_AT_ONCE)
-        block = markers.positions[part].reshape(-1, 3 * count) * 1000.0
-        missing = np.isnan(block)
+        frames_ = slice(begin, begin + ROWS_AT_ONCE)
+        block = markers.positions[frames_].reshape(-1, 3 * count) * 1000.0
+        is_missing = np.isnan(block)
         numbers = np.arange(begin, begin + len(block)) + start
-        rows = np.column_stack([numbers, seconds[part], np.where(missing, 0.0, block)])
+        rows = np.column_stack(
+            [numbers, seconds[frames_], np.where(is_missing, 0.0, block)]
+        )
         text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
-        yield _emptied(text, missing)
+        yield _without_nan(text, is_missing)
 
 
-def _emptied(text: bytes, missing: BoolArray) -> bytes:
-    """Return tab-separated rows, missing cells empty.
+def _without_nan(text: bytes, is_missing: BoolArray) -> bytes:
+    """Return tab-separated rows with missing cells empty.
 
-    A tab closes the last cell where it is empty: OpenSim reads none without.
+    A tab follows the last cell if it is empty, as OpenSim requires.
     """
     lines = text.replace(b" ", b"\t").split(b"\n")
-    for row in np.flatnonzero(missing.any(axis=1)).tolist():
+    for row in np.flatnonzero(is_missing.any(axis=1)).tolist():
         cells = lines[row].split(b"\t")
-        for column in np.flatnonzero(missing[row]).tolist():
+        for column in np.flatnonzero(is_missing[row]).tolist():
             cells[2 + column] = b""
         lines[row] = b"\t".join(cells) + (b"" if cells[-1] else b"\t")
     return b"\n".join(lines)

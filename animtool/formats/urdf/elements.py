@@ -7,7 +7,7 @@ from dataclasses import field
 from enum import StrEnum
 
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.notes import XmlNotes, label
 from animtool.formats.robots.parts import ORIGIN, SimpleShape, Weight
 from animtool.formats.robots.xml import XmlCodes, XmlElement
 from animtool.rig.limits import RangeLimit
@@ -52,7 +52,7 @@ class UrdfJoint:
     @property
     def where(self) -> str:
         """Label in messages."""
-        return named("joint", self.name)
+        return label("joint", self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class Visual:
     """A visual of a link: a mesh or a primitive shape."""
 
     mesh: XmlElement | None
-    solid: SimpleShape  # of a mesh, where it is
+    solid: SimpleShape  # for a mesh, only its pose is used
     scale: Vector = (1.0, 1.0, 1.0)
 
 
@@ -83,8 +83,8 @@ class UrdfFile:
     name: str
     links: dict[str, UrdfLink]
     joints: dict[str, UrdfJoint]
-    driven: frozenset[str]  # joints that a transmission or controller names
-    has_drives: bool  # whether it names any
+    driven: frozenset[str]  # joints with a transmission or controller
+    has_drives: bool  # whether there are transmissions or controllers
 
 
 def one_of(
@@ -92,7 +92,7 @@ def one_of(
 ) -> XmlElement | None:
     """Return the child with a tag; the first of several, None if missing."""
     elements = element.all(tag)
-    if any(one.attributes != elements[0].attributes for one in elements):
+    if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
         notes.add("URD006", elements[1], message, "keep one", where=where)
     if not elements and needed:
@@ -106,8 +106,8 @@ def text_of(
     """Return a required attribute; empty if missing, with a fault."""
     text = element.attributes.get(name, "")
     if not text.strip():
-        what = "is empty" if name in element.attributes else "is missing"
-        message = f"{name} of <{element.tag}> {what}"
+        problem = "is empty" if name in element.attributes else "is missing"
+        message = f"{name} of <{element.tag}> {problem}"
         notes.add("URD006", element, message, hint or None, where=where)
         return ""
     return text

@@ -23,7 +23,7 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     """Return a file's links and joints; record faults.
 
     Raises:
-        FormatError: It is no URDF in XML (URD001 to URD005).
+        FormatError: It is not a URDF in XML (URD001 to URD005).
     """
     root = read_xml(path, CODES)
     _check_root(root, notes)
@@ -50,12 +50,14 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     for element in root.walk():
         texts = element.attributes.values()
         macro = element.tag.startswith("xacro:")
-        if macro or any(mark in text for text in texts for mark in _XACRO):
-            shown = next(
-                (text for text in texts if any(mark in text for mark in _XACRO)), ""
+        if macro or any(start in text for text in texts for start in _XACRO):
+            macro_text = next(
+                (text for text in texts if any(start in text for start in _XACRO)), ""
             )
-            what = f"<{element.tag}>" if macro else excerpt(shown)
-            message = f"is a xacro file: it holds {what}, which a URDF is made from"
+            root_text = f"<{element.tag}>" if macro else excerpt(macro_text)
+            message = (
+                f"is a xacro file: it holds {root_text}, which a URDF is made from"
+            )
             notes.add("URD005", element, message, EXPAND)
             return
     if root.tag == "robot":
@@ -69,8 +71,8 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
 
 
-# Two revolutions, which angles of robots do not exceed [rad]; limits beyond two
-# revolutions in degrees stand for none.
+# Two revolutions, which robot angles do not exceed [rad], and in degrees; larger limits
+# mean no limits.
 MAX_RADIANS = 4 * math.pi
 MAX_DEGREES = 720.0
 
@@ -87,16 +89,18 @@ def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
         for element in root.walk()
         if element.tag == "origin"
     ]
-    large = [
+    in_degrees = [
         (element, name, value)
         for element, name, text in texts
         for value in map(to_number, text.split())
         if value is not None and MAX_RADIANS < abs(value) <= MAX_DEGREES
     ]
-    if not large:
+    if not in_degrees:
         return
-    element, name, value = large[0]
-    message = f"{counted(len(large), 'angle')} beyond two revolutions in radians, such "
+    element, name, value = in_degrees[0]
+    message = (
+        f"{counted(len(in_degrees), 'angle')} beyond two revolutions in radians, such "
+    )
     message += f"as {name} {value:g} of <{element.tag}>"
     hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
@@ -105,7 +109,7 @@ def _note_degrees(root: XmlElement, notes: XmlNotes) -> None:
 _LIMITS = ("lower", "upper")
 # Elements that are not read, and their labels.
 _KNOWN = {"link", "joint", "material"}
-_OF_JOINTS = {
+_JOINT_CONTENTS = {
     "dynamics": "damping and friction of joints",
     "safety_controller": "safety controllers",
     "calibration": "calibrations",
@@ -113,15 +117,15 @@ _OF_JOINTS = {
 
 
 def _not_read(root: XmlElement) -> Iterator[str]:
-    """Yield labels of contents that a rig cannot hold."""
+    """Yield labels of contents that a rig cannot store."""
     for element in root.children:
         if element.tag == "material":
             yield "materials"
         elif element.tag not in _KNOWN:
             yield f"<{element.tag[:40]}>"
         for child in element.children:
-            if element.tag == "joint" and child.tag in _OF_JOINTS:
-                yield _OF_JOINTS[child.tag]
+            if element.tag == "joint" and child.tag in _JOINT_CONTENTS:
+                yield _JOINT_CONTENTS[child.tag]
             elif element.tag == "joint" and child.tag == "limit":
                 names = {"effort", "velocity"} & set(child.attributes)
                 yield from ("limits of effort and velocity",) if names else ()

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import nearest
-from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, named
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, label
 from animtool.formats.robots.parts import vector
 from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import (
@@ -24,8 +24,8 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Mimic
 
-# An axis that is shorter has no direction.
-SHORTEST = 1e-9
+# Shorter axes have no direction.
+MIN_AXIS_LENGTH = 1e-9
 _LIMITED = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 
 
@@ -36,11 +36,11 @@ def add_joint(
     name = text_of(element, "name", None, notes)
     if not name:
         return
-    where = named("joint", name)
+    where = label("joint", name)
     if name in joints:
-        first = joints[name].element.line
+        first_line = joints[name].element.line
         message = f"two joints are named {excerpt(name)}"
-        hint = f"the first is in line {first}"
+        hint = f"the first is in line {first_line}"
         notes.add("URD009", element, message, hint, joint=name)
         return
     allowed = ", ".join(UrdfJointKind)
@@ -51,13 +51,21 @@ def add_joint(
             hint = nearest(text, [kind.value for kind in UrdfJointKind])
             notes.add("URD008", element, message, hint, where=where, joint=name)
         text = UrdfJointKind.FIXED
-    ends = []
+    link_names = []
     for tag in ("parent", "child"):
-        end = one_of(element, tag, where, notes, needed=True)
-        ends.append("" if end is None else text_of(end, "link", where, notes))
+        link_element = one_of(element, tag, where, notes, needed=True)
+        link_names.append(
+            "" if link_element is None else text_of(link_element, "link", where, notes)
+        )
     position, rotation = pose_of(element, where, notes)
     joint = UrdfJoint(
-        element, name, UrdfJointKind(text), ends[0], ends[1], position, rotation
+        element,
+        name,
+        UrdfJointKind(text),
+        link_names[0],
+        link_names[1],
+        position,
+        rotation,
     )
     joints[name] = joint
     if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
@@ -71,7 +79,7 @@ def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
     if element is None:
         return (1.0, 0.0, 0.0)
     values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
-    if max(map(abs, values)) < SHORTEST:
+    if max(map(abs, values)) < MIN_AXIS_LENGTH:
         text = element.attributes.get("xyz", "")
         message = f"axis {excerpt(text)} has no length, and so no direction"
         hint = "write the axis of rotation or the direction of travel"
@@ -99,24 +107,24 @@ def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
             hint += ", or make it continuous"
         notes.add("URD014", joint.element, message, hint, where=where, joint=name)
         return None
-    low, high = (
-        notes.numbers(element, name, 1, (0.0,), where, most=math.inf)[0]
+    lower, upper = (
+        notes.numbers(element, name, 1, (0.0,), where, limit=math.inf)[0]
         for name in ("lower", "upper")
     )
-    if low > high:
-        message = f"its lower limit {low:g} is above its upper limit {high:g}"
-        hint = f'write lower="{high:g}" upper="{low:g}" if they are swapped'
+    if lower > upper:
+        message = f"its lower limit {lower:g} is above its upper limit {upper:g}"
+        hint = f'write lower="{upper:g}" upper="{lower:g}" if they are swapped'
         notes.add("URD014", element, message, hint, where=where, joint=name)
         return None
-    if low == high:
-        message = f"its limits are both {low:g}: it cannot move"
+    if lower == upper:
+        message = f"its limits are both {lower:g}: it cannot move"
         notes.add(
             "URD104", element, message, where=where, joint=name,
             severity=Severity.WARNING,
         )  # fmt: skip
-    if low <= -MAX_VALUE and high >= MAX_VALUE:
+    if lower <= -MAX_VALUE and upper >= MAX_VALUE:
         return None
-    return RangeLimit(max(low, -MAX_VALUE), min(high, MAX_VALUE))
+    return RangeLimit(max(lower, -MAX_VALUE), min(upper, MAX_VALUE))
 
 
 def _mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool.core.errors import Severity, excerpt
-from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.notes import XmlNotes, label
 from animtool.formats.robots.parts import SimpleShape, Weight
 from animtool.formats.robots.solids import weight_problem
 from animtool.formats.robots.xml import XmlElement
@@ -20,11 +20,11 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
     name = text_of(element, "name", None, notes)
     if not name:
         return
-    where = named("link", name)
+    where = label("link", name)
     if name in links:
-        first = links[name].element.line
+        first_line = links[name].element.line
         message = f"two links are named {excerpt(name)}"
-        notes.add("URD009", element, message, f"the first is in line {first}")
+        notes.add("URD009", element, message, f"the first is in line {first_line}")
         return
     link = links[name] = UrdfLink(element, name)
     inertial = one_of(element, "inertial", where, notes)
@@ -32,37 +32,39 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
         link.weight = _weight(inertial, where, notes)
     link.meshes += [
         mesh
-        for shown in (*element.all("visual"), *element.all("collision"))
-        for geometry in shown.all("geometry")
+        for visual_element in (*element.all("visual"), *element.all("collision"))
+        for geometry in visual_element.all("geometry")
         for mesh in geometry.all("mesh")
         if mesh.attributes.get("filename")
     ]
-    for part in element.all("collision"):
-        solid = _solid(part, where, notes)
+    for collision in element.all("collision"):
+        solid = _solid(collision, where, notes)
         if solid is not None:
             link.solids.append(solid)
-    for part in element.all("visual"):
-        link.visuals += _visual(part, where, notes)
+    for collision in element.all("visual"):
+        link.visuals += _visual(collision, where, notes)
 
 
-def _visual(part: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
+def _visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
     """Yield a link's visual; skip an invalid one with a notice."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
-    meshes = [mesh for one in part.all("geometry") for mesh in one.all("mesh")]
-    shown: Visual | None = None
+    meshes = [
+        mesh for geometry in element.all("geometry") for mesh in geometry.all("mesh")
+    ]
+    fallback: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
-        position, rotation = pose_of(part, where, visual_notes)
+        position, rotation = pose_of(element, where, visual_notes)
         x, y, z = visual_notes.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
-        shown = Visual(
+        fallback = Visual(
             meshes[0], SimpleShape("mesh", (), position, rotation), (x, y, z)
         )
     elif not meshes:
-        solid = _solid(part, where, visual_notes)
-        shown = None if solid is None else Visual(None, solid)
+        solid = _solid(element, where, visual_notes)
+        fallback = None if solid is None else Visual(None, solid)
     if visual_notes.faults:
         notes.leave_out(["visuals with faults"])
-    elif shown is not None:
-        yield shown
+    elif fallback is not None:
+        yield fallback
     else:
         notes.leave_out(["visuals without a shape"])
 
@@ -70,7 +72,7 @@ def _visual(part: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
 def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
     """Return a link's mass; warn and return None if impossible."""
     position, rotation = pose_of(inertial, where, notes)
-    before = len(notes.faults)
+    fault_count = len(notes.faults)
     mass_element = one_of(inertial, "mass", where, notes)
     tensor = one_of(inertial, "inertia", where, notes)
     mass = 0.0
@@ -82,7 +84,7 @@ def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
             for j, b in enumerate("xyz"[i:], i):
                 value = notes.number(tensor, f"i{a}{b}", 0.0, where)
                 inertia[i, j] = inertia[j, i] = value
-    if len(notes.faults) > before:
+    if len(notes.faults) > fault_count:
         return None
     if not mass and not inertia.any():
         return None  # a frame that weighs nothing
@@ -98,9 +100,9 @@ def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
     return Weight(mass, position, matrix @ inertia @ matrix.T)
 
 
-def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
+def _solid(element: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
     """Return a collision shape; None, with a notice, for meshes."""
-    geometry = one_of(part, "geometry", where, notes)
+    geometry = one_of(element, "geometry", where, notes)
     shape = next(iter(geometry.children), None) if geometry is not None else None
     if shape is None or shape.tag not in _SHAPES:
         tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
@@ -108,13 +110,13 @@ def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
             ["collision meshes" if tag == "of <mesh>" else f"collisions {tag}"]
         )
         return None
-    position, rotation = pose_of(part, where, notes)
+    position, rotation = pose_of(element, where, notes)
     size: list[float] = []
-    before = len(notes.faults)
+    fault_count = len(notes.faults)
     for name, count in _SHAPES[shape.tag]:
         if text_of(shape, name, where, notes):
             size += notes.numbers(shape, name, count, (1.0,) * count, where)
-    if len(notes.faults) > before:
+    if len(notes.faults) > fault_count:
         return None
     if min(size) <= 0:
         notes.leave_out(["collisions without size"])
@@ -122,7 +124,7 @@ def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
     return SimpleShape(shape.tag, tuple(size), position, rotation)
 
 
-# Shapes with their attributes.
+# Shapes and their attributes.
 _SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
-from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.notes import XmlNotes, label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangles_of
@@ -16,14 +16,14 @@ from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
 from animtool.maths import so3
 
 MAX_NAMED = 8
-# Triangles of a robot; more are left out.
+# Maximum triangles of a robot; the others are omitted.
 MAX_TRIANGLES = 1_000_000
 
 
 def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
     """Return mesh paths by name; raise for files outside the project.
 
-    Missing ones are noted: motion needs none.
+    Missing files are only noted, since motion does not need them.
     """
     meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
     if not meshes:
@@ -31,19 +31,19 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
     folders = PackageFolders.of(path, CODES)
     files: dict[str, Path] = {}
     missing: dict[str, None] = {}
-    refused: set[tuple[str, str]] = set()
+    outside: set[tuple[str, str]] = set()
     for link, mesh in meshes:
         name = mesh.attributes["filename"]
-        if name in files or name in missing or (link.name, name) in refused:
+        if name in files or name in missing or (link.name, name) in outside:
             continue
         try:
             file_path = folders.find(name)
         except OutsideError as error:
-            refused.add((link.name, name))
+            outside.add((link.name, name))
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add("URD016", mesh, message, hint, where=named("link", link.name))
+            notes.add("URD016", mesh, message, hint, where=label("link", link.name))
             continue
         if file_path is None:
             missing[name] = None
@@ -58,37 +58,37 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
     return files
 
 
-def looks_of(
+def visible_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record what is not shown."""
-    read: dict[Path, Triangles | None] = {}
-    wrong: dict[str, None] = {}
-    looks: dict[str, list[Triangles]] = {}
+    loaded: dict[Path, Triangles | None] = {}
+    unreadable: dict[str, None] = {}
+    surfaces: dict[str, list[Triangles]] = {}
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            shown = _shown(visual, files, read, wrong, notes)
-            if shown is None:
+            surface = _visible_surface(visual, files, loaded, unreadable, notes)
+            if surface is None:
                 continue
-            total += len(shown.faces)
+            total += len(surface.faces)
             if total > MAX_TRIANGLES:
                 notes.leave_out([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
-                return looks
-            looks.setdefault(link.name, []).append(shown)
-    if wrong:
-        message = f"{counted(len(wrong), 'mesh', 'meshes')} not shown: "
-        message += listed(list(wrong), MAX_NAMED)
+                return surfaces
+            surfaces.setdefault(link.name, []).append(surface)
+    if unreadable:
+        message = f"{counted(len(unreadable), 'mesh', 'meshes')} not shown: "
+        message += listed(list(unreadable), MAX_NAMED)
         hint = "export it as STL or OBJ again"
         notes.add("URD110", None, message, hint, severity=Severity.WARNING)
-    return looks
+    return surfaces
 
 
-def _shown(
+def _visible_surface(
     visual: Visual,
     files: dict[str, Path],
-    read: dict[Path, Triangles | None],
-    wrong: dict[str, None],
+    loaded: dict[Path, Triangles | None],
+    unreadable: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
     """Return a visual's surface in its link frame; None if not shown."""
@@ -101,13 +101,13 @@ def _shown(
     if path.suffix.lower() not in SUFFIXES:
         notes.leave_out([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
-    if path not in read:
+    if path not in loaded:
         try:
-            read[path] = read_mesh(path)
+            loaded[path] = read_mesh(path)
         except ValueError as error:
-            read[path] = None
-            wrong[f"{excerpt(name, 60)}: {error}"] = None
-    mesh = read[path]
+            loaded[path] = None
+            unreadable[f"{excerpt(name, 60)}: {error}"] = None
+    mesh = loaded[path]
     if mesh is None:
         return None
     position, rotation = (

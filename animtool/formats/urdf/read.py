@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.formats.robots.standing import standing
+from animtool.formats.robots.standing import zero_pose_stream
 from animtool.formats.urdf.rig import rig_of_urdf
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -13,15 +13,17 @@ from animtool.rig.skeleton import Rig
 def read_urdf_rig(path: Path | str) -> Rig:
     """Return the rig of a URDF: metres, radians, Z up, at rest with its joints at 0.
 
-    Links are joints of their names, and so are the joints that move them. Simple
-    shapes that collide are capsules, inertias masses, and visuals meshes, where these
-    are simple shapes, OBJ or STL.
+    Every link becomes a joint of its name, and so does every joint that moves one.
+    Simple
+    colliding shapes become capsules, inertias masses, and visuals meshes if they are
+    simple
+    shapes, OBJ or STL.
 
     Args:
         path: A .urdf file.
 
     Raises:
-        FormatError: With every fault of the file (URD001 to URD016).
+        FormatError: All faults of the file (URD001 to URD016).
     """
     return rig_of_urdf(Path(path))
 
@@ -33,6 +35,6 @@ def read_urdf(path: Path | str) -> TakeStream:
         path: A .urdf file.
 
     Raises:
-        FormatError: As `read_urdf_rig` does.
+        FormatError: As for `read_urdf_rig`.
     """
-    return standing(read_urdf_rig(path), "URDF")
+    return zero_pose_stream(read_urdf_rig(path), "URDF")

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.build import RobotCodes, build_rig
 from animtool.formats.robots.notes import XmlNotes
-from animtool.formats.robots.parts import Link, Move, Robot, Triangles, vector
+from animtool.formats.robots.parts import Link, Robot, RobotJoint, Triangles, vector
 from animtool.formats.urdf.elements import (
     SCALAR,
     UrdfFile,
@@ -17,7 +17,7 @@ from animtool.formats.urdf.elements import (
     UrdfJointKind,
 )
 from animtool.formats.urdf.file import read_file
-from animtool.formats.urdf.meshes import looks_of, mesh_paths
+from animtool.formats.urdf.meshes import mesh_paths, visible_surfaces
 from animtool.formats.urdf.tree import check_tree, resolved_mimics
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Mimic, Rig
@@ -31,7 +31,7 @@ _TYPES = {
     UrdfJointKind.FLOATING: JointType.FREE,
     UrdfJointKind.FIXED: JointType.FIXED,
 }
-# A mimic beyond its limits by less is rounding [rad], [m].
+# Rounding error by which a mimic may exceed its limits [rad], [m].
 ROUNDING = 1e-9
 
 
@@ -39,7 +39,7 @@ def rig_of_urdf(path: Path) -> Rig:
     """Return the rig of a URDF.
 
     Raises:
-        FormatError: With every fault of the file (URD001 to URD016).
+        FormatError: All faults of the file (URD001 to URD016).
     """
     notes = XmlNotes(path, "URD007")
     file = read_file(path, notes)
@@ -49,46 +49,46 @@ def rig_of_urdf(path: Path) -> Rig:
     notes.check()
     _note_idle(file, notes)
     _note_ranges(file, mimics, notes)
-    looks = looks_of(file, paths, notes)
-    robot = Robot(file.name or path.stem, _links(file, mimics, looks))
+    surfaces = visible_surfaces(file, paths, notes)
+    robot = Robot(file.name or path.stem, _links(file, mimics, surfaces))
     return build_rig(robot, notes, _CODES)
 
 
 def _links(
-    file: UrdfFile, mimics: dict[str, Mimic], looks: dict[str, list[Triangles]]
+    file: UrdfFile, mimics: dict[str, Mimic], surfaces: dict[str, list[Triangles]]
 ) -> list[Link]:
     """Return links depth-first, parents before children."""
-    below: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
+    child_joints: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
     children = set()
-    for one in file.joints.values():
-        below[one.parent].append(one)
-        children.add(one.child)
+    for joint_ in file.joints.values():
+        child_joints[joint_.parent].append(joint_)
+        children.add(joint_.child)
     root = next(name for name in file.links if name not in children)
     links: list[Link] = []
-    waiting: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
-    while waiting:
-        name, parent, joint = waiting.pop()
+    pending: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
+    while pending:
+        name, parent, joint = pending.pop()
         source = file.links[name]
-        moves = [] if joint is None else _moves(joint, mimics.get(joint.name))
-        shown = looks.get(name, [])
-        link = Link(name, parent, moves, solids=source.solids, shown=shown)
+        rig_joints = [] if joint is None else _moves(joint, mimics.get(joint.name))
+        visible = surfaces.get(name, [])
+        link = Link(name, parent, rig_joints, solids=source.solids, surfaces=visible)
         link.weight = source.weight
         links.append(link)
         index = len(links) - 1
-        waiting += [
+        pending += [
             (next_joint.child, index, next_joint)
-            for next_joint in reversed(below[name])
+            for next_joint in reversed(child_joints[name])
         ]
     return links
 
 
-def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
+def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
     """Return the rig joints that represent a joint."""
     if joint.kind is UrdfJointKind.PLANAR:
         return _planar(joint)
     fixed = joint.kind is UrdfJointKind.FIXED
     return [
-        Move(
+        RobotJoint(
             "" if fixed else joint.name,
             _TYPES[joint.kind],
             joint.position,
@@ -100,18 +100,18 @@ def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
     ]
 
 
-def _planar(joint: UrdfJoint) -> list[Move]:
-    """Return two slides and a pin; x and y are rotated as the axis from z."""
+def _planar(joint: UrdfJoint) -> list[RobotJoint]:
+    """Return two slides and a pin; x and y are rotated with the axis from z."""
     rotation = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
     x, y = (vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC
-    first = Move(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
-    second = Move(f"{joint.name}_y", slide, axis=y)
-    return [first, second, Move(joint.name, JointType.PIN, axis=joint.axis)]
+    slide_x = RobotJoint(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
+    slide_y = RobotJoint(f"{joint.name}_y", slide, axis=y)
+    return [slide_x, slide_y, RobotJoint(joint.name, JointType.PIN, axis=joint.axis)]
 
 
 def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
-    """Record joints without transmissions where others have them."""
+    """Record joints without transmissions if other joints have them."""
     if not file.has_drives:
         return
     idle = [
@@ -130,33 +130,35 @@ def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
 
 def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
     """Record limits that exclude 0, and mimics beyond their limits."""
-    off = [
+    excluding_zero = [
         joint.name
         for joint in file.joints.values()
         if joint.limits is not None
         and joint.name not in mimics
         and not joint.limits.low <= 0.0 <= joint.limits.high
     ]
-    if off:
-        message = f"0 is outside the limits of {counted(len(off), 'joint')}: "
-        message += listed([excerpt(name) for name in off], MAX_NAMED)
+    if excluding_zero:
+        message = (
+            f"0 is outside the limits of {counted(len(excluding_zero), 'joint')}: "
+        )
+        message += listed([excerpt(name) for name in excluding_zero], MAX_NAMED)
         hint = "the rest pose is still at 0; a take uses the nearest limit"
         notes.add("URD109", None, message, hint, severity=Severity.NOTE)
     for name, mimic in mimics.items():
         follower, leader = file.joints[name], file.joints[mimic.joint]
         if follower.limits is None or leader.limits is None:
             continue
-        ends = [
+        reach = [
             mimic.gain * end + mimic.offset
             for end in (leader.limits.low, leader.limits.high)
         ]
-        low, high = follower.limits.low - ROUNDING, follower.limits.high + ROUNDING
-        if min(ends) < low or max(ends) > high:
+        lower, upper = follower.limits.low - ROUNDING, follower.limits.high + ROUNDING
+        if min(reach) < lower or max(reach) > upper:
             message = (
-                f"where it mimics {leader.where}, it goes from {min(ends):.4g} to "
+                f"where it mimics {leader.where}, it goes from {min(reach):.4g} to "
             )
             message += (
-                f"{max(ends):.4g}, beyond its limits {follower.limits.low:.4g} to "
+                f"{max(reach):.4g}, beyond its limits {follower.limits.low:.4g} to "
             )
             message += f"{follower.limits.high:.4g}"
             hint = (

@@ -13,77 +13,79 @@ from animtool.rig.skeleton import Mimic
 
 def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
     """Record missing links, links with two parents or none, and cycles."""
-    above: dict[str, UrdfJoint] = {}
-    missing = False
+    parents: dict[str, UrdfJoint] = {}
+    has_missing = False
     for joint in file.joints.values():
         for tag, name in (("parent", joint.parent), ("child", joint.child)):
             if name and name not in file.links:
-                missing = True
+                has_missing = True
                 message = f"its {tag} link {excerpt(name)} does not exist"
                 hint = nearest(name, file.links)
                 _add(notes, "URD010", joint, message, hint)
-        if joint.child in above:
-            other = above[joint.child]
+        if joint.child in parents:
+            other = parents[joint.child]
             message = f"link {excerpt(joint.child)} has two parents, "
             message += f"{excerpt(other.parent)} by joint {excerpt(other.name)} and "
             message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
-            ring = _ring(joint, above)
+            cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
-            if ring:
-                message += f"; {circle(ring)} go round"
+            if cycle:
+                message += f"; {circle(cycle)} go round"
             _add(notes, "URD011", joint, message, hint)
         elif joint.child:
-            above[joint.child] = joint
-    if missing or notes.faults:
+            parents[joint.child] = joint
+    if has_missing or notes.faults:
         return
-    _check_roots(file, above, notes)
+    _check_roots(file, parents, notes)
 
 
-def _ring(joint: UrdfJoint, above: dict[str, UrdfJoint]) -> list[str]:
+def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
     """Return the cycle of joints through a joint's child; empty if none."""
     names, link = [joint.name], joint.parent
     visited: set[str] = set()
-    while link in above and link not in visited:
+    while link in parent_joints and link not in visited:
         if link == joint.child:
             return [*reversed(names), names[-1]]
         visited.add(link)
-        names.append(above[link].name)
-        link = above[link].parent
+        names.append(parent_joints[link].name)
+        link = parent_joints[link].parent
     return [*reversed(names), names[-1]] if link == joint.child else []
 
 
-def _check_roots(file: UrdfFile, above: dict[str, UrdfJoint], notes: XmlNotes) -> None:
-    roots = [name for name in file.links if name not in above]
+def _check_roots(
+    file: UrdfFile, parent_joints: dict[str, UrdfJoint], notes: XmlNotes
+) -> None:
+    roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
         message = f"{len(roots)} links have no parent: {listed(_quoted(roots))}"
         hint = "a robot has one root: join the others to it by joints"
-        second = file.links[roots[1]].element
-        notes.add("URD012", second, message, hint)
-    reached = set(roots)
-    below: dict[str, list[str]] = {}
+        second_root = file.links[roots[1]].element
+        notes.add("URD012", second_root, message, hint)
+    reachable = set(roots)
+    children: dict[str, list[str]] = {}
     for joint in file.joints.values():
-        below.setdefault(joint.parent, []).append(joint.child)
-    waiting = list(roots)
-    while waiting:
-        for child in below.get(waiting.pop(), ()):
-            if child not in reached:
-                reached.add(child)
-                waiting.append(child)
-    lost = [name for name in file.links if name not in reached]
-    if lost:
-        names = [above[lost[0]].name]
-        link = above[lost[0]].parent
-        visited = [lost[0]]
+        children.setdefault(joint.parent, []).append(joint.child)
+    pending = list(roots)
+    while pending:
+        for child in children.get(pending.pop(), ()):
+            if child not in reachable:
+                reachable.add(child)
+                pending.append(child)
+    in_cycles = [name for name in file.links if name not in reachable]
+    if in_cycles:
+        names = [parent_joints[in_cycles[0]].name]
+        link = parent_joints[in_cycles[0]].parent
+        visited = [in_cycles[0]]
         while link not in visited:
             visited.append(link)
-            names.append(above[link].name)
-            link = above[link].parent
+            names.append(parent_joints[link].name)
+            link = parent_joints[link].parent
         names = names[visited.index(link) :]
-        first = file.joints[names[0]]
+        first_joint = file.joints[names[0]]
         message = f"joints go round: {circle([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
-        _add(notes, "URD011", first, message, "remove one of these joints")
+        _add(notes, "URD011", first_joint, message, "remove one of these joints")
 
 
 def _quoted(names: Iterable[str]) -> list[str]:
@@ -93,7 +95,7 @@ def _quoted(names: Iterable[str]) -> list[str]:
 def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
     """Return each mimic joint with its final leader.
 
-    A mimic of a mimic is one of the first, by both multipliers and offsets.
+    A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """
     for joint in file.joints.values():
         if joint.mimic is None:
@@ -125,12 +127,14 @@ def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         else:
             resolved[joint.name] = mimic
             continue
-        ring = names[names.index(mimic.joint) :]
-        ring = ring if len(ring) > 1 else [mimic.joint, mimic.joint]
-        if not reported.intersection(ring):
-            message = f"joints mimic each other: {circle(ring)}"
-            _add(notes, "URD015", file.joints[ring[0]], message, "one must move itself")
-        reported.update(ring)
+        cycle = names[names.index(mimic.joint) :]
+        cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
+        if not reported.intersection(cycle):
+            message = f"joints mimic each other: {circle(cycle)}"
+            _add(
+                notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
+            )
+        reported.update(cycle)
     return resolved
 
 

@@ -1,4 +1,6 @@
 // Python bindings of springs.
+#include <nanobind/stl/pair.h>
+
 #include "bindings/arrays.h"
 #include "bindings/subjects.h"
 #include "springs/steps.h"
@@ -125,12 +127,14 @@ strands above which a step is corrected once more.)")
 
   m.def("follow_strands", &follow_strands, Unlocked(), "strands"_a, "targets"_a, "state"_a,
         "span"_a, "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
+        "own"_a = OwnColliders{0, 0},
         R"(Advance strands over a frame, from a state ``(2, N, 3)``.
 
 ``targets`` ``(cells + 1, N, 3)`` are animated positions at the ends of even cells, linear
 between them; roots follow them. Steps are those of `project_springs`, except that springs along
-strands are solved directly. ``colliders`` are those of `step_springs`. The number of
-``threads`` does not change the result.
+strands are solved directly. ``colliders`` are those of `step_springs`; those of the character
+itself, from the first of ``own`` on and so many, collide with particles, the other rigid ones
+with segments too. The number of ``threads`` does not change the result.
 
 Returns ``(state, touched, unresolved, stretch)``: most particles in contact in a step;
 particles left inside at the end; the largest strain along strands at the end.)");

@@ -22,6 +22,17 @@ struct OtherColliders {
   bool (*sweep)(const void* all, std::size_t row, const double* from, double* to);
 };
 
+struct StrandBundle;
+
+// Segments of strands against what is finer than these: of one of four strands in a step, by
+// particles that are near. Returns whether it moved any, and adds how far to their ways.
+struct SegmentContacts {
+  void* all = nullptr;  // null where nothing is that fine
+  bool (*settle)(void* all, StrandBundle& bundle, std::size_t step, std::size_t lane,
+                 std::size_t near) = nullptr;
+  double reach = 0;  // a particle this far from all colliders has no segment at them
+};
+
 // Constants of a frame, shared by all strands.
 struct StrandSteps {
   std::size_t points, cells, substeps;
@@ -61,6 +72,8 @@ struct StrandBundle {
   // (P,), and each (P, C); those that are near (C,).
   double *shift, *due, *dues;
   std::size_t* near;
+  SegmentContacts segments;
+  std::int32_t* at_segments;  // those with a segment near a collider (P,)
   // Results: particles moved by colliders in each step, summed; left inside; the largest
   // strain.
   std::int64_t* touched;
@@ -311,6 +324,21 @@ class BundleCrossing {
       const unsigned moved = settle(step, p, went);
       touched += count(moved);
       lanes |= moved;
+    }
+    return b_.segments.all ? lanes | meet_segments(step) : lanes;
+  }
+
+  // The same of segments between particles; the root is near where another is.
+  unsigned meet_segments(std::size_t step) {
+    std::size_t near = 0;
+    b_.at_segments[near++] = 0;
+    for (std::size_t p = 1; p < plan_.points; ++p)
+      if (b_.shift[p] + b_.segments.reach >= b_.due[p])
+        b_.at_segments[near++] = static_cast<std::int32_t>(p);
+    unsigned lanes = 0;
+    for (std::size_t l = 0; near > 1 && l < WIDE; ++l) {
+      if (!((allowed_bits_ & b_.counted) >> l & 1)) continue;
+      if (b_.segments.settle(b_.segments.all, b_, step, l, near)) lanes |= 1u << l;
     }
     return lanes;
   }

@@ -138,8 +138,8 @@ FineParts parts_of(const Collider& c, double radius, double longest) {
 
 }  // namespace
 
-FaceContacts::FaceContacts(const SpringNetwork& network, double radius)
-    : network_(network), radius_(radius), reach_(NEAR * network.longest_edge) {}
+FaceContacts::FaceContacts(const SpringElements& elements, double radius)
+    : network_(elements), radius_(radius), reach_(NEAR * elements.longest_edge) {}
 
 void FaceContacts::add(const Collider& c) {
   // Meshes are looked through where something comes to them.

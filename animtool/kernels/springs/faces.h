@@ -37,10 +37,12 @@ struct StepRows {
 
 class FaceContacts {
  public:
-  FaceContacts(const SpringNetwork& network, double radius);
+  FaceContacts(const SpringElements& elements, double radius);
 
   // Colliders as they come; whether any has parts that are looked for.
   void add(const collide::Collider& c);
+  // One that particles alone collide with.
+  void skip() { parts_.emplace_back(); }
   bool any() const { return any_; }
   // A particle this far from all colliders over a step has no edge or face at them.
   double reach() const { return any_ ? reach_ : -collide::FAR; }
@@ -78,7 +80,7 @@ class FaceContacts {
   bool part(Separation& separation) const;
   void write(const StepCollider& c, double h, StepRows& rows);
 
-  const SpringNetwork& network_;
+  const SpringElements& network_;
   double radius_, reach_ = 0;
   bool any_ = false;
   std::vector<FineParts> parts_;  // of each collider

@@ -51,7 +51,7 @@ std::vector<double> listed(const In<double, 1>& column) {
 }  // namespace
 
 SpringNetwork::SpringNetwork(const SpringArrays& arrays)
-    : inverse_masses(listed(arrays.inverse_masses)),
+    : SpringElements{listed(arrays.inverse_masses), {}, {}, 0},
       drags(listed(arrays.drags)),
       air_drag(arrays.air_drag),
       air_lift(arrays.air_lift),

@@ -62,11 +62,20 @@ struct SpringArrays {
   In<double, 3> anchor_path, winds;
 };
 
-class SpringNetwork {
- public:
-  explicit SpringNetwork(const SpringArrays& arrays);
+// What of particles collides beside themselves.
+struct SpringElements {
+  std::vector<double> inverse_masses;
+  std::vector<std::int32_t> triangles;
+  // Of triangles, or of ropes and strands without any: ends two by two, ascending.
+  std::vector<std::int32_t> edges;
+  double longest_edge = 0;  // at rest, of those that are springs [m]
 
   std::size_t particles() const { return inverse_masses.size(); }
+};
+
+class SpringNetwork : public SpringElements {
+ public:
+  explicit SpringNetwork(const SpringArrays& arrays);
 
   // Other paths over the same knots.
   void lead(In<double, 3> pinned_path, In<double, 3> anchor_path);
@@ -90,12 +99,8 @@ class SpringNetwork {
   void set_pinned(double t, double h, const double* before, double* x, double* v,
                   const Strides& strides) const;
 
-  std::vector<double> inverse_masses, drags;
+  std::vector<double> drags;
   SpringLines lines;
-  std::vector<std::int32_t> triangles;
-  // Of triangles, or of ropes and strands without any: ends two by two, ascending.
-  std::vector<std::int32_t> edges;
-  double longest_edge = 0;          // at rest, of those that are springs [m]
   double gravity[3];
   double air_drag, air_lift;
   std::vector<double> knots;

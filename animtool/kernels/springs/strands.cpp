@@ -3,6 +3,7 @@
 #include "springs/strands.h"
 
 #include <algorithm>
+#include <cmath>
 #include <system_error>
 #include <thread>
 
@@ -75,6 +76,10 @@ class FrameColliders {
       is_bounded_.push_back(rows_[c].is_rod || rows_[c].surface >= 0);
     }
     fill_lookahead();
+  }
+
+  const StepCollider& row(std::size_t step, std::size_t c) const {
+    return rows_[step * count_ + c];
   }
 
   void put_into(StrandSteps& plan) const {
@@ -151,11 +156,12 @@ class FrameColliders {
 class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
-          const MovingColliders& colliders, const double* targets, const double* state,
-          double* out)
+          const MovingColliders& colliders, const FrameColliders& frame,
+          const OwnColliders& own, const double* targets, const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
+        frame_(frame),
         targets_(targets),
         state_(state),
         out_(out),
@@ -163,7 +169,19 @@ class Bundles {
         goals_((plan.cells + 1) * width()),
         contact_shifts_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
-        touched_(plan.cells * plan.substeps) {}
+        touched_(plan.cells * plan.substeps),
+        at_segments_(plan.points),
+        row_before_(ROW * plan.points),
+        row_(ROW * plan.points) {
+    for (const SpringElements& one : strands.segments()) {
+      FaceContacts& segments = segments_.emplace_back(one, colliders.radius());
+      for (std::size_t c = 0; c < colliders.size(); ++c)
+        if (c >= own.first && c < own.first + own.second)
+          segments.skip();
+        else
+          segments.add(colliders[c]);
+    }
+  }
 
   void cross(std::size_t index) {
     StrandBundle bundle = begun(index);
@@ -197,6 +215,14 @@ class Bundles {
     built.dues = built.due + plan_.points;
     built.near = near_.data();
     built.touched = touched_.data();
+    built.at_segments = at_segments_.data();
+    first_ = index * WIDE;
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      const FaceContacts& segments = segments_of(l);
+      if (!segments.any()) continue;
+      const double reach = std::max(built.segments.reach, segments.reach());
+      built.segments = {this, &Bundles::settle_segments, reach};
+    }
     built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
       if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
@@ -210,6 +236,41 @@ class Bundles {
       take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
     built.goals = goals_.data();
     return built;
+  }
+
+  // One strand among rigid colliders.
+  static bool settle_segments(void* all, StrandBundle& bundle, std::size_t step,
+                              std::size_t lane, std::size_t near) {
+    auto& self = *static_cast<Bundles*>(all);
+    FaceContacts& segments = self.segments_of(lane);
+    if (!segments.any()) return false;
+    const std::size_t points = self.plan_.points;
+    self.near_segments_.assign(bundle.at_segments, bundle.at_segments + near);
+    const auto each = [&](auto&& move) {
+      for (std::size_t p = 0; p < points; ++p)
+        for (std::size_t k = 0; k < 3; ++k)
+          move(ROW * p + k, WIDE_VECTOR * p + WIDE * k + lane);
+    };
+    each([&](std::size_t to, std::size_t from) {
+      self.row_before_[to] = bundle.unmoved[from], self.row_[to] = bundle.x[from];
+    });
+    bool moved = false;
+    for (std::size_t c = 0; c < self.colliders_.size(); ++c) {
+      if (!segments.settle(c, self.frame_.row(step, c), self.plan_.h, self.near_segments_,
+                           {self.row_before_, self.row_, nullptr}))
+        continue;
+      moved = true;
+      for (const FaceContacts::Moved& one : segments.moved)
+        bundle.shift[static_cast<std::size_t>(one.particle)] += one.shift;
+    }
+    if (moved) each([&](std::size_t from, std::size_t to) {
+      bundle.unmoved[to] = self.row_before_[from], bundle.x[to] = self.row_[from];
+    });
+    return moved;
+  }
+
+  FaceContacts& segments_of(std::size_t lane) {
+    return segments_[strands_.segments_of(strand_of(first_ / WIDE, lane, strands_.strands()))];
   }
 
   // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
@@ -230,11 +291,16 @@ class Bundles {
   const SpringStrands& strands_;
   const StrandSteps& plan_;
   const MovingColliders& colliders_;
+  const FrameColliders& frame_;
+  std::vector<FaceContacts> segments_;
+  std::size_t first_ = 0;  // strand of the bundle
   const double *targets_, *state_;
   double* out_;
   std::vector<double> rows_, goals_, contact_shifts_;
   std::vector<std::size_t> near_;
   std::vector<std::int64_t> touched_;
+  std::vector<std::int32_t> at_segments_, near_segments_;
+  std::vector<double> row_before_, row_;  // of one strand, in rows
 };
 
 // Bundles that are worth a thread of their own.
@@ -293,6 +359,28 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   std::copy_n(gravity.data(), 3, gravity_);
   rests_ = side_by_side(rests, strands_, springs());
   folds_ = side_by_side(folds, strands_, points_);
+  note_segments(rests);
+}
+
+// Lengths are rounded up to powers of two, so that a strand collides as if it were alone.
+void SpringStrands::note_segments(In<double, 2> rests) {
+  SpringElements one;
+  one.inverse_masses.assign(points_, 1.0);
+  one.inverse_masses.front() = 0;
+  for (std::size_t p = 0; p < springs(); ++p)
+    for (const std::size_t end : {p, p + 1}) one.edges.push_back(static_cast<std::int32_t>(end));
+  for (std::size_t s = 0; s < strands_; ++s) {
+    const double* row = rests.data() + s * springs();
+    const double longest = springs() ? *std::max_element(row, row + springs()) : 0.0;
+    int power = 0;
+    if (longest > 0) std::frexp(longest, &power);
+    one.longest_edge = longest > 0 ? std::ldexp(1.0, power) : 0.0;
+    const auto same = std::find_if(segments_.begin(), segments_.end(), [&](const auto& other) {
+      return other.longest_edge == one.longest_edge;
+    });
+    segments_of_.push_back(static_cast<std::size_t>(same - segments_.begin()));
+    if (same == segments_.end()) segments_.push_back(one);
+  }
 }
 
 StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
@@ -317,7 +405,7 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads) {
+                               std::size_t threads, const OwnColliders& own) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
@@ -341,7 +429,7 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::vector<Bundles> workers;
   workers.reserve(std::min(threads, most));
   while (workers.size() < std::min(threads, most))
-    workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
+    workers.emplace_back(strands, plan, moving, frame, own, targets.data(), state.data(), out.get());
   cross_all(workers, bundles);
   for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
     std::int64_t together = 0;

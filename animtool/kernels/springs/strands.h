@@ -3,6 +3,7 @@
 
 #include <optional>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 
@@ -14,6 +15,9 @@ namespace animtool {
 // states (2, N, 3); particles in contact, and left inside colliders, at most; largest stretch
 using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
 
+// Of rigid colliders those that particles alone collide with: the first, and how many.
+using OwnColliders = std::pair<std::size_t, std::size_t>;
+
 class SpringStrands {
  public:
   SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
@@ -22,6 +26,10 @@ class SpringStrands {
 
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
+
+  // Segments of one of them; strands that are about as long share these, by number.
+  const std::vector<SpringElements>& segments() const { return segments_; }
+  std::size_t segments_of(std::size_t strand) const { return segments_of_[strand]; }
 
   // What does not change over a frame of cells of so many steps.
   StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
@@ -35,11 +43,15 @@ class SpringStrands {
   std::size_t strands_, points_;
   double gravity_[3], drag_, stiffness_, fold_, draw_, draw_damping_, stretch_;
   std::vector<double> rests_, folds_;  // by bundle, four side by side
+  std::vector<SpringElements> segments_;
+  std::vector<std::size_t> segments_of_;  // strands
+
+  void note_segments(In<double, 2> rests);
 };
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads);
+                               std::size_t threads, const OwnColliders& own);
 
 }  // namespace animtool

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.camera import Eye
+from animtool.preview.pictures.camera import EyeMatrices
 from animtool.preview.pictures.device import Device, TextureTable
-from animtool.preview.pictures.lines import DrawnLines, Sprites, Stored
+from animtool.preview.pictures.lines import DrawnLines, Sprites, VertexBuffer
 from animtool.preview.pictures.pose import DrawnPose
 
-# Most joints that are drawn with thick bones: those of a crowd are lines.
-THICK = 1500
+# Maximum number of joints drawn with thick bones; crowds have thin lines.
+MAX_THICK_JOINTS = 1500
 AXES = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
 Color = tuple[int, int, int]
 
 
-class Bones:
+class DrawnBones:
     """Renderer of the skeletons of takes."""
 
     def __init__(self, device: Device) -> None:
@@ -29,12 +29,12 @@ class Bones:
         self._table = TextureTable(device)
         self._balls = Sprites(device)
         self._axes = DrawnLines(device)
-        self._ends = Stored(device)
+        self._ends = VertexBuffer(device)
         self._array: Any = None
 
     def draw(
         self,
-        eye: Eye,
+        eye: EyeMatrices,
         poses: Sequence[DrawnPose],
         color: Callable[[int], Color],
         *,
@@ -45,7 +45,7 @@ class Bones:
         poses = [pose for pose in poses if pose.count]
         if not poses:
             return
-        if bones and sum(pose.count for pose in poses) > THICK:
+        if bones and sum(pose.count for pose in poses) > MAX_THICK_JOINTS:
             self._lines(eye, poses, color)
             return
         if bones:
@@ -54,7 +54,10 @@ class Bones:
             self._draw_axes(eye, poses)
 
     def _thick(
-        self, eye: Eye, poses: Sequence[DrawnPose], color: Callable[[int], Color]
+        self,
+        eye: EyeMatrices,
+        poses: Sequence[DrawnPose],
+        color: Callable[[int], Color],
     ) -> None:
         size = max(pose.extent for pose in poses)
         cells, balls, tints = [], [], []
@@ -64,9 +67,9 @@ class Bones:
             at = pose.positions
             heads = np.concatenate([at[pose.parents[child]], at[joints]])
             tails = np.concatenate([at[child], ends])
-            long = np.linalg.norm(tails - heads, axis=1) > pose.extent * 1e-4
-            cell = np.zeros((int(long.sum()), 3, 4))
-            cell[:, 0, :3], cell[:, 1, :3] = heads[long], tails[long]
+            has_length = np.linalg.norm(tails - heads, axis=1) > pose.extent * 1e-4
+            cell = np.zeros((int(has_length.sum()), 3, 4))
+            cell[:, 0, :3], cell[:, 1, :3] = heads[has_length], tails[has_length]
             cell[:, 2, :3] = np.array(color(pose.index)) / 255
             cells.append(cell)
             balls.append(at)
@@ -74,14 +77,17 @@ class Bones:
         table = np.concatenate(cells)
         if len(table):
             self._table.send(table.reshape(-1, 4))
-            thickest = size * 0.03
-            self._device.use(self._program, eye, bones=self._table, thickest=thickest)
-            self._device.draw_plain(self._program, len(table) * 24)
+            max_width = size * 0.03
+            self._device.use(self._program, eye, bones=self._table, thickest=max_width)
+            self._device.draw_generated(self._program, len(table) * 24)
         self._balls.set(np.concatenate(balls), np.concatenate(tints))
         self._balls.draw(eye, size * 0.008, 2.5)
 
     def _lines(
-        self, eye: Eye, poses: Sequence[DrawnPose], color: Callable[[int], Color]
+        self,
+        eye: EyeMatrices,
+        poses: Sequence[DrawnPose],
+        color: Callable[[int], Color],
     ) -> None:
         """Draw many skeletons as thin lines."""
         rows = []
@@ -99,7 +105,7 @@ class Bones:
         self._device.use(self._thin, eye)
         self._array.render(self._device.module.LINES, vertices=len(values))
 
-    def _draw_axes(self, eye: Eye, poses: Sequence[DrawnPose]) -> None:
+    def _draw_axes(self, eye: EyeMatrices, poses: Sequence[DrawnPose]) -> None:
         """Draw the axes of each joint, red, green and blue."""
         begins: list[FloatArray] = []
         ends: list[FloatArray] = []

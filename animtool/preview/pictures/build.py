@@ -23,11 +23,11 @@ from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.captions import (
     Caption,
     caption_of,
-    joined,
-    spread,
-    written,
+    evenly_spaced,
+    picture_sheet,
+    with_caption,
 )
-from animtool.preview.pictures.device import Array, Device, Picture, needed
+from animtool.preview.pictures.device import Array, Device, Picture, import_package
 from animtool.preview.pictures.film import film, write_picture
 from animtool.preview.pictures.kinds import PictureKind, picture_kind
 from animtool.preview.pictures.request import (
@@ -35,21 +35,21 @@ from animtool.preview.pictures.request import (
     camera_of,
     layers_of,
     light_of,
-    refused,
+    option_error,
     sheet_of,
     size_of,
 )
 from animtool.preview.pictures.scene import DrawnScene
 from animtool.preview.pictures.sources import theme_colors
 
-# Between the pictures of a sheet [px].
-GAP = 4
-# Pictures of a row, where a sheet states no columns.
-ROW = 6
-# Of a camera that goes round what does not move: seconds, and frames of each.
-ROUND, ROUND_RATE = 4, 24
-# Frames of whose colours those of a film are chosen that has few.
-SAMPLED = 6
+# Gap between the pictures of a sheet [px].
+SHEET_GAP = 4
+# Pictures per row of a sheet without a stated number of columns.
+DEFAULT_COLUMNS = 6
+# Duration [s] and frame rate of a turntable around a static subject.
+TURNTABLE_SECONDS, TURNTABLE_RATE = 4, 24
+# Number of frames whose colours make the palette of a film.
+PALETTE_FRAMES = 6
 
 Progress = Callable[[float], None]
 
@@ -59,13 +59,13 @@ class PictureReport:
     """Report on a written picture or film.
 
     Attributes:
-        path: The file.
-        size: Of it [bytes].
+        path: Path of the file.
+        size: Size of the file [byte].
         pixels: Width and height.
-        frames: Time codes of the frames shown, those of a film in order.
-        rate: Frames a second of a film; 0 of a still.
-        about: What it is written as, with the licence of what compresses it.
-        page: What it shows.
+        frames: Time codes of the frames shown, in order for a film.
+        rate: Frames per second of a film; 0 for a still.
+        about: Format of the file, with the licence of its encoder.
+        page: The page that it shows.
     """
 
     path: Path
@@ -127,23 +127,26 @@ def write_pictures(
 ) -> PictureReport:
     """Render a picture, sheet or film of files, as their page shows them.
 
-    It needs the extra ``pictures``, and OpenGL 3.3, which Mesa has without a graphics
-    card. Frames of a film are compressed as they are drawn: its length takes no memory.
+    It needs the extra ``pictures``, and OpenGL 3.3, which Mesa provides without a
+    graphics
+    card. A film is encoded frame by frame, so its length takes no memory.
 
     Args:
-        files: Any that animtool reads: takes, rigs, scenes, stages, markers.
-        output: ``.png`` or ``.webp`` of a still or sheet; ``.gif``, ``.webp``, ``.mp4``
-            or ``.webm`` of a film.
+        files: Files of any supported kind: takes, rigs, scenes, stages, markers.
+        output: ``.png`` or ``.webp`` for a still or sheet; ``.gif``, ``.webp``,
+            ``.mp4``
+            or ``.webm`` for a film.
         options: How the files are read, and which frames are shown.
-        pictures: How it looks.
-        overwrite: Replace a file that exists.
-        progress: Told of the share that is done, from 0 to 1.
+        pictures: Appearance of the picture.
+        overwrite: Replace an existing file.
+        progress: Called with the completed fraction, from 0 to 1.
 
     Raises:
         FormatError: A file cannot be read, or is malformed.
-        OptionError: A file shows nothing (PRV001), the output is no picture (PRV002) or
-            exists (OUT001), a package is missing (IO005), no OpenGL starts (PRV005), an
-            option makes no sense (PRV006), or frames are not in the files (CLI005).
+        OptionError: A file shows nothing (PRV001), the output is not a picture (PRV002)
+            or exists (OUT001), a package is missing (IO005), OpenGL does not start
+            (PRV005), an option is invalid (PRV006), or frames are not in the files
+            (CLI005).
         OutputError: It cannot be written.
     """
     paths, output = [Path(file) for file in files], Path(output)
@@ -154,14 +157,14 @@ def write_pictures(
     check_outputs([output], paths, overwrite=overwrite)
     options = replace(options or PreviewOptions(), findings=False)
     pictures = pictures or PictureOptions()
-    listed = options.frame_range
-    frames = listed.frames if isinstance(listed, FrameList) else ()
+    frame_range = options.frame_range
+    frames = frame_range.frames if isinstance(frame_range, FrameList) else ()
     _check(pictures, kind, frames)
     # Missing packages are reported before scenes are baked.
     with _device() as device:
         with protect_inputs([output]):
             page = make_page(paths, options)
-        studio = Studio(device, page, pictures, kind, frames, progress)
+        studio = PictureRenderer(device, page, pictures, kind, frames, progress)
         return studio.write(output)
 
 
@@ -174,7 +177,7 @@ def save_pictures(
     pictures = pictures or PictureOptions()
     _check(pictures, kind, ())
     with _device() as device:
-        return Studio(device, page, pictures, kind, (), None).write(output)
+        return PictureRenderer(device, page, pictures, kind, (), None).write(output)
 
 
 @contextmanager
@@ -190,28 +193,28 @@ def _check(
     pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
 ) -> None:
     """Refuse invalid picture options before anything is read."""
-    needed("PIL.Image")
+    import_package("PIL.Image")
     if kind.codec:
-        needed("av")
+        import_package("av")
     layers_of(pictures)
     light_of(pictures)
     sheet = sheet_of(pictures)
     size_of(pictures, kind, sheet=bool(sheet or frames))
-    asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
-    several = [name for name, value in asked.items() if value]
+    requested = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
+    several = [name for name, value in requested.items() if value]
     if several and not kind.picture:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
-        raise refused(several[0], message, hint)
+        raise option_error(several[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
         message = f"{len(frames)} frames do not fit on a sheet of {pictures.sheet}"
-        raise refused("frames", message, "list fewer frames, or enlarge the sheet")
+        raise option_error("frames", message, "list fewer frames, or enlarge the sheet")
     if pictures.turntable and (several or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
-        raise refused("turntable", "a still has no turntable", hint)
+        raise option_error("turntable", "a still has no turntable", hint)
 
 
-class Studio:
+class PictureRenderer:
     """Renders pictures of one page."""
 
     def __init__(
@@ -227,11 +230,11 @@ class Studio:
         self._options, self._kind = options, kind
         self._progress = progress or (lambda _: None)
         names = [camera["name"] for camera in page.manifest["cameras"]]
-        asked = options.camera or ("home",)
-        self._cameras = [camera_of(text, names) for text in asked]
+        cameras = options.camera or ("home",)
+        self._cameras = [camera_of(text, names) for text in cameras]
         self._frames = frames
-        shown = layers_of(options)
-        self._scene = DrawnScene(device, page.manifest, page.blocks, shown)
+        layers = layers_of(options)
+        self._scene = DrawnScene(device, page.manifest, page.blocks, layers)
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
@@ -278,7 +281,7 @@ class Studio:
         if sheet is None:
             return [0]
         cells = sheet[0] * sheet[1] // len(self._cameras)
-        return [int(i) for i in spread(len(codes), max(cells, 1))]
+        return [int(i) for i in evenly_spaced(len(codes), max(cells, 1))]
 
     def _pictures(self) -> tuple[Array, list[int]]:
         samples = self._samples()
@@ -287,9 +290,9 @@ class Studio:
         size = size_of(self._options, self._kind, sheet=several)
         captions = self._captions(len(cells), size)
         picture = Picture(self._device, *size)
-        numbered = self._options.numbers
-        if numbered is None:
-            numbered = len(samples) > 1
+        shows_numbers = self._options.numbers
+        if shows_numbers is None:
+            shows_numbers = len(samples) > 1
         pictures: list[Array] = []
         view: CameraView | None = None
         for k, ((camera, sample), caption) in enumerate(
@@ -300,17 +303,18 @@ class Studio:
             view.inset = caption.height
             pixels = self._scene.draw(view, sample, picture, camera.shot)
             pictures.append(
-                self._written(pixels, caption, sample if numbered else None)
+                self._with_text(pixels, caption, sample if shows_numbers else None)
             )
             self._progress((k + 1) / len(cells))
         if not several:
             return pictures[0], samples
         columns = self._columns(len(samples), len(cells))
         rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
-        wide = columns * (size[0] + GAP) - GAP
-        title = self._title(len(cells), wide, size[1])
-        sheet = joined(rows, GAP, self._colors["page"], title, self._colors["ink"])
-        return sheet, samples
+        width = columns * (size[0] + SHEET_GAP) - SHEET_GAP
+        title = self._title(len(cells), width, size[1])
+        ink = self._colors["ink"]
+        pixels = picture_sheet(rows, SHEET_GAP, self._colors["page"], title, ink)
+        return pixels, samples
 
     def _columns(self, samples: int, cells: int) -> int:
         sheet = sheet_of(self._options)
@@ -318,7 +322,7 @@ class Studio:
             return min(sheet[0], cells)
         if samples < cells and samples > 1:
             return samples
-        return math.ceil(cells / math.ceil(cells / ROW))
+        return math.ceil(cells / math.ceil(cells / DEFAULT_COLUMNS))
 
     def _captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
         """Return the captions of all pictures."""
@@ -326,7 +330,7 @@ class Studio:
         if len(texts) not in {0, 1, cells}:
             message = f"{counted(len(texts), 'caption')} for "
             message += counted(cells, "picture")
-            raise refused("caption", message, "write one, or one for each")
+            raise option_error("caption", message, "write one, or one for each")
         if len(texts) == cells:
             return [caption_of(text, *size) for text in texts]
         return [Caption((), 0)] * cells
@@ -334,8 +338,8 @@ class Studio:
     def _title(self, cells: int, width: int, height: int) -> Caption:
         """Return the title of a sheet."""
         texts = self._options.caption
-        one = texts[0] if len(texts) == 1 < cells else ""
-        return caption_of(one, width, height)
+        title = texts[0] if len(texts) == 1 < cells else ""
+        return caption_of(title, width, height)
 
     def _view(
         self, camera: CameraChoice, size: tuple[int, int], caption: Caption, sample: int
@@ -347,46 +351,53 @@ class Studio:
         camera.position(view)
         return view
 
-    def _written(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
+    def _with_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
         number = ""
         if sample is not None:
             number = f"frame {frame_label(self._scene.codes[sample])}"
         ink, back = self._colors["ink"], self._colors["view"]
-        return written(pixels, caption, number, ink, back)
+        return with_caption(pixels, caption, number, ink, back)
 
     def _film(self, output: Path) -> PictureReport:
-        samples, rate = self._played()
+        samples, rate = self._film_samples()
         size = size_of(self._options, self._kind, sheet=False)
         (caption,) = self._captions(1, size)
         (camera,) = self._cameras
         picture = Picture(self._device, *size)
         view = self._view(camera, size, caption, samples[0])
         yaw = view.yaw
-        numbered = self._options.numbers
-        if numbered is None:
-            numbered = len(set(samples)) > 1
+        shows_numbers = self._options.numbers
+        if shows_numbers is None:
+            shows_numbers = len(set(samples)) > 1
 
-        def shot(k: int) -> Array:
+        def render(k: int) -> Array:
             if self._options.turntable:
                 view.yaw = yaw + 2 * math.pi * k / len(samples)
             pixels = self._scene.draw(view, samples[k], picture, camera.shot)
-            return self._written(pixels, caption, samples[k] if numbered else None)
+            return self._with_text(
+                pixels, caption, samples[k] if shows_numbers else None
+            )
 
-        sampled: list[Array] = []
+        palette_frames: list[Array] = []
         if self._kind.pixels == "pal8":
-            sampled = [shot(k) for k in sorted({*spread(len(samples), SAMPLED)})]
-        with film(output, self._kind, size, rate, sampled) as add:
+            palette_frames = [
+                render(k)
+                for k in sorted({*evenly_spaced(len(samples), PALETTE_FRAMES)})
+            ]
+        with film(output, self._kind, size, rate, palette_frames) as add:
             for k in range(len(samples)):
-                add(shot(k))
+                add(render(k))
                 self._progress((k + 1) / len(samples))
         return self._report(output, (size[1], size[0]), samples, rate)
 
-    def _played(self) -> tuple[list[int], Fraction]:
+    def _film_samples(self) -> tuple[list[int], Fraction]:
         """Return the samples of a film, and its frame rate."""
         time = self._page.manifest["time"]
         rate = Fraction(*time["rate"]) / Fraction(time["step"])
         if time["count"] == 1:
-            frames = ROUND * ROUND_RATE if self._options.turntable else 1
-            return [0] * frames, Fraction(ROUND_RATE)
-        every = max(1, math.ceil(rate / self._kind.most_rate))
+            frames = (
+                TURNTABLE_SECONDS * TURNTABLE_RATE if self._options.turntable else 1
+            )
+            return [0] * frames, Fraction(TURNTABLE_RATE)
+        every = max(1, math.ceil(rate / self._kind.max_rate))
         return list(range(0, time["count"], every)), rate / every

@@ -1,6 +1,6 @@
 """Camera of pages and pictures: orbits a target, or looks through a shot camera.
 
-It is the rule of the page's `camera.js`, so that both show the same.
+It follows the rules of the page's `camera.js`, so that both show the same.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from animtool.core.record import dataclass
 from animtool.preview.pictures.data import Streams
 from animtool.preview.pictures.pose import composed
 
-# Tangent of half the angle of view.
-HALF = 0.3
-# Distance to show all, of that where it touches the edges.
-ROOM = 1.15
-STEEP = math.pi / 2 - 1e-3
+# Tangent of half the field of view.
+HALF_FOV_TANGENT = 0.3
+# Distance of the camera relative to the one where the subject touches the frame.
+FRAMING_MARGIN = 1.15
+MAX_PITCH = math.pi / 2 - 1e-3
 # Yaw and pitch [rad].
 PRESETS = {
     "home": (0.6, 0.18),
     "front": (0.0, 0.0),
     "side": (math.pi / 2, 0.0),
     "back": (math.pi, 0.0),
-    "top": (0.0, STEEP),
+    "top": (0.0, MAX_PITCH),
 }
-# From where the key light comes, in the frame of the view.
-LIGHT = np.array([-0.35, 0.65, 0.68])
+# Direction to the key light, in view space.
+KEY_LIGHT = np.array([-0.35, 0.65, 0.68])
 
 
 class Bounds:
@@ -75,17 +75,17 @@ class Bounds:
 
 
 @dataclass(slots=True)
-class Eye:
+class EyeMatrices:
     """Camera matrices for drawing.
 
     Attributes:
         view: camera_from_world ``(4, 4)``.
-        view_projection: To clip space ``(4, 4)``.
-        width: Of its picture [px].
-        height: Likewise.
-        per_metre: Pixels of a metre at distance 1.
-        light: From where the key light comes, in the frame of the view.
-        opacity: Of what is laid over other things.
+        view_projection: clip_from_world ``(4, 4)``.
+        width: Width of the picture [px].
+        height: Height of the picture [px].
+        per_metre: Pixels per metre at distance 1.
+        light: Direction to the key light, in view space.
+        opacity: Opacity of overlays [1].
     """
 
     view: FloatArray
@@ -96,11 +96,11 @@ class Eye:
     light: FloatArray
     opacity: float = 1.0
 
-    def between(self, near: float, far: float, opacity: float = 1.0) -> Eye:
-        """Return the camera with its depth mapped to part of the range 0 to 1."""
+    def between(self, near: float, far: float, opacity: float = 1.0) -> EyeMatrices:
+        """Return the camera with its depth range mapped to a part of 0 to 1."""
         matrix = self.view_projection.copy()
         matrix[2] = (far - near) * matrix[2] + (far + near - 1) * matrix[3]
-        return Eye(
+        return EyeMatrices(
             self.view,
             matrix,
             self.width,
@@ -113,21 +113,21 @@ class Eye:
 
 @dataclass(slots=True)
 class CameraView:
-    """An orbit camera with the size of its picture.
+    """An orbit camera and the size of its picture.
 
     Attributes:
-        width: Of the picture [px].
-        height: Likewise.
-        inset: What text covers at the top [px]: the picture is centred beneath.
-        yaw: Around the target [rad].
-        pitch: Likewise.
-        distance: From it [m].
-        target: What it looks at [m].
-        radius: Of what is shown [m].
-        floor: Height of the lowest of that [m].
-        follow: Whether it goes along with a joint.
-        followed: Where that was last.
-        light: From where the key light comes, in its frame.
+        width: Width of the picture [px].
+        height: Height of the picture [px].
+        inset: Height covered by text at the top [px]; the view is centred below.
+        yaw: Angle around the vertical axis [rad].
+        pitch: Angle above the horizon [rad].
+        distance: Distance from the target [m].
+        target: Point that it looks at [m].
+        radius: Radius of the framed bounds [m].
+        floor: Height of the lowest point of the bounds [m].
+        follow: Whether it follows a joint.
+        followed: Last position of the followed joint [m].
+        light: Direction to the key light, in view space.
     """
 
     width: int
@@ -141,7 +141,9 @@ class CameraView:
     floor: float = 0.0
     follow: bool = False
     followed: FloatArray | None = None
-    light: FloatArray = field(default_factory=lambda: LIGHT / np.linalg.norm(LIGHT))
+    light: FloatArray = field(
+        default_factory=lambda: KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
+    )
 
     def _back(self, distance: float) -> FloatArray:
         level = math.cos(self.pitch) * distance
@@ -149,14 +151,14 @@ class CameraView:
         return np.array([x, math.sin(self.pitch) * distance, z])
 
     @property
-    def _covered(self) -> float:
+    def _covered_fraction(self) -> float:
         return min(self.inset / self.height, 0.5)
 
-    def _halves(self) -> tuple[float, float]:
+    def _half_size(self) -> tuple[float, float]:
         """Return half of the unobstructed width and height at distance 1."""
-        aspect, free = self.width / self.height, 1 - self._covered
-        high = HALF * max(1.0, free / aspect)
-        return high / free * aspect, high
+        aspect, uncovered = self.width / self.height, 1 - self._covered_fraction
+        half_height = HALF_FOV_TANGENT * max(1.0, uncovered / aspect)
+        return half_height / uncovered * aspect, half_height
 
     def frame(self, box: Bounds) -> None:
         """Frame the given bounds."""
@@ -166,12 +168,14 @@ class CameraView:
         if box.empty:
             return
         world = _look_at(self._back(1.0), np.zeros(3))
-        wide, high = self._halves()
+        half_width, half_height = self._half_size()
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, box.low, box.high) - self.target
             x, y, z = world[:3, :3].T @ point
-            for half, size in ((wide, x), (high, y)):
-                self.distance = max(self.distance, (abs(size) / half + z) * ROOM)
+            for half_size, size in ((half_width, x), (half_height, y)):
+                self.distance = max(
+                    self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
+                )
 
     def track(self, position: FloatArray | None) -> None:
         """Follow a joint horizontally."""
@@ -179,45 +183,48 @@ class CameraView:
             self.target = self.target + (position - self.followed) * [1.0, 0.0, 1.0]
         self.followed = position
 
-    def eye(self) -> Eye:
+    def eye(self) -> EyeMatrices:
         """Return the camera matrices."""
-        half_wide, half_high = self._halves()
-        half_high /= 1 - self._covered
+        half_wide, half_high = self._half_size()
+        half_high /= 1 - self._covered_fraction
         world = _look_at(self.target + self._back(self.distance), self.target)
-        away = self.distance
+        distance = self.distance
         projection = _perspective(
-            half_wide, half_high, away * 0.01, away + self.radius * 100
+            half_wide, half_high, distance * 0.01, distance + self.radius * 100
         )
-        projection[1, 2] = self._covered
+        projection[1, 2] = self._covered_fraction
         return self._eye(world, projection, half_high)
 
     def through(
         self, camera: Mapping[str, Any], streams: Streams, sample: int
-    ) -> Eye | None:
-        """Return the view through a shot camera; None if its transform is invalid."""
+    ) -> EyeMatrices | None:
+        """Return the view through a shot camera; None if its transform is missing."""
         t, r = (streams.at(camera[part], sample) for part in "tr")
         if not (len(t) and len(r)):
             return None
         world = composed(t.astype(np.float64), r.astype(np.float64), None)
-        wide, high = camera["aperture_mm"]
+        aperture_width, aperture_height = camera["aperture_mm"]
         focal = camera.get("focal")
         length = camera["focal_mm"] if focal is None else streams.at(focal, sample)[0]
         aspect = self.width / self.height
-        # Its gate fills the picture, which shows more where its shape is another.
-        half_high = max(high, wide / aspect) / (2 * length)
-        away = self.radius * 4
+        # The picture contains the whole film gate, and more if the aspect ratios
+        # differ.
+        half_high = max(aperture_height, aperture_width / aspect) / (2 * length)
+        distance = self.radius * 4
         projection = _perspective(
-            half_high * aspect, half_high, away * 0.01, away + self.radius * 100
+            half_high * aspect, half_high, distance * 0.01, distance + self.radius * 100
         )
         return self._eye(world, projection, half_high)
 
-    def _eye(self, world: FloatArray, projection: FloatArray, half_high: float) -> Eye:
+    def _eye(
+        self, world: FloatArray, projection: FloatArray, half_high: float
+    ) -> EyeMatrices:
         rotation = world[:3, :3].T
         view = np.eye(4)
         view[:3, :3], view[:3, 3] = rotation, -rotation @ world[:3, 3]
         size = self.width, self.height
         per_metre = self.height / (2 * half_high)
-        return Eye(view, projection @ view, *size, per_metre, self.light)
+        return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
 
 
 def _look_at(eye: FloatArray, target: FloatArray) -> FloatArray:
@@ -231,10 +238,12 @@ def _look_at(eye: FloatArray, target: FloatArray) -> FloatArray:
     return world
 
 
-def _perspective(wide: float, high: float, near: float, far: float) -> FloatArray:
-    """Return a projection matrix; half sizes are at distance 1."""
+def _perspective(
+    half_width: float, half_height: float, near: float, far: float
+) -> FloatArray:
+    """Return a projection matrix from half sizes at distance 1."""
     out = np.zeros((4, 4))
-    out[0, 0], out[1, 1] = 1 / wide, 1 / high
+    out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
     out[2, 2], out[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)
     out[3, 2] = -1.0
     return out

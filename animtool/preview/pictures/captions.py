@@ -10,14 +10,14 @@ import numpy as np
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.preview.pictures.device import Array, needed
+from animtool.preview.pictures.device import Array, import_package
 
-# Height of letters, of that of the picture, and the least [px].
-LETTERS, LEAST = 0.042, 10
-# Free at each side of text, and between lines, of the height of letters.
+# Text height relative to the picture's height, and its minimum [px].
+TEXT_HEIGHT, MIN_TEXT_HEIGHT = 0.042, 10
+# Margin beside text and line spacing, relative to the text height.
 MARGIN, LEADING = 0.7, 1.3
-# Most of a picture that its caption may cover.
-MOST = 0.4
+# Largest fraction of a picture's height that a caption may cover.
+MAX_CAPTION = 0.4
 Color = tuple[int, int, int]
 
 
@@ -26,8 +26,8 @@ class Caption:
     """Text wrapped into lines.
 
     Attributes:
-        lines: Of it.
-        letters: Their height [px].
+        lines: Lines of text.
+        letters: Text height [px].
     """
 
     lines: tuple[str, ...]
@@ -47,7 +47,7 @@ def letters_of(height: int) -> int:
     >>> letters_of(540), letters_of(90)
     (23, 10)
     """
-    return max(LEAST, round(height * LETTERS))
+    return max(MIN_TEXT_HEIGHT, round(height * TEXT_HEIGHT))
 
 
 def caption_of(text: str, width: int, height: int) -> Caption:
@@ -57,18 +57,18 @@ def caption_of(text: str, width: int, height: int) -> Caption:
         OptionError: It does not fit (PRV006).
     """
     if not text.strip():
-        return Caption((), LEAST)
-    for letters in range(letters_of(height), LEAST - 1, -1):
-        lines = tuple(_broken(text, width - 2 * MARGIN * letters, _font(letters)))
+        return Caption((), MIN_TEXT_HEIGHT)
+    for letters in range(letters_of(height), MIN_TEXT_HEIGHT - 1, -1):
+        lines = tuple(_wrapped(text, width - 2 * MARGIN * letters, _font(letters)))
         caption = Caption(lines, letters)
-        if caption.height <= MOST * height:
+        if caption.height <= MAX_CAPTION * height:
             return caption
     message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
     hint = "shorten it, or enlarge the picture"
     raise OptionError(Fault("PRV006", message, hint=hint, where="caption"))
 
 
-def _broken(text: str, width: float, font: Any) -> Iterator[str]:
+def _wrapped(text: str, width: float, font: Any) -> Iterator[str]:
     """Yield lines within a width; long words are split."""
     for paragraph in text.splitlines():
         line = ""
@@ -82,35 +82,35 @@ def _broken(text: str, width: float, font: Any) -> Iterator[str]:
                 yield line
             while font.getlength(word) > width and len(word) > 1:
                 fits = (n for n in range(len(word), 1, -1))
-                kept = next((n for n in fits if font.getlength(word[:n]) <= width), 1)
-                yield word[:kept]
-                word = word[kept:]
+                length = next((n for n in fits if font.getlength(word[:n]) <= width), 1)
+                yield word[:length]
+                word = word[length:]
             line = word
         if line:
             yield line
 
 
-def written(
+def with_caption(
     pixels: Array, caption: Caption, number: str, ink: Color, back: Color
 ) -> Array:
     """Return pixels with a caption at the top and a number at the bottom left."""
     if not (caption.lines or number):
         return pixels
-    image_of, draw_on = needed("PIL.Image"), needed("PIL.ImageDraw")
+    image_of, draw_on = import_package("PIL.Image"), import_package("PIL.ImageDraw")
     image = image_of.fromarray(np.ascontiguousarray(pixels))
     pen = draw_on.Draw(image)
     letters = caption.letters
     for i, line in enumerate(caption.lines):
         at = MARGIN * letters, letters * (MARGIN + LEADING * i)
-        _write(pen, at, line, _font(letters), ink, back)
+        _draw_text(pen, at, line, _font(letters), ink, back)
     if number:
-        letters = max(LEAST, round(letters_of(image.height) * 0.8))
+        letters = max(MIN_TEXT_HEIGHT, round(letters_of(image.height) * 0.8))
         at = MARGIN * letters, image.height - letters * (MARGIN + LEADING)
-        _write(pen, at, number, _font(letters), ink, back)
+        _draw_text(pen, at, number, _font(letters), ink, back)
     return np.asarray(image)
 
 
-def _write(
+def _draw_text(
     pen: Any, at: tuple[float, float], text: str, font: Any, ink: Color, back: Color
 ) -> None:
     corner = tuple(map(round, at))
@@ -119,38 +119,38 @@ def _write(
 
 def _font(letters: int) -> Any:
     """Return Pillow's built-in font, identical on all machines."""
-    return needed("PIL.ImageFont").load_default(letters)
+    return import_package("PIL.ImageFont").load_default(letters)
 
 
-def joined(
+def picture_sheet(
     rows: list[list[Array]], gap: int, color: Color, caption: Caption, ink: Color
 ) -> Array:
     """Return equal-sized pictures as a sheet, with a title above.
 
     Args:
-        rows: The pictures; rows may be short.
-        gap: Between them [px].
-        color: Of what is between them.
-        caption: Of the sheet.
-        ink: Of its letters.
+        rows: Pictures by row; rows may be short.
+        gap: Gap between pictures [px].
+        color: Color of the gaps.
+        caption: Title of the sheet.
+        ink: Color of the text.
     """
-    high, wide = rows[0][0].shape[:2]
+    height, width = rows[0][0].shape[:2]
     columns = max(map(len, rows))
-    size = _span(len(rows), high, gap), _span(columns, wide, gap)
-    sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
+    size = _span(len(rows), height, gap), _span(columns, width, gap)
+    picture_sheet = np.full((caption.height + size[0], size[1], 3), color, np.uint8)
     for i, row in enumerate(rows):
         for k, picture in enumerate(row):
-            y, x = caption.height + i * (high + gap), k * (wide + gap)
-            sheet[y : y + high, x : x + wide] = picture
-    return written(sheet, caption, "", ink, color)
+            y, x = caption.height + i * (height + gap), k * (width + gap)
+            picture_sheet[y : y + height, x : x + width] = picture
+    return with_caption(picture_sheet, caption, "", ink, color)
 
 
 def _span(count: int, size: int, gap: int) -> int:
     return count * size + (count - 1) * gap
 
 
-def spread(count: int, parts: int) -> IntArray:
-    """Return evenly spread samples, including the first and the last.
+def evenly_spaced(count: int, parts: int) -> IntArray:
+    """Return evenly spaced samples, including the first and the last.
 
     >>> spread(100, 4).tolist(), spread(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import Float32Array
-from animtool.preview.streams import GAP, TYPES, Array
+from animtool.preview.streams import NAN_STORED, TYPES, Array
 
-# Decoded blocks that are kept [bytes].
-KEPT = 64_000_000
+# Size of the cache of decoded blocks [byte].
+CACHE_BYTES = 64_000_000
 
 
 class Streams:
-    """Values of the streams of a page, by number and sample."""
+    """Values of the streams of a page, by stream index and sample."""
 
     def __init__(self, entries: Sequence[dict[str, Any]], blocks: Sequence[str]):
         self._entries = {entry["id"]: entry for entry in entries}
@@ -49,8 +49,8 @@ class Streams:
         matches = (span for span in spans if sample < span[1] + span[2])
         block, first, samples = next(matches, spans[-1])
         values = self._block(block)[number]
-        one: Array = values[min(max(sample - first, 0), samples - 1)]
-        return one
+        value: Array = values[min(max(sample - first, 0), samples - 1)]
+        return value
 
     def _block(self, number: int) -> dict[int, Array]:
         if number in self._decoded:
@@ -60,32 +60,32 @@ class Streams:
         values, begin = {}, 0
         for entry, samples in self._contents[number]:
             size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
-            part = _unpacked(raw[begin : begin + size], entry, samples)
+            stream_values = _unpacked(raw[begin : begin + size], entry, samples)
             begin += size
-            values[entry["id"]] = part
+            values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
-                self._constant[entry["id"]] = part[0]
+                self._constant[entry["id"]] = stream_values[0]
         self._decoded[number] = values
         self._size += _size_of(values)
-        while self._size > KEPT and len(self._decoded) > 1:
+        while self._size > CACHE_BYTES and len(self._decoded) > 1:
             self._size -= _size_of(self._decoded.popitem(last=False)[1])
         return values
 
 
 def _size_of(values: dict[int, Array]) -> int:
-    return sum(part.nbytes for part in values.values())
+    return sum(array.nbytes for array in values.values())
 
 
 def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     """Return the values of one stream of a block ``(samples, width)``."""
-    kind, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
+    dtype, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if samples == 1 else (width, samples)
-    planes = np.frombuffer(raw, np.uint8).reshape(columns, kind.itemsize, rows)
-    words = np.ascontiguousarray(planes.swapaxes(1, 2)).view(kind)[..., 0]
+    planes = np.frombuffer(raw, np.uint8).reshape(columns, dtype.itemsize, rows)
+    integers = np.ascontiguousarray(planes.swapaxes(1, 2)).view(dtype)[..., 0]
     if entry["coding"] == "delta":
-        unsigned = words.view(f"<u{kind.itemsize}")
-        words = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(kind)
-    stored = words.reshape(1, -1) if samples == 1 else words.T
+        unsigned = integers.view(f"<u{dtype.itemsize}")
+        integers = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(dtype)
+    stored = integers.reshape(1, -1) if samples == 1 else integers.T
     scale, offset = entry["scale"], entry["offset"]
     if scale == 1 and offset == 0 and entry["kind"] != "i16":
         return np.ascontiguousarray(stored)
@@ -93,6 +93,6 @@ def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
         np.atleast_1d(scale), width
     )
     if entry.get("gaps"):
-        values[stored == GAP] = np.nan
+        values[stored == NAN_STORED] = np.nan
     decoded: Float32Array = values.astype(np.float32)
     return decoded

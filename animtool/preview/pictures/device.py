@@ -13,24 +13,24 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.errors import Fault, OptionError
-from animtool.preview.pictures.sources import HEAD, shader
+from animtool.preview.pictures.sources import SHADER_HEADER, shader
 
 if TYPE_CHECKING:
-    from animtool.preview.pictures.camera import Eye
+    from animtool.preview.pictures.camera import EyeMatrices
 
 Array: TypeAlias = npt.NDArray[Any]
 EXTRA = "pip install 'animtool[pictures]'"
-# Samples of a pixel, as the page has them.
+# Samples per pixel, as on the page.
 SAMPLES = 4
-# Cells of a row of a table, at most.
-ROW = 1024
+# Maximum number of cells per row of a table texture.
+MAX_ROW_CELLS = 1024
 _PACKAGES = (
     "to draw without a graphics card: apt-get install libegl1 libgl1 "
     "libgl1-mesa-dri, or dnf install mesa-libEGL mesa-dri-drivers"
 )
 
 
-def needed(name: str) -> ModuleType:
+def import_package(name: str) -> ModuleType:
     """Import a package of the optional extra (else IO005)."""
     try:
         return import_module(name)
@@ -45,37 +45,40 @@ class TextureTable:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._wide = self._high = 0
+        self._width = self._height = 0
         self.texture: Any = None
 
     def send(self, cells: Array) -> None:
         """Replace the cells ``(N, 4)``."""
         count = len(cells)
-        wide = min(ROW, max(count, 64))
-        high = max(-(-count // wide), 1)
-        if self.texture is None or wide > self._wide or high > self._high:
+        row_cells = min(MAX_ROW_CELLS, max(count, 64))
+        row_count = max(-(-count // row_cells), 1)
+        if self.texture is None or row_cells > self._width or row_count > self._height:
             if self.texture is not None:
                 self.texture.release()
-            self._wide, self._high = max(wide, self._wide), max(high, self._high)
-            size = self._wide, self._high
+            self._width, self._height = (
+                max(row_cells, self._width),
+                max(row_count, self._height),
+            )
+            size = self._width, self._height
             self.texture = self._device.gl.texture(size, 4, dtype="f4")
             nearest = self._device.module.NEAREST
             self.texture.filter = nearest, nearest
-        rows = max(-(-count // self._wide), 1)
-        padded = np.zeros((rows * self._wide, 4), "<f4")
+        rows = max(-(-count // self._width), 1)
+        padded = np.zeros((rows * self._width, 4), "<f4")
         padded[:count] = cells
-        self.texture.write(padded.tobytes(), viewport=(0, 0, self._wide, rows))
+        self.texture.write(padded.tobytes(), viewport=(0, 0, self._width, rows))
 
 
 class Device:
     """An OpenGL context with cached programs."""
 
     def __init__(self) -> None:
-        self.module = needed("moderngl")
+        self.module = import_package("moderngl")
         self.gl = _context(self.module)
         self.gl.enable(self.module.PROGRAM_POINT_SIZE)
         self._programs: dict[tuple[str, ...], Any] = {}
-        self._plain: dict[Any, Any] = {}
+        self._empty_arrays: dict[Any, Any] = {}
 
     def program(
         self,
@@ -84,17 +87,17 @@ class Device:
         fragment: str = "FRAGMENT",
         kinds: tuple[str, ...] = (),
     ) -> Any:
-        """Return a program of the viewer; kinds: defines of its vertex shader."""
+        """Return a program of the viewer; ``kinds`` are vertex shader defines."""
         key = module, vertex, fragment, *kinds
         if key not in self._programs:
             defined = "".join(f"#define {kind}\n" for kind in kinds)
             self._programs[key] = self.gl.program(
-                vertex_shader=HEAD + defined + shader(module, vertex),
-                fragment_shader=HEAD + shader(module, fragment),
+                vertex_shader=SHADER_HEADER + defined + shader(module, vertex),
+                fragment_shader=SHADER_HEADER + shader(module, fragment),
             )
         return self._programs[key]
 
-    def use(self, program: Any, eye: Eye, **uniforms: Any) -> None:
+    def use(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
         """Set the uniforms of a program, including the camera's."""
         values = {
             "viewProjection": eye.view_projection,
@@ -110,19 +113,21 @@ class Device:
                 value.texture.use(0)
                 program[name].value = 0
             elif isinstance(value, np.ndarray) and value.ndim == 2:
-                # Column by column.
+                # OpenGL stores matrices by columns.
                 program[name].write(value.T.astype("<f4").tobytes())
             elif np.ndim(value):
                 program[name].value = tuple(map(float, value))
             else:
                 program[name].value = float(value)
 
-    def draw_plain(self, program: Any, corners: int, mode: int | None = None) -> None:
+    def draw_generated(
+        self, program: Any, corners: int, mode: int | None = None
+    ) -> None:
         """Draw triangles whose corners the vertex shader generates."""
-        if program not in self._plain:
-            self._plain[program] = self.gl.vertex_array(program, [])
+        if program not in self._empty_arrays:
+            self._empty_arrays[program] = self.gl.vertex_array(program, [])
         mode = self.module.TRIANGLES if mode is None else mode
-        self._plain[program].render(mode, vertices=corners)
+        self._empty_arrays[program].render(mode, vertices=corners)
 
     @contextmanager
     def blending(self) -> Iterator[None]:
@@ -145,24 +150,24 @@ class Picture:
     def __init__(self, device: Device, width: int, height: int) -> None:
         gl = device.gl
         self._device, self.size = device, (width, height)
-        most = min(SAMPLES, gl.max_samples)
-        self._drawn = gl.framebuffer(
-            [gl.renderbuffer(self.size, 3, samples=most)],
-            gl.depth_renderbuffer(self.size, samples=most),
+        samples = min(SAMPLES, gl.max_samples)
+        self._multisampled = gl.framebuffer(
+            [gl.renderbuffer(self.size, 3, samples=samples)],
+            gl.depth_renderbuffer(self.size, samples=samples),
         )
-        self._smooth = gl.framebuffer([gl.renderbuffer(self.size, 3)])
+        self._resolved = gl.framebuffer([gl.renderbuffer(self.size, 3)])
 
     def draw(self, back: tuple[int, int, int], draw: Callable[[Any], None]) -> Array:
         """Return the pixels ``(H, W, 3)`` that a function draws."""
         gl = self._device.gl
-        self._drawn.use()
-        self._drawn.depth_mask = True
-        self._drawn.clear(*(x / 255 for x in back), 1.0, depth=1.0)
+        self._multisampled.use()
+        self._multisampled.depth_mask = True
+        self._multisampled.clear(*(x / 255 for x in back), 1.0, depth=1.0)
         gl.enable(self._device.module.DEPTH_TEST)
-        draw(self._drawn)
-        gl.copy_framebuffer(self._smooth, self._drawn)
+        draw(self._multisampled)
+        gl.copy_framebuffer(self._resolved, self._multisampled)
         width, height = self.size
-        raw = self._smooth.read(components=3, alignment=1)
+        raw = self._resolved.read(components=3, alignment=1)
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
 
 
@@ -175,7 +180,7 @@ def _context(module: ModuleType) -> Any:
     for backend in backends:
         try:
             return module.create_context(standalone=True, require=330, **backend)
-        # Backends raise whatever they like.
+        # Backends raise exceptions of any type.
         except Exception as error:
             reasons.append(str(error))
     message = f"OpenGL 3.3 could not be started: {reasons[0]}"

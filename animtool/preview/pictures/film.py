@@ -12,19 +12,19 @@ import numpy as np
 
 from animtool.core.files.output import replacing
 from animtool.core.files.placing import output_error
-from animtool.preview.pictures.device import Array, needed
+from animtool.preview.pictures.device import Array, import_package
 from animtool.preview.pictures.kinds import PictureKind
 
-# Bits of libav: nothing of the machine or the time in a file.
+# libav flags that keep machine and time out of the file.
 _BITEXACT = 1 << 23
-# Of ITU-R BT.709, as players take pictures of this kind for.
+# ITU-R BT.709 with limited range, which players assume for video of this size.
 _BT709, _NARROW = 1, 1
 COLORS = 256
 
 
 def write_picture(path: Path, pixels: Array) -> None:
     """Write a picture atomically (else OUT002)."""
-    image_of = needed("PIL.Image")
+    image_of = import_package("PIL.Image")
     settings: dict[str, Any] = {"format": "PNG", "optimize": True}
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
@@ -47,13 +47,13 @@ def film(
     """Context that encodes frames to a film, written atomically (else OUT002).
 
     Args:
-        path: The film.
-        kind: What it is written as.
-        size: Of frames [px].
-        rate: Of frames a second.
-        samples: Some frames, of whose colours those are chosen that it has.
+        path: Path of the film.
+        kind: Format of the film.
+        size: Size of frames [px].
+        rate: Frames per second.
+        samples: Some frames, whose colours make the palette.
     """
-    av = needed("av")
+    av = import_package("av")
     palette = _palette(samples) if kind.pixels == "pal8" else None
     with replacing(path) as new:
         try:
@@ -93,19 +93,19 @@ def _frame(av: Any, pixels: Array, palette: Any) -> Any:
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
         return frame.reformat(format="yuv420p", dst_colorspace=_BT709)
-    image_of = needed("PIL.Image")
+    image_of = import_package("PIL.Image")
     image = image_of.fromarray(pixels)
-    mapped = image.quantize(palette=palette, dither=image_of.Dither.NONE)
+    indexed = image.quantize(palette=palette, dither=image_of.Dither.NONE)
     colors = np.zeros((COLORS, 4), np.uint8)
-    listed = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
-    # Alpha comes first.
-    colors[:, 0], colors[: len(listed), 1:] = 255, listed
-    return av.VideoFrame.from_ndarray((np.asarray(mapped), colors), format="pal8")
+    palette_colors = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
+    # libav palettes have alpha first.
+    colors[:, 0], colors[: len(palette_colors), 1:] = 255, palette_colors
+    return av.VideoFrame.from_ndarray((np.asarray(indexed), colors), format="pal8")
 
 
 def _palette(samples: Sequence[Array]) -> Any:
     """Return a palette image for some frames."""
-    image_of = needed("PIL.Image")
-    joined = image_of.fromarray(np.ascontiguousarray(np.concatenate(samples)))
+    image_of = import_package("PIL.Image")
+    all_pixels = image_of.fromarray(np.ascontiguousarray(np.concatenate(samples)))
     method = image_of.Quantize.MEDIANCUT
-    return joined.quantize(COLORS, method=method, dither=image_of.Dither.NONE)
+    return all_pixels.quantize(COLORS, method=method, dither=image_of.Dither.NONE)

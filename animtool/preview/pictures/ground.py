@@ -9,21 +9,21 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Color
-from animtool.preview.pictures.camera import CameraView, Eye
+from animtool.preview.pictures.camera import CameraView, EyeMatrices
 from animtool.preview.pictures.device import Device
 from animtool.preview.pictures.lines import DrawnLines
 from animtool.preview.pictures.pose import DrawnPose, in_spans
 
-CELLS, PIECE = 28, 4
-# Samples of a trail before and after the frame.
-REACH = 48
-# As the page's `shadow.js` has them.
-SIZE = 512
-WIDE, HIGH, DEEP, SUNK = 1.1, 0.35, 2e-3, 0.2
+GRID_CELLS, SEGMENT_CELLS = 28, 4
+# Samples of a trail before and after the current one.
+TRAIL_SAMPLES = 48
+# As in the page's `shadow.js`.
+SHADOW_PIXELS = 512
+SHADOW_WIDTH, SHADOW_HEIGHT, SHADOW_DEPTH, SHADOW_OFFSET = 1.1, 0.35, 2e-3, 0.2
 
 
 def round_up(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, …, or the last one if hardly less.
+    """Return the next of 1, 2, 5, 10, …, or the previous one if only slightly smaller.
 
     >>> round_up(0.31), round_up(2.001)
     (0.5, 2.0)
@@ -40,29 +40,31 @@ class DrawnGround:
         self._cell = round_up(max(radius, 1e-6) * 0.3)
         self._key: tuple[int, int] | None = None
 
-    def draw(self, eye: Eye, center: FloatArray, line: Color, strong: Color) -> None:
+    def draw(
+        self, eye: EyeMatrices, center: FloatArray, line: Color, strong: Color
+    ) -> None:
         """Draw the grid around a point."""
         cell = self._cell
-        # As JavaScript rounds.
+        # Rounds half up, like JavaScript.
         cx, cz = (math.floor(center[k] / cell + 0.5) for k in (0, 2))
         if (cx, cz) != self._key:
             self._key = cx, cz
-            self._lay(cx, cz, line, strong)
-        fade = (center[0], 0.0, center[2], cell * CELLS / 2)
+            self._set_lines(cx, cz, line, strong)
+        fade = (center[0], 0.0, center[2], cell * GRID_CELLS / 2)
         self._lines.draw(eye, width=1, fade=fade)
 
-    def _lay(self, cx: int, cz: int, line: Color, strong: Color) -> None:
-        half, cell = CELLS // 2, self._cell
+    def _set_lines(self, cx: int, cz: int, line: Color, strong: Color) -> None:
+        half, cell = GRID_CELLS // 2, self._cell
         segments = []
         for i in range(-half, half + 1):
             x, z = (cx + i) * cell, (cz + i) * cell
-            # In pieces: what passes the camera is less exact.
-            for k in range(-half, half, PIECE):
-                # The rest has faded.
-                if math.hypot(i, min(abs(k), abs(k + PIECE))) > half:
+            # Lines are split into segments: those that pass the camera are less exact.
+            for k in range(-half, half, SEGMENT_CELLS):
+                # Segments further out have faded to nothing.
+                if math.hypot(i, min(abs(k), abs(k + SEGMENT_CELLS))) > half:
                     continue
-                left, right = (cx + k) * cell, (cx + k + PIECE) * cell
-                near, far = (cz + k) * cell, (cz + k + PIECE) * cell
+                left, right = (cx + k) * cell, (cx + k + SEGMENT_CELLS) * cell
+                near, far = (cz + k) * cell, (cz + k + SEGMENT_CELLS) * cell
                 segments.append((x, near, x, far, *(line if cx + i else strong)))
                 segments.append((left, z, right, z, *(line if cz + i else strong)))
         table = np.array(segments, np.float64)
@@ -73,7 +75,7 @@ class DrawnGround:
         self._lines.set(ends[0], ends[1], colors)
 
 
-class Trails:
+class DrawnTrails:
     """Trails of roots and feet around the frame, with ground contacts."""
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
@@ -94,36 +96,36 @@ class Trails:
         for pose in poses:
             if "trails" in shown and pose.trailed:
                 trails.append(self._trail(pose, sample, color(pose.index), contact))
-            for each in pose.record.get("contacts") or []:
+            for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
-                if "contacts" in shown and in_spans(code, each["spans"])[0]:
-                    at = pose.positions[each["joint"]]
+                if "contacts" in shown and in_spans(code, contact_entry["spans"])[0]:
+                    at = pose.positions[contact_entry["joint"]]
                     rings.append(_ring(at, pose.extent * 0.045, contact))
-        for lines, parts in ((self._trails, trails), (self._rings, rings)):
-            table = np.concatenate(parts)
+        for lines, segments in ((self._trails, trails), (self._rings, rings)):
+            table = np.concatenate(segments)
             lines.set(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail(
         self, pose: DrawnPose, sample: int, color: Color, contact: Color
     ) -> FloatArray:
-        first = max(0, sample - REACH)
-        last = min(len(self._codes) - 1, sample + REACH)
+        first = max(0, sample - TRAIL_SAMPLES)
+        last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
         paths = pose.path(first, last)
         samples = np.arange(first, last + 1)
-        near = 1 - np.abs(samples - sample) / (REACH + 1)
-        alpha = 255 * near * np.where(samples <= sample, 0.95, 0.4)
+        closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
+        alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
         touching = pose.touching(self._codes[samples])
-        parts = []
-        # One joint after another, as the page draws them.
+        segments = []
+        # Joint by joint, the order in which the page draws them.
         for column in range(len(pose.trailed)):
             tints = np.where(touching[1:, column, None], contact, color)
             at = paths[:, column]
-            parts.append(
+            segments.append(
                 np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1)
             )
-        return np.concatenate(parts)
+        return np.concatenate(segments)
 
-    def draw(self, eye: Eye) -> None:
+    def draw(self, eye: EyeMatrices) -> None:
         """Draw the trails."""
         self._trails.draw(eye, width=2)
         self._rings.draw(eye, width=3)
@@ -131,13 +133,13 @@ class Trails:
 
 def _ring(at: FloatArray, radius: float, color: Color) -> FloatArray:
     angles = np.arange(25) * np.pi / 12
-    flat = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
-    points = at + radius * flat
+    circle = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
+    points = at + radius * circle
     tints = np.tile([*color, 255.0], (24, 1))
     return np.concatenate([points[:-1], points[1:], tints], axis=1)
 
 
-class Shadow:
+class ContactShadow:
     """Contact shadow: geometry near the ground darkens it."""
 
     def __init__(self, device: Device) -> None:
@@ -145,58 +147,61 @@ class Shadow:
         self._device = device
         self._blur = device.program("shadow.js", "SCREEN_VERTEX", "BLUR_FRAGMENT")
         self._ground = device.program("shadow.js", "GROUND_VERTEX", "GROUND_FRAGMENT")
-        self._heights = gl.depth_texture((SIZE, SIZE))
+        self._heights = gl.depth_texture((SHADOW_PIXELS, SHADOW_PIXELS))
         self._heights.compare_func = ""
         self._heights.filter = module.NEAREST, module.NEAREST
         self._below = gl.framebuffer([], self._heights)
-        self._maps = [gl.texture((SIZE, SIZE), 1) for _ in range(2)]
+        self._maps = [gl.texture((SHADOW_PIXELS, SHADOW_PIXELS), 1) for _ in range(2)]
         for texture in (self._heights, *self._maps):
             texture.repeat_x = texture.repeat_y = False
         self._frames = [gl.framebuffer([texture]) for texture in self._maps]
         self._area = (0.0, 0.0, 1.0)
 
-    def cast(self, view: CameraView, draw: Callable[[Eye], None]) -> bool:
-        """Render the shadow map around the camera target; return if there is one."""
-        half = view.radius * WIDE
-        if view.floor < -SUNK * view.radius:
+    def cast(self, view: CameraView, draw: Callable[[EyeMatrices], None]) -> bool:
+        """Render the shadow map around the camera target.
+
+        Returns whether there is a shadow.
+        """
+        half_width = view.radius * SHADOW_WIDTH
+        if view.floor < -SHADOW_OFFSET * view.radius:
             return False
-        texel = 2 * half / SIZE
+        texel = 2 * half_width / SHADOW_PIXELS
         x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
-        self._area = x, z, half
+        self._area = x, z, half_width
         gl, module = self._device.gl, self._device.module
         self._below.use()
         self._below.clear(depth=1.0)
         gl.enable(module.DEPTH_TEST)
-        eye = _looking_up(view, x, z, half)
+        eye = _looking_up(view, x, z, half_width)
         draw(eye)
         gl.disable(module.DEPTH_TEST)
-        reach = 1.5 / SIZE
+        blur_radius = 1.5 / SHADOW_PIXELS
         passes = (
-            (self._frames[0], self._heights, (reach, 0.0), 1.0),
-            (self._frames[1], self._maps[0], (0.0, reach), 0.0),
+            (self._frames[0], self._heights, (blur_radius, 0.0), 1.0),
+            (self._frames[1], self._maps[0], (0.0, blur_radius), 0.0),
         )
         for frame, source, step, heights in passes:
             frame.use()
             source.use(0)
             self._device.use(self._blur, eye, reach=step, heights=heights)
             self._blur["source"].value = 0
-            self._device.draw_plain(self._blur, 3)
+            self._device.draw_generated(self._blur, 3)
         return True
 
-    def draw(self, eye: Eye) -> None:
+    def draw(self, eye: EyeMatrices) -> None:
         """Darken the ground."""
         self._maps[1].use(0)
         self._device.use(self._ground, eye, area=self._area)
         self._ground["map"].value = 0
         strip = self._device.module.TRIANGLE_STRIP
-        self._device.draw_plain(self._ground, 4, strip)
+        self._device.draw_generated(self._ground, 4, strip)
 
 
-def _looking_up(view: CameraView, x: float, z: float, half: float) -> Eye:
+def _looking_up(view: CameraView, x: float, z: float, half: float) -> EyeMatrices:
     """Return an orthographic camera that looks up from below the ground."""
-    high = HIGH * view.radius
-    low = -DEEP * high
-    k = 2 / (high - low)
+    height = SHADOW_HEIGHT * view.radius
+    depth = -SHADOW_DEPTH * height
+    k = 2 / (height - depth)
     from_world = np.array(
         [[1, 0, 0, -x], [0, 0, 1, -z], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64
     )
@@ -204,8 +209,15 @@ def _looking_up(view: CameraView, x: float, z: float, half: float) -> Eye:
         [
             [1 / half, 0, 0, -x / half],
             [0, 0, 1 / half, -z / half],
-            [0, k, 0, -1 - low * k],
+            [0, k, 0, -1 - depth * k],
             [0, 0, 0, 1],
         ]
     )
-    return Eye(from_world, matrix, SIZE, SIZE, SIZE / (2 * half), view.light)
+    return EyeMatrices(
+        from_world,
+        matrix,
+        SHADOW_PIXELS,
+        SHADOW_PIXELS,
+        SHADOW_PIXELS / (2 * half),
+        view.light,
+    )

@@ -17,15 +17,15 @@ class PictureKind:
     """A picture or film format.
 
     Attributes:
-        about: What such files are, with the licence of what compresses them.
-        still: Whether one holds a still, compressed by Pillow.
-        codec: What compresses films, by libav's name; empty where it holds none.
-        container: libav's name of the file's format.
-        pixels: libav's name of how pixels are stored.
-        most_rate: Most frames a second that players keep to.
-        size: Of films, where no other is asked for [px].
-        settings: Of the codec.
-        file_settings: Of the container.
+        about: Description of the format, with the licence of its encoder.
+        picture: Whether it can be a still, encoded by Pillow.
+        codec: libav's name of the video codec; empty if it cannot be a film.
+        container: libav's name of the container format.
+        pixels: libav's name of the pixel format.
+        max_rate: Highest frame rate that players support.
+        size: Default size of films [px].
+        settings: Options of the codec.
+        file_settings: Options of the container.
     """
 
     about: str
@@ -33,7 +33,7 @@ class PictureKind:
     codec: str = ""
     container: str = ""
     pixels: str = "yuv420p"
-    most_rate: int = 60
+    max_rate: int = 60
     size: tuple[int, int] = (960, 540)
     settings: tuple[tuple[str, str], ...] = ()
     file_settings: tuple[tuple[str, str], ...] = ()
@@ -57,7 +57,7 @@ KINDS: dict[str, PictureKind] = {
         codec="gif",
         container="gif",
         pixels="pal8",
-        most_rate=33,
+        max_rate=33,
         size=_SMALL,
         file_settings=(("loop", "0"),),
     ),
@@ -79,7 +79,7 @@ def picture_kind(path: Path) -> PictureKind | None:
     """Return the picture format of a path; None for a page.
 
     Raises:
-        OptionError: Its suffix is of neither (PRV002).
+        OptionError: The suffix is neither of a picture nor of a page (PRV002).
 
     >>> picture_kind(Path("walk.WEBM")).codec
     'libvpx-vp9'

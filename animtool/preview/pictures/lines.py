@@ -8,16 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.camera import Eye
+from animtool.preview.pictures.camera import EyeMatrices
 from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.streams import Array as Values
 
 Bytes = npt.NDArray[np.uint8]
-# Where points without a position go: outside of every view.
-FAR = 1e30
+# Coordinate of points without a position: outside of every view.
+OFFSCREEN = 1e30
 
 
-def display(color: npt.ArrayLike) -> FloatArray:
+def srgb(color: npt.ArrayLike) -> FloatArray:
     """Return linear colors from 0 to 1 as sRGB, 0 to 255.
 
     >>> display([0.0, 1.0]).tolist()
@@ -28,7 +28,7 @@ def display(color: npt.ArrayLike) -> FloatArray:
 
 
 def repeated(count: int, color: FloatArray) -> Bytes:
-    """Return one color for each of some points ``(N, 3)``."""
+    """Return one color repeated for N points ``(N, 3)``."""
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
 
@@ -44,9 +44,9 @@ class DrawnLines:
         """Set the segments.
 
         Args:
-            begins: Where they begin ``(N, 3)``.
-            ends: Where they end.
-            colors: Of each or of all, with alpha ``(N, 4)``, 0 to 255.
+            begins: Start points ``(N, 3)``.
+            ends: End points ``(N, 3)``.
+            colors: With alpha, per segment or one for all ``(N or 1, 4)``, 0 to 255.
         """
         self.count = len(begins)
         cells = np.zeros((self.count, 3, 4), np.float32)
@@ -57,7 +57,7 @@ class DrawnLines:
 
     def draw(
         self,
-        eye: Eye,
+        eye: EyeMatrices,
         width: float = 1.5,
         world: float = 0.0,
         fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
@@ -75,10 +75,10 @@ class DrawnLines:
             fade=fade,
             segments=self._table,
         )
-        self._device.draw_plain(self._program, self.count * 6)
+        self._device.draw_generated(self._program, self.count * 6)
 
 
-class Stored:
+class VertexBuffer:
     """A vertex buffer that grows on demand."""
 
     def __init__(self, device: Device) -> None:
@@ -103,7 +103,7 @@ class Sprites:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._program = device.program("points.js")
-        self._parts = [Stored(device) for _ in range(3)]
+        self._buffers = [VertexBuffer(device) for _ in range(3)]
         self._array: Any = None
         self._count = 0
 
@@ -111,22 +111,22 @@ class Sprites:
         """Set the points ``(N, 3)``, with colors and radii."""
         self._count = len(positions)
         sizes = np.zeros(self._count) if radii is None else radii
-        parts = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
+        arrays = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
         if not self._count:
             return
-        written = zip(self._parts, parts, strict=True)
-        if any([stored.write(part) for stored, part in written]):
+        pairs = zip(self._buffers, arrays, strict=True)
+        if any([stored.write(array) for stored, array in pairs]):
             forms = ("3f", "point"), ("3f1", "color"), ("1f", "own")
             self._array = self._device.gl.vertex_array(
                 self._program,
                 [
                     (stored.buffer, *form)
-                    for stored, form in zip(self._parts, forms, strict=True)
+                    for stored, form in zip(self._buffers, forms, strict=True)
                 ],
             )
 
-    def draw(self, eye: Eye, radius: float, least: float) -> None:
-        """Draw the balls; radius [m], and the minimum radius in pixels."""
+    def draw(self, eye: EyeMatrices, radius: float, least: float) -> None:
+        """Draw the balls with a radius [m], and a minimum radius ``least`` [px]."""
         if not self._count:
             return
         self._device.use(
@@ -139,7 +139,7 @@ class Sprites:
         self._array.render(self._device.module.POINTS, vertices=self._count)
 
 
-def placed(values: Values) -> FloatArray:
+def with_offscreen(values: Values) -> FloatArray:
     """Return positions ``(N, 3)``, with missing ones far away."""
     points = np.reshape(values, (-1, 3)).astype(np.float64)
-    return np.where(np.isfinite(points), points, FAR)
+    return np.where(np.isfinite(points), points, OFFSCREEN)

@@ -14,7 +14,7 @@ _FOOT = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
 
 
 def composed(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
-    """Return T·R·S ``(..., 4, 4)``; rotations may have any length."""
+    """Return T·R·S ``(..., 4, 4)``; rotations need not be normalized."""
     norm = np.linalg.norm(r, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(r / np.where(norm > 0, norm, 1.0), -1, 0)
     out = np.zeros((*x.shape, 4, 4))
@@ -35,11 +35,11 @@ class DrawnPose:
     """A take of a page, posed at a sample.
 
     Attributes:
-        world: Matrices of its joints ``(J, 4, 4)``.
+        world: World matrices of its joints ``(J, 4, 4)``.
         visible: Whether it is drawn at the sample.
-        extent: Size of it [m].
-        root: The first joint that moves in space, else the first.
-        trailed: Joints whose paths are drawn.
+        extent: Radius of its bounds [m].
+        root: The first joint with animated translation, else the first joint.
+        trailed: Joints with trails.
     """
 
     def __init__(self, streams: Streams, record: dict[str, Any], index: int) -> None:
@@ -56,10 +56,14 @@ class DrawnPose:
             "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
             "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
         }
-        self._moving = [
-            (part, record[part], np.array(record["moving"][part], np.int64))
-            for part in "trs"
-            if record.get(part) is not None and record["moving"].get(part)
+        self._animated = [
+            (
+                component,
+                record[component],
+                np.array(record["moving"][component], np.int64),
+            )
+            for component in "trs"
+            if record.get(component) is not None and record["moving"].get(component)
         ]
         self.first: int = (record.get("span") or [0])[0]
         self.shift = np.array(record.get("offset") or [0.0] * 3)
@@ -67,29 +71,32 @@ class DrawnPose:
         self.world = np.zeros((self.count, 4, 4))
         self.visible, self.extent = True, 1.0
         self.root = self._root()
-        self.trailed = self._trailed()
+        self.trailed = self._trail_joints()
         self._paths: dict[int, FloatArray] = {}
 
     def _root(self) -> int:
-        moves = {
-            int(j) for part, _, joints in self._moving if part == "t" for j in joints
+        translated = {
+            int(j)
+            for component, _, joints in self._animated
+            if component == "t"
+            for j in joints
         }
         order = [int(j) for level in self.levels for j in level]
-        return next((j for j in order if j in moves), order[0] if order else 0)
+        return next((j for j in order if j in translated), order[0] if order else 0)
 
-    def _trailed(self) -> list[int]:
+    def _trail_joints(self) -> list[int]:
         if self.record.get("trails") is not None:
             return list(self.record["trails"])
         if not self.count:
             return []
-        feet = [each["joint"] for each in self.record.get("contacts") or []]
+        feet = [contact["joint"] for contact in self.record.get("contacts") or []]
         if not feet:
-            above = [self.names[p] if p >= 0 else "" for p in self.parents]
+            parent_names = [self.names[p] if p >= 0 else "" for p in self.parents]
             feet = [
                 int(j)
                 for level in self.levels
                 for j in level
-                if _FOOT.search(self.names[j]) and not _FOOT.search(above[j])
+                if _FOOT.search(self.names[j]) and not _FOOT.search(parent_names[j])
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
@@ -107,9 +114,9 @@ class DrawnPose:
 
     def _posed(self, sample: int) -> FloatArray:
         values = self._values
-        for part, number, joints in self._moving:
+        for component, number, joints in self._animated:
             stored = self._streams.at(number, sample - self.first)
-            values[part][joints] = stored.reshape(len(joints), -1)
+            values[component][joints] = stored.reshape(len(joints), -1)
         world = composed(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
             world[level] = world[self.parents[level]] @ world[level]
@@ -131,9 +138,11 @@ class DrawnPose:
 
     def path(self, first: int, last: int) -> FloatArray:
         """Return trail joint positions in a range of samples ``(F, T, 3)``."""
-        known = self._paths
-        # Those that the next picture of a film needs are kept.
-        self._paths = {i: known[i] for i in range(first, last + 1) if i in known}
+        cached_paths = self._paths
+        # Positions that the next picture of a film needs are kept.
+        self._paths = {
+            i: cached_paths[i] for i in range(first, last + 1) if i in cached_paths
+        }
         for sample in range(first, last + 1):
             if sample not in self._paths:
                 world = self._posed(sample)
@@ -142,12 +151,12 @@ class DrawnPose:
 
     def touching(self, codes: FloatArray) -> BoolArray:
         """Return which trail joints are in contact at time codes ``(F, T)``."""
-        touching = np.zeros((len(codes), len(self.trailed)), bool)
-        for each in self.record.get("contacts") or []:
+        in_contact = np.zeros((len(codes), len(self.trailed)), bool)
+        for contact in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trailed):
-                if joint == each["joint"]:
-                    touching[:, column] |= in_spans(codes, each["spans"])
-        return touching
+                if joint == contact["joint"]:
+                    in_contact[:, column] |= in_spans(codes, contact["spans"])
+        return in_contact
 
 
 def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:

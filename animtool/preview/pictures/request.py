@@ -13,27 +13,27 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import similar
 from animtool.core.record import dataclass
 from animtool.preview.options import PictureOptions
-from animtool.preview.pictures.camera import LIGHT, PRESETS, STEEP, CameraView
+from animtool.preview.pictures.camera import KEY_LIGHT, MAX_PITCH, PRESETS, CameraView
 from animtool.preview.pictures.kinds import PictureKind
 from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 
-CELL = (480, 360)
-# Sizes of pictures, and cells of a sheet [px].
-LEAST, MOST, MOST_CELLS = 16, 8192, 400
+CELL_SIZE = (480, 360)
+# Smallest and largest size of a picture [px], and most cells of a sheet.
+MIN_SIZE, MAX_SIZE, MAX_CELLS = 16, 8192, 400
 _PAIR = re.compile(r"(\d{1,5})x(\d{1,5})")
 _SHOT = re.compile(r"shot:(\d{1,6})")
 
 
 @dataclass(frozen=True, slots=True)
 class CameraChoice:
-    """Where a picture is taken from.
+    """Camera of a picture.
 
     Attributes:
-        yaw: Around what is shown [rad].
-        pitch: Likewise.
-        distance: From the target [m]; None shows all.
-        target: What it looks at [m].
-        shot: Number of a camera of the page; None looks from outside.
+        yaw: Angle around the subject [rad].
+        pitch: Angle above the horizon [rad].
+        distance: Distance from the target [m]; None frames everything.
+        target: Point that it looks at [m]; empty is the center.
+        shot: Index of a shot camera of the page; None uses the orbit camera.
     """
 
     yaw: float = PRESETS["home"][0]
@@ -44,7 +44,7 @@ class CameraChoice:
 
     def aim(self, view: CameraView) -> None:
         """Rotate a view before it is framed."""
-        view.yaw, view.pitch = self.yaw, min(max(self.pitch, -STEEP), STEEP)
+        view.yaw, view.pitch = self.yaw, min(max(self.pitch, -MAX_PITCH), MAX_PITCH)
 
     def position(self, view: CameraView) -> None:
         """Place a view after it is framed, if a position is given."""
@@ -52,7 +52,7 @@ class CameraChoice:
             view.distance, view.target = self.distance, np.array(self.target)
 
 
-def refused(where: str, message: str, hint: str) -> OptionError:
+def option_error(where: str, message: str, hint: str) -> OptionError:
     """Return the error of an invalid picture option."""
     return OptionError(Fault("PRV006", message, hint=hint, where=where))
 
@@ -62,12 +62,14 @@ def size_of(
 ) -> tuple[int, int]:
     """Return the size of a picture [px]."""
     if options.size is None:
-        return CELL if sheet else kind.size
-    wide, high = _pair(options.size, "size", "960x540")
-    if not (LEAST <= wide <= MOST and LEAST <= high <= MOST):
-        message = f"invalid size {options.size}: {LEAST} to {MOST} pixels per side"
-        raise refused("size", message, "write 960x540, for example")
-    return wide, high
+        return CELL_SIZE if sheet else kind.size
+    width, height = _pair(options.size, "size", "960x540")
+    if not (MIN_SIZE <= width <= MAX_SIZE and MIN_SIZE <= height <= MAX_SIZE):
+        message = (
+            f"invalid size {options.size}: {MIN_SIZE} to {MAX_SIZE} pixels per side"
+        )
+        raise option_error("size", message, "write 960x540, for example")
+    return width, height
 
 
 def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
@@ -75,16 +77,18 @@ def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
     if options.sheet is None:
         return None
     columns, rows = _pair(options.sheet, "sheet", "4x3")
-    if not 1 <= columns * rows <= MOST_CELLS:
+    if not 1 <= columns * rows <= MAX_CELLS:
         message = f"a sheet of {options.sheet} pictures"
-        raise refused("sheet", message, f"use 1 to {MOST_CELLS} of them, such as 4x3")
+        raise option_error(
+            "sheet", message, f"use 1 to {MAX_CELLS} of them, such as 4x3"
+        )
     return columns, rows
 
 
 def _pair(text: str, where: str, example: str) -> tuple[int, int]:
     match = _PAIR.fullmatch(text.strip().lower())
     if match is None:
-        raise refused(
+        raise option_error(
             where, f"{text!r} is not two whole numbers", f"write {example}, for example"
         )
     return int(match[1]), int(match[2])
@@ -95,26 +99,26 @@ def layers_of(options: PictureOptions) -> frozenset[str]:
     for name in options.show:
         if name not in LAYERS:
             message = f"unknown part of a picture {name!r}"
-            raise refused("show", message, f"allowed: {', '.join(LAYERS)}")
+            raise option_error("show", message, f"allowed: {', '.join(LAYERS)}")
     return frozenset(options.show) or DEFAULT_LAYERS
 
 
 def light_of(options: PictureOptions) -> FloatArray:
     """Return the direction of the key light in view space."""
     if options.light is None:
-        light: FloatArray = LIGHT / np.linalg.norm(LIGHT)
+        light: FloatArray = KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
         return light
     numbers = _numbers(options.light)
     if len(numbers) != 2:
         message = f"{options.light!r} is not two angles in degrees"
-        raise refused("light", message, "write -27,40, for example")
+        raise option_error("light", message, "write -27,40, for example")
     yaw, pitch = map(math.radians, numbers)
     level = math.cos(pitch)
     return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
 
 
 def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
-    """Return a camera choice; names: those of the page's shot cameras."""
+    """Return a camera choice; ``names`` are the page's shot cameras."""
     text = text.strip()
     if text in PRESETS:
         return CameraChoice(*PRESETS[text])
@@ -127,19 +131,23 @@ def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
         numbers = _numbers(text)
         if len(numbers) == 2:
             return CameraChoice(math.radians(numbers[0]), math.radians(numbers[1]))
-        # As the address of a page has it.
+        # In the format of a page's address.
         if len(numbers) == 6 and numbers[2] > 0:
             yaw, pitch, distance, *target = numbers
             return CameraChoice(yaw, pitch, distance, tuple(target))
-    known = [*PRESETS, *names]
-    near = similar(text, known)
-    hint = f"did you mean {near!r}?" if near else f"allowed: {', '.join(known)}"
+    all_names = [*PRESETS, *names]
+    similar_name = similar(text, all_names)
+    hint = (
+        f"did you mean {similar_name!r}?"
+        if similar_name
+        else f"allowed: {', '.join(all_names)}"
+    )
     hint += "; or YAW,PITCH in degrees, or the `cam` of a page's address"
-    raise refused("camera", f"unknown camera {text!r}", hint)
+    raise option_error("camera", f"unknown camera {text!r}", hint)
 
 
 def _numbers(text: str) -> list[float]:
-    """Return comma-separated finite numbers; none if invalid."""
+    """Return comma-separated finite numbers; empty if invalid."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

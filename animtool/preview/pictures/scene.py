@@ -8,11 +8,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.bones import Bones, Color
-from animtool.preview.pictures.camera import Bounds, CameraView, Eye
+from animtool.preview.pictures.bones import Color, DrawnBones
+from animtool.preview.pictures.camera import Bounds, CameraView, EyeMatrices
 from animtool.preview.pictures.data import Streams
 from animtool.preview.pictures.device import Array, Device, Picture
-from animtool.preview.pictures.ground import DrawnGround, Shadow, Trails
+from animtool.preview.pictures.ground import ContactShadow, DrawnGround, DrawnTrails
 from animtool.preview.pictures.lines import DrawnLines
 from animtool.preview.pictures.pose import DrawnPose, composed
 from animtool.preview.pictures.shapes import (
@@ -28,17 +28,17 @@ LAYERS = (
     *("bones", "axes", "meshes", "trails", "contacts", "cameras", "grid", "shadows"),
 )
 DEFAULT_LAYERS = frozenset(LAYERS) - {"axes"}
-# Most takes that are looked at one by one: with more it is a crowd.
-CAST = 4
-# A character is followed along a path that is this many times longer than high; others,
-# such as that of a ball that bounces, are framed completely.
-LONG_PATH = 2.0
-# A stage this many times larger than its characters is not framed completely.
-WIDE = 4
-# Parts of the motion, at whose ends the camera looks where everything is.
-LOOKS = 12
-# Colours of takes, where there are several.
-SERIES: tuple[Color, ...] = (
+# Maximum number of takes shown as single characters; more are a crowd.
+MAX_CAST = 4
+# A character is followed if its path is this many times longer than high; other motion,
+# such as a bouncing ball, is framed completely.
+MIN_PATH_RATIO = 2.0
+# A stage this many times larger than its characters is not framed; they are.
+MAX_STAGE_RATIO = 4
+# Number of intervals of the motion at whose ends bounds are measured.
+FRAMING_INTERVALS = 12
+# Colours of takes if there are several.
+TAKE_COLORS: tuple[Color, ...] = (
     *((56, 132, 196), (214, 126, 44), (60, 158, 116)),
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
@@ -63,30 +63,30 @@ class DrawnScene:
         self._poses = [
             DrawnPose(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
-        known: dict[tuple[Any, ...], Any] = {}
+        geometries: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
-            DrawnMesh(device, streams, mesh, self._pose_of(mesh), known)
+            DrawnMesh(device, streams, mesh, self._pose_of(mesh), geometries)
             for mesh in manifest["meshes"]
         ]
         self._instances = [
-            Instances(device, streams, each, self._meshes[each["mesh"]])
-            for each in manifest["instances"]
+            Instances(device, streams, entry, self._meshes[entry["mesh"]])
+            for entry in manifest["instances"]
         ]
         self._clouds = [
-            PointCloud(device, streams, each) for each in manifest["points"]
+            PointCloud(device, streams, entry) for entry in manifest["points"]
         ]
         self._strands = [
-            DrawnStrands(device, streams, each, self._pose_of(each))
-            for each in manifest["curves3d"]
+            DrawnStrands(device, streams, entry, self._pose_of(entry))
+            for entry in manifest["curves3d"]
         ]
         self.cameras: list[dict[str, Any]] = manifest["cameras"]
-        self._bones = Bones(device)
-        self._trails = Trails(device, self.codes)
+        self._bones = DrawnBones(device)
+        self._trails = DrawnTrails(device, self.codes)
         self._frusta = DrawnLines(device)
-        self._shadow = Shadow(device)
+        self._shadow = ContactShadow(device)
         self._ground = DrawnGround(device, 1.0)
         self._colors = theme_colors()
-        self._crowd = len(self._poses) > CAST
+        self._crowd = len(self._poses) > MAX_CAST
         self._sample = -1
 
     def _pose_of(self, entry: Mapping[str, Any]) -> DrawnPose | None:
@@ -101,23 +101,27 @@ class DrawnScene:
             box.add(pose.positions)
             pose.extent = 1.0 if box.empty or box.radius <= 1e-3 else box.radius
         count = len(self.codes)
-        parts = [int(i / LOOKS * (count - 1) + 0.5) for i in range(LOOKS + 1)]
-        looks = [*dict.fromkeys(parts), sample]
-        roots = [self._root_at(i) for i in looks]
-        away = np.array(roots) - roots[-1]
-        far = float(np.linalg.norm(away[:, [0, 2]], axis=1).max())
-        first = self._poses[0] if self._poses else None
+        spaced = [
+            int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
+            for i in range(FRAMING_INTERVALS + 1)
+        ]
+        samples = [*dict.fromkeys(spaced), sample]
+        roots = [self._root_at(i) for i in samples]
+        offsets = np.array(roots) - roots[-1]
+        travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
+        main_pose = self._poses[0] if self._poses else None
         follow = (
-            first is not None
-            and first.count > 0
+            main_pose is not None
+            and main_pose.count > 0
             and not self._crowd
-            and far > max(first.extent, LONG_PATH * float(np.ptp(away[:, 1])))
+            and travel
+            > max(main_pose.extent, MIN_PATH_RATIO * float(np.ptp(offsets[:, 1])))
         )
-        box, around, cast = Bounds(), Bounds(), Bounds()
-        for i, root in zip(looks, roots, strict=True):
+        box, everything, cast = Bounds(), Bounds(), Bounds()
+        for i, root in zip(samples, roots, strict=True):
             self._update(i)
             shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if follow else 0.0
-            box = self._grown(around, cast, shift)
+            box = self._grow_bounds(everything, cast, shift)
         view.frame(box)
         view.follow, view.followed = follow, None
         self._ground = DrawnGround(self._device, box.radius)
@@ -128,25 +132,31 @@ class DrawnScene:
         pose = self._poses[0]
         pose.update(sample)
         self._sample = -1
-        at: FloatArray = pose.positions[pose.root].copy()
-        return at
+        position: FloatArray = pose.positions[pose.root].copy()
+        return position
 
-    def _grown(self, box: Bounds, cast: Bounds, shift: FloatArray | float) -> Bounds:
+    def _grow_bounds(
+        self, box: Bounds, cast: Bounds, shift: FloatArray | float
+    ) -> Bounds:
         """Grow bounds of everything and of characters; return those to frame."""
-        bounds, around = Bounds(), Bounds()
+        bounds, characters = Bounds(), Bounds()
         for pose in self._poses:
             if pose.visible:
-                around.add(pose.positions)
+                characters.add(pose.positions)
         for mesh in self._meshes:
-            mesh.bound(around if mesh.skinned else bounds)
-        bounds.join(around)
-        others: list[Instances | PointCloud | DrawnStrands]
-        others = [*self._instances, *self._clouds, *self._strands]
-        for each in others:
-            each.bound(bounds)
-        cast.join(around, shift)
+            mesh.bound(characters if mesh.skinned else bounds)
+        bounds.join(characters)
+        drawn: list[Instances | PointCloud | DrawnStrands]
+        drawn = [*self._instances, *self._clouds, *self._strands]
+        for item in drawn:
+            item.bound(bounds)
+        cast.join(characters, shift)
         box.join(bounds, shift)
-        return cast if not cast.empty and box.radius > WIDE * cast.radius else box
+        return (
+            cast
+            if not cast.empty and box.radius > MAX_STAGE_RATIO * cast.radius
+            else box
+        )
 
     def _update(self, sample: int) -> None:
         """Pose everything at a sample."""
@@ -156,8 +166,8 @@ class DrawnScene:
         for pose in self._poses:
             pose.update(sample)
         if "meshes" in self._shown:
-            for each in self._solids():
-                each.update(sample)
+            for solid in self._solids():
+                solid.update(sample)
 
     def _solids(self) -> list[Solid]:
         return [*self._meshes, *self._instances, *self._clouds, *self._strands]
@@ -168,16 +178,21 @@ class DrawnScene:
         """Return the pixels of a sample ``(H, W, 3)``.
 
         Args:
-            view: The camera; it goes along with what it follows.
-            sample: Of the page's timeline.
-            picture: What is drawn into.
-            shot: Number of a camera of the page to look through.
+            view: The camera; it moves with the character it follows.
+            sample: Sample of the page's timeline.
+            picture: Framebuffer to draw into.
+            shot: Index of a shot camera of the page to look through; None uses
+                ``view``.
         """
         self._update(sample)
         visible = [pose for pose in self._poses if pose.visible]
-        first = self._poses[0] if self._poses else None
-        at = first.positions[first.root].copy() if first and first.count else None
-        view.track(at)
+        main_pose = self._poses[0] if self._poses else None
+        root_position = (
+            main_pose.positions[main_pose.root].copy()
+            if main_pose and main_pose.count
+            else None
+        )
+        view.track(root_position)
         accent = self._colors["accent"]
         several = len(self._poses) > 1
         self._trails.update(
@@ -191,20 +206,22 @@ class DrawnScene:
         if shot is not None:
             eye = view.through(self.cameras[shot], self._streams, sample)
         eye = eye or view.eye()
-        shaded = "shadows" in self._shown and self._shadow.cast(
+        has_shadow = "shadows" in self._shown and self._shadow.cast(
             view, lambda below: self._draw_casting(below, visible, view.radius)
         )
 
         def draw(target: Any) -> None:
-            self._draw_all(eye, view, visible, target, shaded=shaded, shot=shot)
+            self._draw_all(eye, view, visible, target, has_shadow=has_shadow, shot=shot)
 
         return picture.draw(self._colors["view"], draw)
 
-    def _draw_casting(self, eye: Eye, visible: list[DrawnPose], radius: float) -> None:
+    def _draw_casting(
+        self, eye: EyeMatrices, visible: list[DrawnPose], radius: float
+    ) -> None:
         casting = [
-            each
-            for each in self._solids()
-            if not (isinstance(each, DrawnMesh) and each.surrounds(radius))
+            solid
+            for solid in self._solids()
+            if not (isinstance(solid, DrawnMesh) and solid.surrounds(radius))
         ]
         self._draw_shapes(eye, casting)
         if not self._solid:
@@ -212,32 +229,32 @@ class DrawnScene:
 
     def _draw_all(
         self,
-        eye: Eye,
+        eye: EyeMatrices,
         view: CameraView,
         visible: list[DrawnPose],
         target: Any,
         *,
-        shaded: bool,
+        has_shadow: bool,
         shot: int | None,
     ) -> None:
-        behind = eye.between(0.1, 1.0)
-        self._draw_shapes(behind, self._solids())
+        far_eye = eye.between(0.1, 1.0)
+        self._draw_shapes(far_eye, self._solids())
         target.depth_mask = False
         with self._device.blending():
-            if shaded:
-                self._shadow.draw(behind)
+            if has_shadow:
+                self._shadow.draw(far_eye)
             if "grid" in self._shown:
                 colors = self._colors["grid"], self._colors["grid-strong"]
-                self._ground.draw(behind, view.target, *colors)
-            self._trails.draw(behind)
+                self._ground.draw(far_eye, view.target, *colors)
+            self._trails.draw(far_eye)
             if "cameras" in self._shown:
-                self._draw_frusta(behind, view, shot)
+                self._draw_frusta(far_eye, view, shot)
         target.depth_mask = True
         axes = "axes" in self._shown
         if not self._solid:
-            self._draw_bones(behind, visible, axes=axes)
+            self._draw_bones(far_eye, visible, axes=axes)
             return
-        # In front of the skin, which hides them else.
+        # Drawn in front of the skin, which would hide them.
         with self._device.blending():
             self._draw_bones(eye.between(0.0, 0.1, 0.5), visible, axes=axes)
 
@@ -248,36 +265,42 @@ class DrawnScene:
             for mesh in self._meshes
         )
 
-    def _draw_shapes(self, eye: Eye, shapes: Sequence[Solid]) -> None:
-        for each in shapes if "meshes" in self._shown else []:
-            if not (isinstance(each, DrawnMesh) and each.copied):
-                each.draw(eye)
+    def _draw_shapes(self, eye: EyeMatrices, shapes: Sequence[Solid]) -> None:
+        for shape in shapes if "meshes" in self._shown else []:
+            if not (isinstance(shape, DrawnMesh) and shape.is_prototype):
+                shape.draw(eye)
 
-    def _draw_bones(self, eye: Eye, visible: list[DrawnPose], *, axes: bool) -> None:
+    def _draw_bones(
+        self, eye: EyeMatrices, visible: list[DrawnPose], *, axes: bool
+    ) -> None:
         bones = "bones" in self._shown
         self._bones.draw(eye, visible, self._color, bones=bones, axes=axes)
 
     def _color(self, take: int) -> Color:
         several = len(self._poses) > 1
-        return SERIES[take % len(SERIES)] if several else self._colors["bone"]
+        return TAKE_COLORS[take % len(TAKE_COLORS)] if several else self._colors["bone"]
 
-    def _draw_frusta(self, eye: Eye, view: CameraView, shot: int | None) -> None:
+    def _draw_frusta(
+        self, eye: EyeMatrices, view: CameraView, shot: int | None
+    ) -> None:
         segments: list[FloatArray] = []
         for i, camera in enumerate(self.cameras):
             if i == shot:
                 continue
-            t, r = (self._streams.at(camera[part], self._sample) for part in "tr")
+            t, r = (
+                self._streams.at(camera[component], self._sample) for component in "tr"
+            )
             if not (len(t) and len(r)):
                 continue
-            wide, high = camera["aperture_mm"]
+            aperture_width, aperture_height = camera["aperture_mm"]
             size = view.radius * 0.16
             world = composed(t.astype(np.float64), r.astype(np.float64), None)
-            flat = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
-            flat = flat * size * 0.5 * [1, high / wide]
-            corners = np.concatenate([flat, np.full((5, 1), -size)], axis=1)
+            gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
+            gate = gate * size * 0.5 * [1, aperture_height / aperture_width]
+            corners = np.concatenate([gate, np.full((5, 1), -size)], axis=1)
             points = np.vstack([corners @ world[:3, :3].T + world[:3, 3], world[:3, 3]])
-            pairs = [(5, k) for k in range(4)] + [(k, (k + 1) % 4) for k in range(4)]
-            segments.append(points[np.array([*pairs, (3, 4), (2, 4)])])
+            edges = [(5, k) for k in range(4)] + [(k, (k + 1) % 4) for k in range(4)]
+            segments.append(points[np.array([*edges, (3, 4), (2, 4)])])
         if segments:
             lines = np.concatenate(segments)
             color = np.array([*self._colors["soft"], 255.0])

@@ -7,27 +7,28 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.camera import Bounds, Eye
+from animtool.preview.pictures.camera import Bounds, EyeMatrices
 from animtool.preview.pictures.data import Streams
 from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.pictures.lines import (
-    FAR,
+    OFFSCREEN,
     DrawnLines,
     Sprites,
-    Stored,
-    display,
-    placed,
+    VertexBuffer,
     repeated,
+    srgb,
+    with_offscreen,
 )
 from animtool.preview.pictures.pose import DrawnPose, composed
 
-# Meshes with fewer points are shaded by face: boxes keep their edges.
-SMOOTH_FROM = 200
-# Vertices of a skin that say how large it is.
-BOUNDS = 200
+# Meshes with fewer points are shaded by face, so boxes keep their edges.
+MIN_SMOOTH_POINTS = 200
+# Number of vertices that measure the bounds of a skinned mesh.
+BOUNDS_VERTICES = 200
 COLOR = (0.4, 0.43, 0.48)
-# Lower than this above 0 a mesh is a ground, wider it is a room, of the radius.
-FLAT, WIDE = 0.02, 2.2
+# Meshes lower than this are a ground, and wider ones are a room, relative to the radius
+# of the scene.
+GROUND_HEIGHT, ROOM_WIDTH = 0.02, 2.2
 POINT_COLOR = (0.7, 0.32, 0.05)
 STRAND_COLOR = (0.26, 0.15, 0.07)
 
@@ -37,11 +38,11 @@ def normals_of(points: Array, faces: Array) -> FloatArray:
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
     corners, count = faces.ravel(), len(points)
-    sums = [
+    corner_normals = [
         np.bincount(corners, np.repeat(face_normals[:, k], 3), minlength=count)
         for k in range(3)
     ]
-    return np.stack(sums, axis=1)
+    return np.stack(corner_normals, axis=1)
 
 
 class DrawnGeometry:
@@ -51,9 +52,9 @@ class DrawnGeometry:
         self.rest = streams.array(record["points"]).reshape(-1, 3)
         self.faces = streams.array(record["faces"]).astype(np.uint32).reshape(-1, 3)
         normals = record.get("normals")
-        self.smooth = len(self.rest) >= SMOOTH_FROM or normals is not None
+        self.smooth = len(self.rest) >= MIN_SMOOTH_POINTS or normals is not None
         self.reach = float(np.abs(self.rest).max(initial=0.0))
-        self.points, self.normals = Stored(device), Stored(device)
+        self.points, self.normals = VertexBuffer(device), VertexBuffer(device)
         self.set_points(self.rest, None if normals is None else streams.array(normals))
         self.index = device.gl.buffer(self.faces.tobytes())
         self.parts: list[tuple[Any, str, str]] = [
@@ -94,12 +95,12 @@ class DrawnMesh:
         streams: Streams,
         record: dict[str, Any],
         pose: DrawnPose | None,
-        known: dict[tuple[Any, ...], DrawnGeometry],
+        geometries: dict[tuple[Any, ...], DrawnGeometry],
     ) -> None:
         self._device, self._streams = device, streams
         self.record, self.pose = record, pose
-        self.copied = bool(record.get("prototype"))
-        self.geometry = self._geometry(known)
+        self.is_prototype = bool(record.get("prototype"))
+        self.geometry = self._geometry(geometries)
         self._shown = self.geometry.rest
         self._shapes = [
             (
@@ -115,16 +116,18 @@ class DrawnMesh:
         self._palette = TextureTable(device)
         self.hidden = False
         painted = self.geometry.painted
-        kinds = {"SKIN": skin, "PAINT": painted, "INSTANCES": self.copied}
-        names = tuple(name for name, on in kinds.items() if on)
+        defines = {"SKIN": skin, "PAINT": painted, "INSTANCES": self.is_prototype}
+        names = tuple(name for name, is_on in defines.items() if is_on)
         self.program = device.program("meshes.js", kinds=names)
         color = record.get("color")
-        self._color = display(COLOR if color is None else color) / 255
+        self._color = srgb(COLOR if color is None else color) / 255
         self._array: Any = None
-        if not self.copied:
+        if not self.is_prototype:
             self._array = self.array([])
 
-    def _geometry(self, known: dict[tuple[Any, ...], DrawnGeometry]) -> DrawnGeometry:
+    def _geometry(
+        self, geometries: dict[tuple[Any, ...], DrawnGeometry]
+    ) -> DrawnGeometry:
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
             return DrawnGeometry(self._device, self._streams, record)
@@ -133,16 +136,19 @@ class DrawnMesh:
             [record.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
-        if key not in known:
-            known[key] = DrawnGeometry(self._device, self._streams, record)
-        return known[key]
+        if key not in geometries:
+            geometries[key] = DrawnGeometry(self._device, self._streams, record)
+        return geometries[key]
 
-    def array(self, more: list[tuple[Any, str, str]]) -> Any:
+    def array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
         """Return the vertex array with further buffers."""
         rigid = {"joints", "weights"} if self._joints is None else set()
-        parts = [part for part in self.geometry.parts if part[2] not in rigid]
+        buffers = [buffer for buffer in self.geometry.parts if buffer[2] not in rigid]
         return self._device.gl.vertex_array(
-            self.program, [*parts, *more], self.geometry.index, index_element_size=4
+            self.program,
+            [*buffers, *extra_buffers],
+            self.geometry.index,
+            index_element_size=4,
         )
 
     @property
@@ -188,33 +194,33 @@ class DrawnMesh:
         self.geometry.set_points(points)
 
     def bound(self, box: Bounds) -> None:
-        """Grow bounds by it; skinned meshes use some vertices and first joints."""
+        """Grow bounds by it; if skinned, by some vertices at their strongest joint."""
         pose, geometry = self.pose, self.geometry
-        if self.copied or (pose is not None and not pose.visible):
+        if self.is_prototype or (pose is not None and not pose.visible):
             return
         if pose is None or self._joints is None:
             box.add(self._shown.astype(np.float64))
             return
-        some = slice(None, None, max(-(-len(geometry.rest) // BOUNDS), 1))
-        first = geometry.joints[some, 0]
-        matrices = pose.world[self._joints[first]] @ geometry.bind[first]
-        points = geometry.rest[some].astype(np.float64)
+        subset = slice(None, None, max(-(-len(geometry.rest) // BOUNDS_VERTICES), 1))
+        first_joints = geometry.joints[subset, 0]
+        matrices = pose.world[self._joints[first_joints]] @ geometry.bind[first_joints]
+        points = geometry.rest[subset].astype(np.float64)
         box.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
         )
 
     def surrounds(self, radius: float) -> bool:
-        """Return whether it is a ground or a surrounding room, without shadow.
+        """Return whether it is a ground or a surrounding room, which cast no shadow.
 
-        radius: of what is shown.
+        ``radius`` [m] is that of the scene.
         """
-        if self.pose or self.copied or self.record.get("cache") is not None:
+        if self.pose or self.is_prototype or self.record.get("cache") is not None:
             return False
         low, high = self.geometry.rest.min(axis=0), self.geometry.rest.max(axis=0)
-        wide = min(high[0] - low[0], high[2] - low[2])
-        return bool(high[1] < FLAT * radius or wide > WIDE * radius)
+        width = min(high[0] - low[0], high[2] - low[2])
+        return bool(high[1] < GROUND_HEIGHT * radius or width > ROOM_WIDTH * radius)
 
-    def draw(self, eye: Eye, array: Any = None, copies: int = 1) -> None:
+    def draw(self, eye: EyeMatrices, array: Any = None, copies: int = 1) -> None:
         """Draw it once, or instanced by the rows of an array."""
         if self.hidden or not copies:
             return
@@ -239,10 +245,10 @@ class Instances:
         self, device: Device, streams: Streams, record: dict[str, Any], mesh: DrawnMesh
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
-        self._matrices_table, self._colors = Stored(device), Stored(device)
+        self._matrices_table, self._colors = VertexBuffer(device), VertexBuffer(device)
         self._count = streams.width(record["t"]) // 3
         color = record.get("color") or mesh.record.get("color") or COLOR
-        self._colors.write(repeated(self._count, display(color)))
+        self._colors.write(repeated(self._count, srgb(color)))
         self._array: Any = None
         self.pose = None
         self.matrices = np.zeros((0, 4, 4))
@@ -257,20 +263,20 @@ class Instances:
         t, r, s, visible = (at(name) for name in ("t", "r", "s", "visible"))
         assert t is not None
         positions = t.reshape(-1, 3).astype(np.float64)
-        shown = np.isfinite(positions[:, 0])
+        is_visible = np.isfinite(positions[:, 0])
         if visible is not None:
-            shown &= visible[: len(shown)] != 0
+            is_visible &= visible[: len(is_visible)] != 0
         count = len(positions)
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
         if r is not None:
             rotations = r.reshape(-1, 4)[:count].astype(np.float64)
         sizes = None
         if s is not None:
-            each = (
+            instance_values = (
                 s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
             )
-            sizes = each[:count].astype(np.float64)[shown]
-        self.matrices = composed(positions[shown], rotations[shown], sizes)
+            sizes = instance_values[:count].astype(np.float64)[is_visible]
+        self.matrices = composed(positions[is_visible], rotations[is_visible], sizes)
         if self._matrices_table.write(self.matrices.swapaxes(1, 2).astype("<f4")):
             self._array = self._mesh.array(
                 [
@@ -287,7 +293,7 @@ class Instances:
         for side in (-1, 1):
             box.add(self.matrices[:, :3, 3] + side * sizes[:, None])
 
-    def draw(self, eye: Eye) -> None:
+    def draw(self, eye: EyeMatrices) -> None:
         """Draw the instances."""
         self._mesh.draw(eye, self._array, len(self.matrices))
 
@@ -299,10 +305,10 @@ class PointCloud:
         self._streams, self._record = streams, record
         self._sprites = Sprites(device)
         count = streams.width(record["positions"]) // 3
-        self._tints = repeated(count, display(record.get("color") or POINT_COLOR))
+        self._tints = repeated(count, srgb(record.get("color") or POINT_COLOR))
         if record.get("colors") is not None:
             colors = streams.array(record["colors"]) / 255
-            self._tints = display(colors).astype(np.uint8).reshape(-1, 3)
+            self._tints = srgb(colors).astype(np.uint8).reshape(-1, 3)
         radii = record.get("radii")
         self._radii = None if radii is None else streams.array(radii)
         self.pose = None
@@ -310,14 +316,16 @@ class PointCloud:
 
     def update(self, sample: int) -> None:
         """Place the points at a sample."""
-        self._points = placed(self._streams.at(self._record["positions"], sample))
+        self._points = with_offscreen(
+            self._streams.at(self._record["positions"], sample)
+        )
         self._sprites.set(self._points, self._tints, self._radii)
 
     def bound(self, box: Bounds) -> None:
         """Grow bounds by the points."""
-        box.add(self._points[self._points[:, 0] < FAR / 10])
+        box.add(self._points[self._points[:, 0] < OFFSCREEN / 10])
 
-    def draw(self, eye: Eye) -> None:
+    def draw(self, eye: EyeMatrices) -> None:
         """Draw them."""
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
@@ -335,10 +343,10 @@ class DrawnStrands:
         self._streams, self._record, self.pose = streams, record, pose
         self._lines = DrawnLines(device)
         counts = streams.array(record["counts"]).astype(np.int64)
-        inner = np.ones(int(counts.sum()), bool)
-        inner[np.cumsum(counts) - 1] = False
-        self._heads = np.flatnonzero(inner)
-        color = display(record.get("color") or STRAND_COLOR)
+        has_next = np.ones(int(counts.sum()), bool)
+        has_next[np.cumsum(counts) - 1] = False
+        self._heads = np.flatnonzero(has_next)
+        color = srgb(record.get("color") or STRAND_COLOR)
         self._color = np.append(color, 255.0)
         self._points = np.zeros((0, 3))
 
@@ -363,7 +371,7 @@ class DrawnStrands:
         """Grow bounds by the strands."""
         box.add(self._points)
 
-    def draw(self, eye: Eye) -> None:
+    def draw(self, eye: EyeMatrices) -> None:
         """Draw them."""
         if self.pose is None or self.pose.visible:
             self._lines.draw(eye, width=1, world=self._record.get("width") or 0.0)

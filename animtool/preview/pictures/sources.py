@@ -7,16 +7,16 @@ from functools import cache
 
 from animtool.preview.page import viewer_text
 
-# Constants of modules of the viewer that hold nothing but GLSL.
+# Constants of viewer modules that contain only GLSL.
 _CONSTANT = re.compile(
     r"^(?:export )?const ([A-Z_]+) = (?:`([^`]*)`|'([^'\n]*)');$", re.M
 )
 _INSERTED = re.compile(r"\$\{([A-Z_]+)\}")
 _COLOR = re.compile(r"--([\w-]+): #([0-9a-f]{6});")
-# Module of what others insert.
-SHARED = "gl.js"
-# GLSL of desktop contexts that reads the same as that of pages.
-HEAD = (
+# Module with the constants that other modules insert.
+SHARED_MODULE = "gl.js"
+# Header for desktop OpenGL, replacing that of WebGL.
+SHADER_HEADER = (
     "#version 330\nprecision highp float;\nprecision highp int;\n"
     "precision highp sampler2D;\n"
 )
@@ -28,8 +28,8 @@ def shader(module: str, name: str) -> str:
     >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
     """
-    shared, texts = _constants(SHARED), _constants(module)
-    return _INSERTED.sub(lambda match: shared[match[1]], texts[name])
+    shared_constants, texts = _constants(SHARED_MODULE), _constants(module)
+    return _INSERTED.sub(lambda match: shared_constants[match[1]], texts[name])
 
 
 @cache

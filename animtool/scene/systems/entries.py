@@ -16,7 +16,7 @@ from animtool.core.options import OF_ENTRY, Checked, range_faults
 from animtool.documents.arrays import load_array
 from animtool.documents.check import (
     FileModel,
-    Located,
+    LocatedFaults,
     record_of_options,
     unknown_options,
 )
@@ -78,7 +78,7 @@ class EntryReader:
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
 
-    def note_all(self, at: Location, faults: Located) -> None:
+    def note_all(self, at: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
         for key, fault in faults:
             self.note((*at, *key), fault)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import field, replace
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -18,18 +17,13 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.attach.bodies import AttachedBody
+from animtool.systems.attach.bodies import AttachedBody, ChainBody
 from animtool.systems.attach.layers import ClothMotion, cloth_sheet
 from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import SkinContacts, SkinSurface, margin_for
-from animtool.systems.attach.stepping import (
-    AttachState,
-    Stepper,
-    cells_of,
-    steps_per_second,
-)
+from animtool.systems.attach.stepping import AttachedSprings
 from animtool.systems.attach.strands import (
     DEPENETRATION,
     CharacterColliders,
@@ -52,9 +46,8 @@ class PosePaths:
     rig: Rig  # the character
     before: LocalPose  # pose at the begin
     after: LocalPose  # pose at the end
-    skins: Sequence[SkinSurface] = ()  # its collision meshes
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
-    _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
+    _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
         """Return the poses at the begin and at the end of each step."""
@@ -62,12 +55,12 @@ class PosePaths:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
-    def skin_points(self, steps: int) -> list[FloatArray]:
-        """Return points of each skin at these times ``(K, P, 3)`` [m]."""
-        if steps not in self._skin_points:
-            path = self.of(steps)
-            self._skin_points[steps] = [skin.points(path) for skin in self.skins]
-        return self._skin_points[steps]
+    def skin_points(self, skin: SkinSurface, steps: int) -> FloatArray:
+        """Return points of a skin at these times ``(K, P, 3)`` [m]."""
+        key = id(skin), steps
+        if key not in self._skin_points:
+            self._skin_points[key] = skin.points(self.of(steps))
+        return self._skin_points[key]
 
 
 class Actor:
@@ -93,19 +86,17 @@ class Actor:
         first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        needed = math.ceil(steps_per_second(network, settings) * span - 1e-9)
-        self._cells, self._substeps = cells_of(max(1, needed))
-        self.steps = self._cells * self._substeps
+        self._springs = AttachedSprings(network, settings, -upwards(rig), span)
+        self.steps = self._springs.cells * self._springs.substeps
         self.jumps = 0
         self.seconds = 0.0
-        self._stepper = Stepper(network, settings, -upwards(rig))
-        self.tally = self._stepper.tally
         self._span = span
         self.meter = ContactMeter()
         self._sides = _sides(network)
-        if not self._stepper.thickness and not skins:
+        if not self._springs.thickness and not skins:
             # Without self-contact and skins there is no piercing to count.
             self._sides = replace(self._sides, triangles=network.triangles[:0])
+        self._meshes = skins
         self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
             list(skins),
@@ -121,10 +112,12 @@ class Actor:
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self.target = body.targets(first)[0]
+        is_chain = isinstance(body, ChainBody)
+        below = self._skins.depths(first, self.target, settings.radius, inside=is_chain)
         self._contacts = CharacterColliders(
             capsules,
             capsules.sizes(first.world),
-            (depths, self._skins.depths(first, self.target, settings.radius)),
+            (depths, below),
             settings.radius,
             settings.options.friction,
             world,
@@ -135,64 +128,74 @@ class Actor:
         self.lost = lost_links(network, self.target)
         self.tangles = (
             tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
-            if self._stepper.thickness
+            if self._springs.thickness
             else []
         )
-        self.state = AttachState(self.target, np.zeros_like(self.target))
+        self.grid = self._springs.start(self.target)
         # Cloth with self-contact, as a collider of attachments that come later.
         self.sheet: Sheet | None = None
-        if self._stepper.thickness:
+        if self._springs.thickness:
             self.sheet = cloth_sheet(
                 body.name,
                 self.target,
                 network.triangles,
-                self._stepper.thickness,
+                self._springs.thickness,
                 settings.options.friction,
                 DEPENETRATION,
             )
+
+    @property
+    def positions(self) -> FloatArray:
+        """Particle positions ``(N, 3)`` [m]."""
+        return np.asarray(self.grid.state.motion[0])
+
+    def move(self, motion: FloatArray, passages: IntArray | None = None) -> None:
+        """Set the state: positions and velocities ``(2, N, 3)`` [m, m/s]."""
+        state = self.grid.state
+        kept = state.passages if passages is None else passages
+        state = replace(state, motion=motion, passages=kept)
+        self.grid = replace(self.grid, state=state)
 
     def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
         """Set the motion of the collider over a frame, from points at its begin."""
         if self.sheet is not None:
             motion = self.sheet.motion
             assert isinstance(motion, ClothMotion)
-            motion.begin, motion.end = begin, self.state.positions
+            motion.begin, motion.end = begin, self.positions
             motion.times = times
 
     def rush(self, speed: FloatArray) -> None:
         """Add a velocity ``(3,)`` [m/s] to all particles."""
-        state = self.state
-        self.state = replace(state, velocities=state.velocities + speed)
+        motion = self.grid.state.motion
+        self.move(np.stack([motion[0], motion[1] + speed]))
 
     def cross(self, paths: PosePaths, frame: int) -> None:
         """Advance by a frame; frame 0 is the first of the take."""
         began = time.perf_counter()
-        motion = paths.of(self._cells)
+        count = self._springs.cells
+        motion = paths.of(count)
         targets = self.body.targets(motion)
         surfaces: list[Any] = []
         if self._skins:
-            points = paths.skin_points(self._cells)
+            points = [paths.skin_points(skin, count) for skin in self._meshes]
             surfaces = self._skins.over(points)
             self._solids = [
                 ClosedSurface(rows[-1], skin.triangles)
-                for skin, rows in zip(paths.skins, points, strict=True)
+                for skin, rows in zip(self._meshes, points, strict=True)
             ]
-        length, first = self._span / self._cells, frame * self._cells
-        cells = Cells(0.0, length, first, self._cells)
+        cells = Cells(0.0, self.grid.cell, frame * count, count)
         met = self._contacts.over(motion.world, cells, surfaces)
-        begun = self.state
-        self.state = self._stepper.cross(
-            begun, targets, met, self._span, self._substeps
-        )
+        begun = self.positions
+        self.grid = self._springs.cross(self.grid, targets, met, self._contacts.own)
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span
-        self._move_sheet((frame * self._span, self._time), begun.positions)
+        self._move_sheet((frame * self._span, self._time), begun)
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
         """Measure contact and strain at the end of a frame, by its time code."""
-        points = self.state.positions
+        points = self.positions
         depths = self._contacts.depths(self._world, points, self._time)
         solids = [*self._solids, *self._contacts.solids(self._time)]
         layers = [
@@ -204,8 +207,9 @@ class Actor:
     def follow(self, paths: PosePaths) -> None:
         """Follow the animation for a frame without simulation."""
         self.target = self.body.targets(paths.of(1))[-1]
-        self.state = AttachState(self.target, np.zeros_like(self.target))
-        self._move_sheet((0.0, 0.0), self.state.positions)
+        motion = np.stack([self.target, np.zeros_like(self.target)])
+        self.move(motion, self.grid.state.passages[:0])
+        self._move_sheet((0.0, 0.0), self.positions)
 
     def set_target(self, pose: LocalPose) -> None:
         """Set the animated target from a pose; the state stays."""
@@ -216,11 +220,11 @@ class Actor:
         motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
         shift, rotation = _move(motion.world, self.body.carrier)
-        state = rigidly_moved(self.state, shift, rotation)
+        state = rigidly_moved(self.grid.state.motion, shift, rotation)
         pinned = self.body.network.pinned
-        state.positions[pinned] = self.target[pinned]
-        self.state = state
-        self._move_sheet((0.0, 0.0), state.positions)
+        state[0, pinned] = self.target[pinned]
+        self.move(state)
+        self._move_sheet((0.0, 0.0), self.positions)
         self.jumps += 1
 
     def speed(self, paths: PosePaths) -> float:
@@ -240,14 +244,12 @@ def _sides(network: Network) -> Sides:
 
 
 def rigidly_moved(
-    state: AttachState, shift: FloatArray, rotation: FloatArray
-) -> AttachState:
-    """Return a state rotated about the origin and then shifted."""
-    return replace(
-        state,
-        positions=so3.rotate(rotation, state.positions) + shift,
-        velocities=so3.rotate(rotation, state.velocities),
-    )
+    motion: FloatArray, shift: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Return a state ``(2, N, 3)`` rotated about the origin and then shifted."""
+    moved = so3.rotate(rotation, motion)
+    moved[0] += shift
+    return moved
 
 
 def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:

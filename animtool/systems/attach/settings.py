@@ -73,7 +73,8 @@ class SimulateOptions:
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capsules: bool = True  # keep out of the rig's capsules
     # Keep out of the skins of the rig, instead of the capsules of their joints. None is
-    # for cloth alone: strands have many points, and take several times as long.
+    # for cloth alone: strands have many points, and take several times as long; of
+    # chains, the faces that they move themselves are left out.
     skin: bool | None = None
     # What else is met, as systems have it: shapes in the axes of the rig, characters
     # of other files, systems of the scene, and meshes of USD files.

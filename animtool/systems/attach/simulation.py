@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import time_codes
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -33,15 +33,29 @@ from animtool.systems.attach.poses import (
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.skins import SkinSurface, skins_of
-from animtool.systems.attach.stepping import AttachState
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
+from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import LOOK_BACK
 
 # Most point values in a block: more points mean fewer frames.
 BLOCK_VALUES = 1 << 20
+
+
+def _no_passages() -> IntArray:
+    return np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttachState:
+    """Saved positions and velocities of N particles."""
+
+    positions: FloatArray  # ``(N, 3)`` [m], world
+    velocities: FloatArray  # ``(N, 3)`` [m/s]
+    # Self-piercings of cloth ``(C, 3)``: particle, triangle, side.
+    passages: IntArray = field(default_factory=_no_passages, metadata=growing())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,9 +118,9 @@ class AttachSimulation:
         self.codes: list[float] = []  # visited time codes
         self.resumed = resumed  # states to resume from
         self.closing: Closing | None = None  # result of a cycle
-        self.skins: list[SkinSurface] = []  # collision meshes of the character
+        self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._meets_skins(body) for body in bodies):
-            self.skins = skins_of(rig)
+            self._skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
@@ -122,7 +136,22 @@ class AttachSimulation:
         """Return whether an attachment collides with the skins of the rig."""
         if self.options.skin is None:
             return body.kind == AttachKind.CLOTH
-        return self.options.skin and isinstance(body, SurfaceBody)
+        return self.options.skin
+
+    def _skins_of(self, body: AttachedBody) -> Sequence[SkinSurface]:
+        """Return the collision meshes of an attachment.
+
+        Those of a chain have no faces that it moves.
+        """
+        if not self._meets_skins(body):
+            return ()
+        if not isinstance(body, ChainBody):
+            return self._skins
+        moving = set(body.joints.tolist())
+        for number, joint in enumerate(self.rig.joints):
+            if joint.parent in moving:
+                moving.add(number)
+        return skins_of(self.rig, sorted(moving))
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with simulated attachments."""
@@ -151,7 +180,7 @@ class AttachSimulation:
             self._note(float(codes[i]))
             for row, actor in zip(rows, self.actors, strict=True):
                 actor.measure(float(codes[i]))
-                row.moved.append(actor.state.positions)
+                row.moved.append(actor.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
         self.codes += codes.tolist()
@@ -179,7 +208,7 @@ class AttachSimulation:
                 settings_for(options, body.kind),
                 1 / rate,
                 begin,
-                self.skins if self._meets_skins(body) else (),
+                self._skins_of(body),
                 self._world,
                 sheets if skinned else (),
             )
@@ -218,7 +247,7 @@ class AttachSimulation:
         self._cross(paths, jumps=code in self.options.teleports)
 
     def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
-        return PosePaths(self.rig, before, after, self.skins)
+        return PosePaths(self.rig, before, after)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
         most = self.options.teleport_speed
@@ -244,11 +273,15 @@ class AttachSimulation:
         """Load the resumed states at their frame; save requested ones."""
         if self.resumed is not None and code == self.resumed.frame:
             for actor in self.actors:
-                actor.state = self.resumed.states[actor.body.name]
+                saved = self.resumed.states[actor.body.name]
+                motion = np.stack([saved.positions, saved.velocities])
+                actor.move(motion, saved.passages)
         if code in self.options.save_at:
             for actor in self.actors:
                 name, clocked = saved_state(actor.body, code)
-                self.saved[name] = clocked, Reached(actor.steps, actor.state)
+                now = actor.grid.state
+                state = AttachState(now.motion[0], now.motion[1], now.passages)
+                self.saved[name] = clocked, Reached(actor.steps, state)
 
     def _cycle(self, motion: Motion) -> Motion:
         """Return a cycle whose attachments end as they start."""
@@ -264,19 +297,16 @@ class AttachSimulation:
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
         for repeat in range(1, self.options.loop_repeats + 1):
-            firsts = [actor.state for actor in self.actors]
+            firsts = [actor.positions for actor in self.actors]
             rows = self._round(poses)
-            back = [_back(actor.state, travel) for actor in self.actors]
-            left = [
-                first.positions - end.positions
-                for first, end in zip(firsts, back, strict=True)
-            ]
+            back = [_back(actor.grid.state.motion, travel) for actor in self.actors]
+            left = [first - end[0] for first, end in zip(firsts, back, strict=True)]
             residual = max(float(np.abs(one).max(initial=0.0)) for one in left)
             self.closing = Closing(repeat, residual, tolerance)
             if residual <= tolerance:
                 break
             for actor, end in zip(self.actors, back, strict=True):
-                actor.state = end
+                actor.move(end)
         weights = seam_weights(count)
         for row, one in zip(rows, left, strict=True):
             off = so3.rotate(travel.rotation, one)
@@ -298,7 +328,7 @@ class AttachSimulation:
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 actor.measure(codes[i])
-                row.moved.append(actor.state.positions)
+                row.moved.append(actor.positions)
                 row.targets.append(actor.target)
             jumps = codes[i + 1] in self.options.teleports
             self._cross(self._paths(before, after), jumps=jumps)
@@ -359,10 +389,10 @@ def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
         yield Motion.concatenate(early)
 
 
-def _back(state: AttachState, travel: CycleShift) -> AttachState:
+def _back(motion: FloatArray, travel: CycleShift) -> FloatArray:
     """Return the end state of a cycle moved back to its begin."""
     rotation = so3.conjugate(travel.rotation)
-    return rigidly_moved(state, -so3.rotate(rotation, travel.shift), rotation)
+    return rigidly_moved(motion, -so3.rotate(rotation, travel.shift), rotation)
 
 
 def _pointed(

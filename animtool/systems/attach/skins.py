@@ -52,8 +52,11 @@ class SkinSurface:
         return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
 
 
-def skins_of(rig: Rig) -> list[SkinSurface]:
-    """Return the skinned meshes of a rig, except its cloth."""
+def skins_of(rig: Rig, moving: Sequence[int] = ()) -> list[SkinSurface]:
+    """Return the skinned meshes of a rig, except its cloth.
+
+    Without the faces that some joints move.
+    """
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
         one
@@ -62,50 +65,60 @@ def skins_of(rig: Rig) -> list[SkinSurface]:
     ]
     shapes = [shape.name for shape in rig.shapes]
     meshes = character_meshes(surfaces, rig.names, bind_matrices(rig), shapes)
-    return [
-        _skin(rig, surface, mesh)
+    skins = [
+        _skin(rig, surface, mesh, moving)
         for surface, mesh in zip(surfaces, meshes, strict=True)
-        if len(surface.counts)
     ]
+    return [skin for skin in skins if len(skin.triangles)]
 
 
-def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> SkinSurface:
-    triangles, points, borders = capped(surface.counts, surface.indices)
-    vertices = surface.points
+def _skin(
+    rig: Rig, surface: Surface, mesh: CharacterMesh, moving: Sequence[int]
+) -> SkinSurface:
+    skin, vertices = surface.skin, surface.points
+    assert skin is not None
+    numbers = np.array([rig.index(name) for name in skin.joints], np.int64)
+    held = (skin.weights > 0) & np.isin(numbers[skin.indices], moving)
+    corners = np.asarray(held.any(axis=1))[surface.indices]
+    face = np.repeat(np.arange(len(surface.counts)), surface.counts)
+    kept = np.bincount(face, corners, len(surface.counts)) == 0
+    faces = surface.counts[kept], surface.indices[kept[face]]
+    triangles, points, borders = capped(*faces, len(vertices))
     middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
     corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
     used_joints = np.zeros(len(rig.joints), np.bool_)
-    skin = surface.skin
-    assert skin is not None
-    used = np.unique(skin.indices[skin.weights > 0])
-    used_joints[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
+    used_joints[numbers[skin.indices[skin.weights > 0]]] = True
+    used_joints[list(moving)] = False
     return SkinSurface(mesh, triangles, points, borders, used_joints)
 
 
-def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+def capped(
+    counts: IntArray, indices: IntArray, size: int
+) -> tuple[IntArray, IntArray, IntArray]:
     """Triangulate polygons and close each border with a fan.
 
     Args:
         counts: Corners of each polygon ``(M,)``.
         indices: Corners, polygon by polygon.
+        size: Number of points.
 
     Returns:
         Triangles ``(T, 3)``, with border middles numbered after the points; border
         points ``(P,)``; and the border index of each.
 
-    >>> triangles, points, borders = capped(np.array([4]), np.array([0, 1, 2, 3]))
+    >>> triangles, points, borders = capped(np.array([4]), np.array([0, 1, 2, 3]), 4)
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
     ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    triangles, count = triangulated(counts, indices), int(indices.max(initial=-1)) + 1
+    triangles = triangulated(counts, indices)
     side_corners = directed_edges(counts, indices)
-    numbers = np.sort(side_corners, axis=1) @ [count, 1]
+    numbers = np.sort(side_corners, axis=1) @ [size, 1]
     _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
     open_ = side_corners[often[which.reshape(-1)] == 1]
     points, ends = np.unique(open_, return_inverse=True)
@@ -114,7 +127,7 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
     borders = np.zeros(0, np.int64)
     if len(points):
         borders = connected_components(joined, directed=False)[1].astype(np.int64)
-    middles = count + borders[ends[:, 0]]
+    middles = size + borders[ends[:, 0]]
     fans = np.stack([open_[:, 1], open_[:, 0], middles], axis=1)
     return np.concatenate([triangles, fans]), points, borders
 
@@ -130,14 +143,18 @@ def margin_for(edge: float, radius: float) -> float:
     return max(0.0, CORNERS * edge - radius)
 
 
-def nearness(solid: ClosedSurface, points: FloatArray, kept: float) -> FloatArray:
+def nearness(
+    solid: ClosedSurface, points: FloatArray, kept: float, *, inside: bool = False
+) -> FloatArray:
     """Return the offset of the kept distance for points on a skin ``(N,)`` [m].
 
-    At most 0: points that start closer keep their distance, but stay outside.
+    At most 0: points that start closer keep their distance. They stay outside unless
+    those that start inside may stay as deep.
     """
     near = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
     distances = near.sample(points, 0.0, 1.0).distances[0]
-    return np.asarray(np.clip(distances, 0.0, kept) - kept)
+    least = -np.inf if inside else 0.0
+    return np.asarray(np.clip(distances, least, kept) - kept)
 
 
 class SkinContacts:
@@ -156,17 +173,17 @@ class SkinContacts:
         self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
 
     def depths(
-        self, path: PosePath, targets: FloatArray, radius: float
+        self, path: PosePath, targets: FloatArray, radius: float, *, inside: bool
     ) -> list[FloatArray]:
         """Return the offset of the kept distance for each skin ``(N,)`` [m].
 
         From the first pose of a path; particles keep a radius and the margin.
         """
         kept = radius + self._numbers[2]
-        return [
-            nearness(ClosedSurface(skin.points(path)[0], skin.triangles), targets, kept)
-            for skin in self._skins
+        solids = [
+            ClosedSurface(skin.points(path)[0], skin.triangles) for skin in self._skins
         ]
+        return [nearness(one, targets, kept, inside=inside) for one in solids]
 
     def __bool__(self) -> bool:
         """Return whether there are any skins."""

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import field
+from dataclasses import replace
 
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
-from animtool.core.record import dataclass
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import BOUND
-from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import CellColliders
-from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver
-from animtool.systems.springs.solvers import projected
+from animtool.systems.springs.solvers import followed, projected
 from animtool.systems.springs.system import SpringSystem
 
 # Design acceleration for the step rate [m/s²]: twice that of gravity.
@@ -39,45 +37,6 @@ FINER = 4
 THICK = 1 / 3
 # Cells of a frame, over which the animation is linear.
 MIN_CELLS, MAX_CELLS = 5, 8
-
-
-def nowhere() -> IntArray:
-    """Return an empty list of self-piercings ``(0, 3)``."""
-    return np.zeros((0, 3), np.int64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AttachState:
-    """Positions and velocities of N particles."""
-
-    positions: FloatArray  # ``(N, 3)`` [m], world
-    velocities: FloatArray  # ``(N, 3)`` [m/s]
-    # Self-piercings of cloth ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=nowhere, metadata=growing())
-
-
-@dataclass(slots=True)
-class Tally:
-    """Largest strain and contact counts over the steps."""
-
-    stretch: float = 0.0  # largest strain of a spring [1]
-    contacts: int = 0  # most particles in contact at once
-    unresolved: int = 0  # most particles left inside colliders
-    through: Piercing = field(default_factory=Piercing)  # self-piercing of cloth
-
-    def add(
-        self,
-        stretch: float,
-        contacts: int,
-        unresolved: int,
-        through: Piercing | None = None,
-    ) -> None:
-        """Keep the largest counts so far."""
-        self.stretch = max(self.stretch, stretch)
-        self.contacts = max(self.contacts, contacts)
-        self.unresolved = max(self.unresolved, unresolved)
-        if through is not None:
-            self.through = self.through.with_more(through)
 
 
 def steps_per_second(network: Network, settings: AttachSettings) -> float:
@@ -101,22 +60,16 @@ def steps_per_second(network: Network, settings: AttachSettings) -> float:
     return min(max(rate, MIN_STEPS), MAX_STEPS)
 
 
-def stepped(motion: FloatArray, passages: IntArray | None = None) -> AttachState:
-    """Return the state at the end of a frame ``(2, N, 3)``.
-
-    Raises:
-        ToleranceError: It is not finite or out of bounds (SIM102).
-    """
-    if not np.abs(motion).max(initial=0.0) <= BOUND:
-        far = np.abs(motion[0])
-        number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
-        message = f"the simulation blew up: particle {number} is at "
-        message += f"{np.array2string(motion[0, number], precision=3)} m"
-        hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
-        raise ToleranceError(Fault("SIM102", message, hint=hint))
-    return AttachState(
-        motion[0], motion[1], nowhere() if passages is None else passages
-    )
+def check_motion(motion: FloatArray) -> None:
+    """Raise SIM102 if a state ``(2, N, 3)`` is not finite or out of bounds."""
+    if np.abs(motion).max(initial=0.0) <= BOUND:
+        return
+    far = np.abs(motion[0])
+    number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
+    message = f"the simulation blew up: particle {number} is at "
+    message += f"{np.array2string(motion[0, number], precision=3)} m"
+    hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
+    raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
 def cells_of(steps: int) -> tuple[int, int]:
@@ -132,68 +85,85 @@ def cells_of(steps: int) -> tuple[int, int]:
     return min(every, key=math.prod)
 
 
-class Stepper:
-    """Steps one attachment over frames with xpbd.
+class AttachedSprings:
+    """Steps the springs of an attachment over frames with xpbd.
 
     Springs along strands are solved directly, others once per step in order.
 
     Attributes:
         thickness: Self-contact distance of cloth [m]; 0 is off.
-        tally: Counts so far.
+        cells: Cells of a frame.
+        substeps: Fewest steps in each.
     """
 
     def __init__(
-        self, network: Network, settings: AttachSettings, down: FloatArray
+        self,
+        network: Network,
+        settings: AttachSettings,
+        down: FloatArray,
+        span: float,
     ) -> None:
-        """Build the kernel arguments; down is the direction of gravity ``(3,)``."""
-        self.thickness, self.tally = thickness_of(network, settings), Tally()
+        """Build the kernel arguments of frames [s].
+
+        Down is the direction of gravity ``(3,)``.
+        """
+        needed = math.ceil(steps_per_second(network, settings) * span - 1e-9)
+        self.cells, self.substeps = cells_of(max(1, needed))
+        self.thickness, self._span = thickness_of(network, settings), span
         self._network, self._settings = network, settings
         if network.strands:
             self._strands = _strands(network, settings, down)
         else:
             self._system = _system(network, settings, down, self.thickness)
 
+    def start(self, positions: FloatArray) -> TimeGrid:
+        """Return the grid at rest in positions ``(N, 3)`` [m]."""
+        motion = np.stack([positions, np.zeros_like(positions)])
+        torn = np.zeros(0, np.uint8)
+        if not self._network.strands:
+            torn = self._system.none_torn
+        state = SpringState(motion, torn, self.substeps, self.substeps)
+        return TimeGrid(Solver.XPBD, 0.0, self._span / self.cells, 0, state)
+
     def cross(
         self,
-        state: AttachState,
+        grid: TimeGrid,
         path: FloatArray,
         met: CellColliders,
-        span: float,
-        substeps: int,
-    ) -> AttachState:
-        """Return the state a frame later.
+        own: tuple[int, int],
+    ) -> TimeGrid:
+        """Return the grid a frame later.
 
         Args:
-            state: State at its begin.
+            grid: State at its begin.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
             met: Colliders in these cells.
-            span: Length of the frame [s].
-            substeps: Steps in each cell.
+            own: Rigid ones of the character: the first, and how many. Only particles
+                of strands collide with them.
         """
-        both = np.stack([state.positions, state.velocities])
+        least, strain = self.substeps, grid.stretch
         if self._network.strands:
-            motion, touched, inside, stretch = _kernels.follow_strands(
-                self._strands, path, both, span, substeps, met, threads_allowed()
+            grid = followed(
+                self._strands, grid, path, self._span, met, own, threads_allowed()
             )
-            self.tally.add(stretch, touched, inside)
-            return stepped(motion)
-        cells, system = len(path) - 1, self._system
-        system.lead(span, path)
-        network = system.network(0)
-        most = substeps if self._settings.options.rate else FINER * substeps
-        # The strain of stiff cloth springs is clamped too.
-        stretch = self._settings.stretch
-        limit = stretch if len(self._network.triangles) else 0.0
-        begun = SpringState(
-            both, system.none_torn, substeps, substeps, passages=state.passages
-        )
-        grid = TimeGrid(Solver.XPBD, 0.0, span / cells, 0, begun)
-        grid = projected(network, grid, cells, met, system.layers, stretch, most, limit)
-        longest = self._stretch(grid.state.motion[0])
-        self.tally.add(longest, grid.touching, grid.unresolved, grid.through)
-        return stepped(grid.state.motion, grid.state.passages)
+        else:
+            system, stretch = self._system, self._settings.stretch
+            system.lead(self._span, path)
+            state = replace(grid.state, substeps=least, calm=0)
+            grid = replace(grid, index=0, state=state)
+            most = least if self._settings.options.rate else FINER * least
+            # The strain of stiff cloth springs is clamped too.
+            limit = stretch if len(self._network.triangles) else 0.0
+            grid = projected(
+                system.network(0), grid, self.cells, met, system.layers, stretch,
+                most, limit,
+            )  # fmt: skip
+            now = self._strain(grid.state.motion[0])
+            grid = replace(grid, stretch=max(strain, now))
+        check_motion(grid.state.motion)
+        return grid
 
-    def _stretch(self, x: FloatArray) -> float:
+    def _strain(self, x: FloatArray) -> float:
         rests, (i, j) = self._network.rests, self._network.sides.T
         moved = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
         lengths = np.linalg.norm(x[j[moved]] - x[i[moved]], axis=1)

@@ -181,6 +181,7 @@ class CharacterColliders:
         every = [*world, *([like] * len(capsules))]
         self._colliders = Colliders(every, [*world.sheets, *layers], world.bodies)
         first = len(world)
+        self.own = first, len(capsules)  # rigid colliders of the character
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
         self._sizes[:, 6] = radii
         self._allowed, skins = depths

@@ -35,11 +35,11 @@ from animtool.systems.attach.network import surface_problems
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
+    AttachState,
     Closing,
     SavedFrame,
     saved_state,
 )
-from animtool.systems.attach.stepping import AttachState
 from animtool.systems.framework.meter import Peak
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
@@ -117,11 +117,11 @@ def reports_of(simulation: AttachSimulation) -> list[AttachReport]:
 
 
 def _report(actor: Actor) -> AttachReport:
-    tally, aimed = actor.tally, actor.settings.stretch
+    grid, aimed = actor.grid, actor.settings.stretch
     status = "ok"
-    if tally.stretch > PARDON * aimed:
+    if grid.stretch > PARDON * aimed:
         status = "stretched"
-    if tally.unresolved or tally.through.passed or tally.through.cut:
+    if grid.unresolved or grid.through.passed or grid.through.cut:
         status = "unresolved"
     return AttachReport(
         actor.body.name,
@@ -129,12 +129,12 @@ def _report(actor: Actor) -> AttachReport:
         status,
         actor.body.network.count,
         actor.steps,
-        tally.stretch,
+        grid.stretch,
         aimed,
-        tally.contacts,
-        tally.unresolved,
-        tally.through.passed,
-        tally.through.cut,
+        grid.touching,
+        grid.unresolved,
+        grid.through.passed,
+        grid.through.cut,
         actor.meter.depth,
         actor.meter.pierced,
         actor.meter.strain,
@@ -155,7 +155,7 @@ def notices_of(simulation: AttachSimulation) -> list[Fault]:
         said += _of_start(actor) + _warnings(report)
         if isinstance(actor.body, ChainBody) and actor.body.bare:
             said += _bare(simulation, actor.body)
-        said += through_notices(actor.tally.through, f"the cloth {report.name}")
+        said += through_notices(actor.grid.through, f"the cloth {report.name}")
         if isinstance(actor.body, SurfaceBody):
             said += actor.meter.notices(report.name)
     if simulation.closing is not None:

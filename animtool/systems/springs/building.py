@@ -26,7 +26,8 @@ from animtool.systems.springs import (
 from animtool.systems.springs.entry import SpringEntry, join_pairs
 from animtool.systems.springs.paths import combined
 from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
-from animtool.systems.springs.simulation import SpringSimulation, plan_springs
+from animtool.systems.springs.simulating import plan_springs
+from animtool.systems.springs.simulation import SpringSimulation
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import BodyTies, Tie
 from animtool.systems.springs.view import SpringView
@@ -61,7 +62,8 @@ class _SystemBuilder:
         """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
         plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
-        simulation = SpringSimulation(plan, context)
+        begun = plan.start(context.begin)
+        simulation = SpringSimulation(plan, begun, context.last, context.clock())
         springs = 0
         views: list[SpringView] = []
         for member, rows in zip(context.members, self._rows, strict=True):

@@ -1,9 +1,8 @@
-"""Springs of a scene as a simulation in steps."""
+"""Springs as a simulation in cells of time."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
@@ -14,34 +13,31 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
+from animtool.sim.checks import Watch
 from animtool.sim.colliders.bodies import Wrenches
+from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Energy
-from animtool.sim.trajectory import Status
+from animtool.sim.trajectory import Stats, Status
 from animtool.systems.framework.run import ON_STEP
 from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
-    SimContext,
     Stepped,
     StoppedError,
     TrialSettings,
 )
 from animtool.systems.framework.spec import Member
-from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.contacts import LOOK_BACK
 from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import SpringState, TimeGrid
+from animtool.systems.springs.notices import motion_notices
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.settling import rest_of_xpbd
-from animtool.systems.springs.simulating import SpringRun, simulate_springs
-from animtool.systems.springs.solvers import Choice, advance, choose
+from animtool.systems.springs.solvers import Choice, advance
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.trials import trial_settings
 
-# Times at which a motion is compared with one in half steps.
-COMPARED = 64
-# Notices whose message contains a running maximum.
-_GROWING = {"SIM131", "SIM123"}
+# Cells between two checks for blow-up.
+LOOK_EVERY = 120
 # Codes that end a motion.
 STOPS = {"SIM102", "SIM105"}
 # Length relative to the start above which springs are reported as too soft [1].
@@ -70,71 +66,77 @@ class SpringPlan:
     choice: Choice
     reason: str  # for the solver and its steps
     error: float | None = None  # position error, if requested [m]
-    # Notices of the planning runs, each with the strain reached [1].
-    planning_notices: Sequence[tuple[Sequence[Fault], float]] = ()
+    planning_notices: Sequence[Fault] = ()  # of the runs that planned it
 
-
-def plan_springs(
-    system: SpringSystem, options: SpringOptions, context: SimContext, *, settled: bool
-) -> SpringPlan:
-    """Return the springs and steps that meet a requested error.
-
-    With ``settled``, xpbd starts in its rest state.
-    """
-    begin, reason, error = context.begin, "", None
-    planning_notices: list[tuple[Sequence[Fault], float]] = []
-    if options.error is not None:
-        times = np.linspace(begin, max(context.last, begin), COMPARED)
-        progress = _by_motions(context.phase, begin, float(times[-1]))
-        motion = simulate_springs(system, times, options, progress=progress)
-        if motion.stats.status is not Status.OK:
-            raise StoppedError(_as_errors(motion.notices), motion.stats)
-        planning_notices.append((motion.notices, motion.stretch))
-        error, reason = motion.stats.error, motion.reason
-        options = replace(options, solver=motion.solver, step=motion.step, error=None)
-    choice = choose(system, options, check_options(options), begin, system.state)
-    if settled and choice.solver is Solver.XPBD:
-        rested = rest_of_xpbd(system, options, choice, begin)
-        system, choice = rested.system, rested.choice
-        planning_notices.append((rested.notices, 0.0))
-    return SpringPlan(
-        system, options, choice, reason or choice.reason, error, planning_notices
-    )
+    def start(self, begin: float, motion: FloatArray | None = None) -> TimeGrid:
+        """Return the grid at the start [s], in the initial state or another one."""
+        choice, system = self.choice, self.system
+        motion = system.state if motion is None else motion
+        pulls = None if system.ties is None else np.zeros((len(system.pinned), 6))
+        state = SpringState(
+            np.ascontiguousarray(motion), system.none_torn, choice.substeps,
+            choice.substeps, pulls=pulls,
+        )  # fmt: skip
+        return TimeGrid(choice.solver, begin, choice.cell, 0, state)
 
 
 class SpringSimulation:
-    """Simulates springs in cells of time; counters serve warnings only."""
+    """Simulates springs in cells of time; counters serve warnings only.
+
+    Attributes:
+        grid: Where it is, with counts over all cells so far.
+        left: The system without torn springs.
+        wrenches: Impulses on rigid bodies of other systems in the last cells.
+        unsolved: Start of the cell that was not solved.
+        longest: Longest xpbd spring relative to its rest length.
+        applied: Smallest fraction of an impulse that a body received.
+        stretch: Largest strain of springs in sampled states.
+    """
 
     checked = True
     views: Sequence[TearingView] = ()
+    status, sign = Status.OK, ""
+    longest = applied = 1.0
+    stretch = 0.0
+    unsolved: TimeGrid | None = None
+    # Whether surfaces of other systems may forget what is behind it.
+    forgets = True
 
-    def __init__(self, plan: SpringPlan, context: SimContext) -> None:
-        self.begin, self.last = context.begin, context.last
+    def __init__(
+        self, plan: SpringPlan, begun: TimeGrid, last: float, clock: Progress = None
+    ) -> None:
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
         self.reason, self.error = plan.reason, plan.error
-        self._notices: dict[str, Fault] = {}
-        self._worst = 0.0
-        for notices, stretch in plan.planning_notices:
-            self._keep_notices(notices, stretch)
-        self.clock: Progress = None
-        self.step_length = self.choice.cell
-        self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
+        self.begin, self.last, self.clock = begun.origin, last, clock
+        self.step_length = begun.cell
+        self.grid, self.wrenches = begun, list[Wrenches]()
+        self._start, self._planning_notices = begun, plan.planning_notices
+        self._start_notices = [] if begun.index else self.system.notices()
+        self._max_substeps = begun.state.substeps
+        # Pushed bodies react before the next cell.
+        together = self.system.colliders.bodies or self.system.ties is not None
+        self._cells = 1 if together else LOOK_EVERY
+        self.left, self._gone = self.system, 0
+        self._watch = Watch(self.system, self._bounds())
+        self._exclude_torn()
+        self._watch.start(begun.time, begun.state.motion)
         self._measured: FloatArray | None = None
         self._losses = Losses(float(self.system.free_masses.sum()))
-        start = self.initial()
-        self._take_note(self._run(start, self.begin), self.begin)
-        self.measure(start, self.begin)
+        self.measure(begun.state, begun.time)
         self._stretch_at_start = self.stretch
-        self.clock = context.clock()
+
+    def _bounds(self) -> IntegrateOptions:
+        # Residual strain of xpbd, and of implicit steps with colliders, is not energy
+        # that the motion continues with.
+        solver, active = self.choice.solver, self.system.colliders.active
+        stable = solver is not Solver.SYMPLECTIC_EULER and active
+        calm = stable or solver is Solver.XPBD or self.system.ties is not None
+        growth = np.inf if calm else self.options.growth
+        return IntegrateOptions(growth=growth, stretch=self.options.longest)
 
     def initial(self) -> SpringState:
         """Return the initial state."""
-        substeps, state = self.choice.substeps, self.system.state
-        untorn, tied = self.system.none_torn, self.system.ties is not None
-        pulls = np.zeros((len(self.system.pinned), 6)) if tied else None
-        return SpringState(
-            np.ascontiguousarray(state), untorn, substeps, substeps, pulls=pulls
-        )
+        return self._start.state
 
     def step(
         self, state: SpringState, t: float, dt: float
@@ -142,9 +144,13 @@ class SpringSimulation:
         """Return the state a cell later, or within it; raise SIM102, SIM105."""
         if dt >= (1 - ON_STEP) * self.step_length:
             return self.steps(state, t, dt, 1)
-        run = self._run(state, t)
-        motion = run.within(dt / self.step_length)
-        self._take_note(run, t + dt)
+        self._go_to(state, t)
+        begun, fraction = self._entered(), dt / self.step_length
+        with np.errstate(all="ignore"):
+            after = advance(self.system, self.options, begun, 1).state.motion
+            motion = _between(begun.state.motion, after, begun.cell, fraction)
+        if not np.isfinite(motion).all():
+            self._stop(Status.UNSTABLE, "its state is not finite")
         return replace(state, motion=motion)
 
     def steps(
@@ -155,70 +161,158 @@ class SpringSimulation:
         count: int,
     ) -> Stepped[SpringState]:
         """Return the state some cells later, and impulses on other bodies."""
-        run = self._run(state, t)
-        run.cross(run.grid.index + count)
-        self._take_note(run, run.grid.time)
-        grid = run.grid
-        for sheet in self.system.colliders.sheets:
-            sheet.motion.forget(grid.time - max(LOOK_BACK, grid.cell))
-        return Stepped(grid.state, run.wrenches)
+        self._go_to(state, t)
+        target = self.grid.index + count
+        while self.grid.index < target:
+            self._advance(min(self._cells, target - self.grid.index))
+            if self.clock is not None:
+                self.clock(self.grid.time)
+        if self.forgets:
+            for sheet in self.system.colliders.sheets:
+                sheet.motion.forget(self.grid.time - max(LOOK_BACK, self.grid.cell))
+        return Stepped(self.grid.state, self.wrenches)
 
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
         """Return impulses on bodies of other systems in the next cell."""
-        run = self._run(state, t)
-        run.cross(run.grid.index + 1)
-        if run.status is not Status.OK:
-            self._take_note(run, run.grid.time)
-        return run.wrenches
+        grid = self.grid
+        self._go_to(state, t)
+        self._advance(1)
+        self.grid = grid
+        return self.wrenches
 
-    def _run(self, state: SpringState, t: float) -> SpringRun:
-        """Return a run that continues from a state at its time [s]."""
-        grid, choice = self._grid(state, t), self.choice
-        return SpringRun(self.system, self.options, choice, grid, self.clock)
+    def _grid_at(self, state: SpringState, t: float) -> TimeGrid:
+        index = round((t - self.begin) / self.grid.cell)
+        return replace(self.grid, index=index, state=state)
 
-    def _grid(self, state: SpringState, t: float) -> TimeGrid:
-        choice, begin = self.choice, self.begin
-        index = round((t - begin) / choice.cell)
-        return TimeGrid(choice.solver, begin, choice.cell, index, state)
+    def _go_to(self, state: SpringState, t: float) -> None:
+        self.grid = self._grid_at(state, t)
 
     def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot resume from a state; empty if they can."""
         try:
-            advance(self.system, self.options, self._grid(state, t), 0)
+            advance(self.system, self.options, self._grid_at(state, t), 0)
         except ValueError as error:
             return str(error)
         except (TypeError, OverflowError):
             return "a whole number of it is out of bounds"
         return ""
 
-    def _take_note(self, run: SpringRun, reached: float) -> None:
-        """Add the counts of a run; raise if it stopped."""
-        stats = run.stats(reached)
-        notices = run.notices(stats)
-        self.taken += run.grid.steps
-        if stats.status is not Status.OK:
-            # The fault that stopped it comes last and is reported with the frame.
-            faults = sorted(_as_errors(notices), key=lambda one: one.code in STOPS)
-            if self.system.ties is not None:
-                # Otherwise the fault would be attributed to the bodies.
-                names = " and ".join(view.member.name for view in self.views)
-                faults[-1] = replace(
-                    faults[-1], message=f"{names}: " + faults[-1].message
-                )
-            raise StoppedError(faults, stats)
-        self._keep_notices(notices, run.grid.stretch)
-        self.shortest = min(self.shortest, run.shortest)
-        self.unresolved = max(self.unresolved, run.grid.unresolved)
+    def _entered(self) -> TimeGrid:
+        """Return the grid at the start of the next cell, after its teleports."""
+        grid, jumps = self.grid, self.system.jumps
+        here = jumps.stage_of(grid)
+        last = jumps.stage_of(replace(grid, index=grid.index - 1))
+        if here == last:
+            return grid
+        motion = jumps.across(grid.state.motion, last, here)
+        return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
-    def _keep_notices(self, notices: Sequence[Fault], stretch: float) -> None:
-        """Keep notices of a run, the worst of each kind."""
-        for fault in notices:
-            # Keep the first, or the worst, of notices with changing numbers.
-            key = fault.code if fault.code in _GROWING else str(fault)
-            worse = fault.code == "SIM131" and stretch >= self._worst
-            if key not in self._notices or worse:
-                self._notices[key] = fault
-        self._worst = max(self._worst, stretch)
+    def _exclude_torn(self) -> None:
+        """Exclude torn springs from energy and strain checks."""
+        torn = self.grid.state.torn
+        gone = int(torn.sum())
+        if gone != self._gone:
+            self._gone = gone
+            self.left = self.system.without_springs(self.system.torn(torn))
+            self._watch.look_at(self.left)
+
+    def _advance(self, cells: int) -> None:
+        """Advance by some cells at most; raise if it cannot go on."""
+        begun, self.wrenches = self._entered(), []
+        cells = int(min(cells, self.system.jumps.cells(begun)))
+        with np.errstate(all="ignore"):
+            self.grid = advance(self.system, self.options, begun, cells)
+            t, state = self.grid.time, self.grid.state
+            self._max_substeps = max(self._max_substeps, state.substeps)
+            self._exclude_torn()
+            sign = self._watch.sign(t, state.motion)
+            if begun.solver is Solver.XPBD:
+                ratio = self.left.stretch(t, state.motion)
+                self.longest = max(self.longest, ratio or 0.0)
+        if sign:
+            self._stop(Status.UNSTABLE, sign)
+        if self.grid.lost:
+            self.unsolved = begun
+            self._stop(Status.NOT_SOLVED, "Newton's method did not converge")
+        if self.auto and self.strained:
+            sign = f"a spring is strained by {self.grid.stretch:.2%}"
+            self._stop(Status.NOT_SOLVED, sign)
+        self.wrenches = [*self._pressed(), *self.grid.tied]
+
+    def _stop(self, status: Status, sign: str) -> None:
+        """Raise the warnings so far as errors."""
+        self.status, self.sign = status, sign
+        stats = self.stats(self.grid.time)
+        # The fault that stopped it comes last and is reported with the frame.
+        every = _as_errors(motion_notices(self, stats))
+        faults = sorted(every, key=lambda one: one.code in STOPS)
+        if self.system.ties is not None:
+            # Otherwise the fault would be attributed to the bodies.
+            names = " and ".join(view.member.name for view in self.views)
+            faults[-1] = replace(faults[-1], message=f"{names}: {faults[-1].message}")
+        raise StoppedError(faults, stats)
+
+    def _pressed(self) -> list[Wrenches]:
+        """Return contact impulses on bodies of other systems.
+
+        Impulses are limited to those of the mass of the body: heavier contacts would
+        throw it off.
+        """
+        wrenches, first = [], len(self.system.colliders)
+        for bodies in self.system.colliders.bodies:
+            rows = self.grid.pushes[first : first + len(bodies.colliders)]
+            first += len(bodies.colliders)
+            sums = np.zeros((bodies.count, 7))
+            dynamic = bodies.owners >= 0
+            np.add.at(sums, bodies.owners[dynamic], rows[dynamic])
+            fraction = np.minimum(
+                1.0, bodies.masses / np.maximum(sums[:, 6], bodies.masses)
+            )
+            self.applied = min(self.applied, float(fraction.min(initial=1.0)))
+            now = sums[:, :6] * fraction[:, None]
+            # A constant force over a cell moves bodies as an impulse at its middle.
+            wrenches.append(Wrenches(now, self.grid.cell / 2 * now))
+        return wrenches
+
+    @property
+    def auto(self) -> bool:
+        """Whether the solver was chosen automatically."""
+        return self.options.solver == Solver.AUTO
+
+    @property
+    def strained(self) -> bool:
+        """Whether xpbd strains springs beyond the limit and their compliance."""
+        return not self.grid.stretch <= self.options.stretch
+
+    @property
+    def shortest(self) -> float:
+        """The shortest step so far [s]."""
+        return self.grid.cell / self._max_substeps
+
+    @property
+    def taken(self) -> int:
+        """Number of steps."""
+        return self.grid.steps
+
+    @property
+    def unresolved(self) -> int:
+        """Most particles left inside colliders."""
+        return self.grid.unresolved
+
+    def stats(self, reached: float) -> Stats:
+        """Return the statistics up to a time [s]."""
+        grid = self.grid
+        stable = self.choice.limit if self.status is Status.UNSTABLE else None
+        return Stats(
+            self.status, grid.time if self.sign else reached, self.sign, grid.steps,
+            None, grid.evaluations, self.shortest, grid.cell / self.choice.substeps,
+            None, stable_step=stable,
+        )  # fmt: skip
+
+    def energy_of(self, t: float, motion: FloatArray) -> float:
+        """Return the energy of a state at the last time, without torn springs [J]."""
+        known = self._watch.energy if motion is self.grid.state.motion else None
+        return (known or self.left.energy(t, motion)).total
 
     def measure(self, state: SpringState, t: float) -> None:
         """Record strain and energy of a visited state."""
@@ -266,8 +360,12 @@ class SpringSimulation:
 
     @property
     def notices(self) -> list[Fault]:
-        """Warnings collected so far."""
-        return [*self._notices.values(), *self._losses.notices(self.choice.solver)]
+        """Warnings collected so far, one of each kind."""
+        own = [*self._start_notices, *motion_notices(self, self.stats(self.grid.time))]
+        codes = {fault.code for fault in own}
+        every = [one for one in self._planning_notices if one.code not in codes]
+        every += [*own, *self._losses.notices(self.choice.solver)]
+        return list({str(fault): fault for fault in every}.values())
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
         if self._slowed or state.torn.any() or self.system.ties is not None:
@@ -303,18 +401,11 @@ def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
     return [replace(fault, severity=Severity.ERROR) for fault in notices]
 
 
-def _by_motions(
-    phase: Callable[[], Progress], begin: float, last: float
-) -> Callable[[float], None]:
-    """Return a progress callback; a time that falls starts a new phase."""
-    span, before, tell = max(last - begin, 1e-9), math.inf, None
-
-    def show(t: float) -> None:
-        nonlocal before, tell
-        if t < before:
-            tell = phase()
-        before = t
-        if tell is not None:
-            tell((t - begin) / span)
-
-    return show
+def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
+    """Return the state at a fraction of a cell, on the cubic through its ends."""
+    (x0, v0), (x1, v1) = begin, end
+    slope = x1 - x0
+    x = x0 + s * (
+        h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))
+    )
+    return np.array((x, v0 + s * (v1 - v0)))

@@ -286,6 +286,32 @@ def projected(
     )
 
 
+def followed(
+    strands: _kernels.SpringStrands,
+    grid: TimeGrid,
+    path: FloatArray,
+    span: float,
+    met: CellColliders,
+    own: tuple[int, int],
+    threads: int,
+) -> TimeGrid:
+    """Advance strands of equal masses by a span [s], each solved directly.
+
+    They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
+    collide with rigid colliders too, except ``own``: the first, and how many.
+    """
+    state, cells = grid.state, len(path) - 1
+    motion, touched, inside, strain = _kernels.follow_strands(
+        strands, path, state.motion, span, state.substeps, met, threads, own
+    )
+    steps, after = cells * state.substeps, replace(state, motion=motion)
+    return replace(
+        grid.crossed(cells, after, steps, steps, inside, grid.pushes),
+        stretch=max(grid.stretch, strain),
+        touching=max(grid.touching, touched),
+    )
+
+
 def _tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
     """Advance a motion by a cell together with the bodies that carry its pins.
 

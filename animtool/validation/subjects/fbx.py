@@ -9,7 +9,12 @@ from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
-from animtool.formats.fbx.sampling import FbxSampler, frames_of, moves, take_stream
+from animtool.formats.fbx.sampling import (
+    FbxSampler,
+    animates_rig,
+    frames_of,
+    take_stream,
+)
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
 from animtool.validation.motion.subject import MotionSubject
@@ -37,7 +42,7 @@ def _takes(
 ) -> list[MotionSubject]:
     subjects = []
     for take in scene.takes:
-        if not moves(built_rig, take, scene):
+        if not animates_rig(built_rig, take, scene):
             continue
         moving = FbxSampler(scene, built_rig, take)
         try:

@@ -19,7 +19,12 @@ from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
 from animtool.formats.gltf.keys import key_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import GltfSampler, clip_stream, moves, sampler_of
+from animtool.formats.gltf.sampling import (
+    GltfSampler,
+    animates_rig,
+    clip_stream,
+    sampler_of,
+)
 from animtool.formats.gltf.timing import ON_FRAME, GltfFrames, frames_of, key_times
 from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
@@ -56,7 +61,7 @@ def _built(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRi
 def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
     subjects = []
     for animation in gltf.animations:
-        if not moves(built_rig, animation):
+        if not animates_rig(built_rig, animation):
             continue
         moving = sampler_of(gltf, built_rig, animation)
         try:

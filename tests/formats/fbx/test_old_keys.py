@@ -32,7 +32,7 @@ def test_kinds_of_segments() -> None:
     keys = [0, 0.0, "C", "s", 1, 1.0, "C", "n", 2, 2.0, "L", 3, 5.0]
     curve, _ = read([*keys, "U", "s", 7.0, 8.0, "n", *END])
     assert curve.modes.tolist() == [CONSTANT, NEXT, LINEAR, CUBIC, LINEAR]
-    assert (curve.right[3], curve.left[3]) == (7.0, 8.0)
+    assert (curve.out_slopes[3], curve.in_slopes[3]) == (7.0, 8.0)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_tangents_that_nobody_documents_are_automatic_and_named(
     curve, codes = read(keys)
     assert codes == ["FBX120"]
     # Half way up, from one neighbour to the other.
-    np.testing.assert_allclose(curve.right[1], 1.0)
+    np.testing.assert_allclose(curve.out_slopes[1], 1.0)
 
 
 @pytest.mark.parametrize("kind", [["x"], ["s", 1.0, 2.0, "x"], ["s", 1.0]])

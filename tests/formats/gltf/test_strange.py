@@ -92,7 +92,7 @@ def mixed(animation: Animation) -> bool:
     ways = {
         str(t.interpolation) for t in animation.tracks if t.path is TargetPath.WEIGHTS
     }
-    parts = any(track.part >= 0 for track in animation.tracks)
+    parts = any(track.weight_index >= 0 for track in animation.tracks)
     return parts and (len(ways) > 1 or "CUBICSPLINE" in ways)
 
 

@@ -13,7 +13,7 @@ from animtool import PictureOptions, PreviewOptions, show, write_pictures
 from animtool.core.errors import AnimtoolError
 from animtool.core.shot import FrameList, FrameRange
 from animtool.preview.pictures import device
-from animtool.preview.pictures.build import GAP
+from animtool.preview.pictures.build import SHEET_GAP
 
 SMALL = {"size": "96x72"}
 
@@ -57,9 +57,9 @@ def test_listed_frames_stand_side_by_side(walk: Path, tmp_path: Path) -> None:
     path = tmp_path / "sheet.png"
     report = write_pictures([walk], path, frames, PictureOptions(**SMALL))
     assert report.frames == (1, 20, 40)
-    assert report.pixels == (3 * 96 + 2 * GAP, 72)
+    assert report.pixels == (3 * 96 + 2 * SHEET_GAP, 72)
     image = pixels(path)
-    cells = [image[:, k * (96 + GAP) :][:, :96] for k in range(3)]
+    cells = [image[:, k * (96 + SHEET_GAP) :][:, :96] for k in range(3)]
     assert all(0.01 < shown(cell).mean() < 0.6 for cell in cells)
     assert not np.array_equal(cells[0], cells[1])
 
@@ -74,7 +74,7 @@ def test_a_sheet_is_spread_over_the_motion(
     path = tmp_path / "sheet.png"
     options = PictureOptions(**SMALL, **asked, numbers=False)
     report = write_pictures([walk], path, None, options)
-    assert report.pixels == (columns * 100 - GAP, rows * 76 - GAP)
+    assert report.pixels == (columns * 100 - SHEET_GAP, rows * 76 - SHEET_GAP)
     assert (report.frames[0], report.frames[-1]) == (1, 64)
 
 
@@ -235,7 +235,7 @@ def test_the_command_says_what_it_wrote(walk: Path, tmp_path: Path) -> None:
     report = json.loads(done.stdout)
     assert (done.code, report["bytes"]) == (0, path.stat().st_size)
     assert (report["frames"], report["first"], report["last"]) == (2, 1, 20)
-    assert (report["width"], report["height"]) == (2 * 64 + GAP, 48)
+    assert (report["width"], report["height"]) == (2 * 64 + SHEET_GAP, 48)
     assert animtool("preview", walk, "-o", path).code == 2
     assert animtool("preview", walk, "--size", "64x48", "--no-open").code == 2
     listed = animtool("preview", walk, "-o", tmp_path / "a.html", "--range", "1,2")

@@ -8,9 +8,9 @@ from animtool.core.errors import AnimtoolError
 from animtool.preview.pictures.captions import (
     Caption,
     caption_of,
-    joined,
-    spread,
-    written,
+    evenly_spaced,
+    picture_sheet,
+    with_caption,
 )
 
 INK, BACK = (0, 0, 0), (255, 255, 255)
@@ -27,7 +27,7 @@ def test_no_letter_is_cut_off(text: str, size: tuple[int, int]) -> None:
     caption = caption_of(text, *size)
     assert "".join(caption.lines).replace(" ", "") == "".join(text.split())
     blank = np.full((size[1], size[0], 3), 255, np.uint8)
-    dark = written(blank, caption, "frame 1001", INK, BACK).min(axis=-1) < 128
+    dark = with_caption(blank, caption, "frame 1001", INK, BACK).min(axis=-1) < 128
     assert not dark[:, :2].any()
     assert not dark[:, -2:].any()
     assert not dark[[0, -1]].any()
@@ -47,8 +47,8 @@ def test_what_does_not_fit_is_refused() -> None:
 def test_a_sheet_has_its_pictures_in_rows() -> None:
     cells = [np.full((4, 6, 3), k, np.uint8) for k in range(3)]
     none = Caption((), 0)
-    sheet = joined([cells[:2], cells[2:]], 1, (9, 9, 9), none, INK)
+    sheet = picture_sheet([cells[:2], cells[2:]], 1, (9, 9, 9), none, INK)
     assert sheet.shape == (9, 13, 3)
     assert (sheet[0, 0, 0], sheet[0, 7, 0], sheet[5, 0, 0]) == (0, 1, 2)
     assert (sheet[4, 0, 0], sheet[8, 8, 0]) == (9, 9)
-    assert spread(10, 3).tolist() == [0, 4, 9]
+    assert evenly_spaced(10, 3).tolist() == [0, 4, 9]

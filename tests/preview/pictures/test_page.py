@@ -17,7 +17,7 @@ from animtool.preview.build import write_page
 from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.device import Device, Picture
 from animtool.preview.pictures.scene import DrawnScene
-from animtool.preview.pictures.sources import HEAD, shader
+from animtool.preview.pictures.sources import SHADER_HEADER, shader
 
 # Levels of 255 that rasterisers differ by inside of surfaces, and the part of pixels
 # that differ more, at edges.
@@ -97,4 +97,4 @@ def test_the_page_compiles_the_same_shaders(
         # Pages have no comments, and another version line.
         kept = [line.strip() for line in text.splitlines()]
         assert [x for x in found[4:] if x] == [x for x in kept if x]
-        assert found[1:4] == HEAD.splitlines()[1:]
+        assert found[1:4] == SHADER_HEADER.splitlines()[1:]

@@ -9,7 +9,7 @@ from support.drawing import drawing
 
 from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.pictures.camera import LIGHT, PRESETS, CameraView
+from animtool.preview.pictures.camera import KEY_LIGHT, PRESETS, CameraView
 from animtool.preview.pictures.device import Device, Picture
 from animtool.preview.pictures.scene import DrawnScene
 
@@ -54,7 +54,7 @@ def drawn(
     page: PreviewPage,
     *shown: str,
     shot: int | None = None,
-    light: np.ndarray = LIGHT,
+    light: np.ndarray = KEY_LIGHT,
 ) -> np.ndarray:
     view = CameraView(80, 60, light=light / np.linalg.norm(light))
     view.yaw, view.pitch = PRESETS["home"][0], 0.5

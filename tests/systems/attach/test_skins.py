@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
+from support.attached import (
+    moved,
+    sheet_rig,
+    simulated,
+    strands_rig,
+    tail_rig,
+    take_of,
+)
 
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
@@ -73,7 +80,7 @@ def test_a_skin_stands_for_the_capsules_of_its_joints() -> None:
 
 
 def test_borders_are_closed_outwards() -> None:
-    triangles, points, borders = capped(np.full(5, 4), FACES[:-1].ravel())
+    triangles, points, borders = capped(np.full(5, 4), FACES[:-1].ravel(), 8)
     assert sorted(points.tolist()) == [1, 3, 5, 7]
     assert borders.tolist() == [0, 0, 0, 0]
     places = np.concatenate([BOX, [[0.5, 0.5, 1.0]]])
@@ -116,3 +123,43 @@ def test_strands_stay_out_of_a_skin_if_asked(skin: bool | None) -> None:
     solid = ClosedSurface(take.rig.meshes[0].points.load(), TRIANGLES)
     depth = max(float(depths_in(solid, x).max()) for x in moved(strands))
     assert depth < 1e-4 if skin else depth > 5e-3
+
+
+# Of a tail that hangs down from the origin.
+TAIL_BOX = (BOX - [0.5, 0.5, 0]) * [0.3, 0.3, 0.2] + [0.0, -0.35, -0.24]
+
+
+def tailed(*corners: float) -> Rig:
+    """Return a tail in front of a box of skin; some corners follow the tail alone."""
+    rig = tail_rig(4, 0.12)
+    tail = np.isin(np.arange(8), corners)[:, None].astype(float)
+    weights = np.concatenate([1 - tail, tail], axis=1)
+    indices = np.tile([0.0, 1.0], (8, 1))
+    skin = Skin(
+        "linear", ("body", "tail_4"), LoadedArray(indices), LoadedArray(weights)
+    )
+    faces = LoadedArray(FACES.astype(float))
+    return replace(rig, meshes=(Mesh("box", LoadedArray(TAIL_BOX), faces, skin=skin),))
+
+
+def wagged(rig: Rig, skin: bool | None) -> np.ndarray:
+    down = {"tail_1": (0.0, 0.0, -np.pi / 2)}
+    blow = {"wind": (0.0, 0.0, -3.0), "drag": 2.0, "frequency": 0.2}
+    take = take_of(rig, 24, 0.5, **down)
+    return moved(simulated(take, settle=0.3, skin=skin, **blow)[0])
+
+
+@pytest.mark.parametrize("skin", [True, False, None])
+def test_a_chain_stays_out_of_a_skin_if_asked(skin: bool | None) -> None:
+    solid = ClosedSurface(TAIL_BOX, TRIANGLES)
+    depth = max(float(depths_in(solid, x).max()) for x in wagged(tailed(), skin))
+    assert depth < 1e-4 if skin else depth > 5e-3
+
+
+def test_a_chain_does_not_collide_with_what_it_moves() -> None:
+    free = wagged(tail_rig(4, 0.12), True)
+    np.testing.assert_array_equal(wagged(tailed(*range(8)), True), free)
+    # The side towards the tail follows it; the hole is closed.
+    (skin,) = skins_of(tailed(1, 3, 5, 7), [4])
+    assert len(skin.triangles) == 6
+    assert not skin.joints[4]

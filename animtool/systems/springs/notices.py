@@ -1,0 +1,114 @@
+"""Warnings about a motion of springs: its steps, strain and contacts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from animtool.core.errors import Fault, Severity, counted, excerpt, warning
+from animtool.core.quantities import floored, plain
+from animtool.sim.trajectory import Stats, Status
+from animtool.systems.springs.motion import through_notices
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import working_step
+
+if TYPE_CHECKING:
+    from animtool.systems.springs.simulation import SpringSimulation
+
+# Multiple of the xpbd stretch above which compliance is reported: at least three
+# quarters of the strain is then compliance.
+GIVES = 2
+# A body with less than this fraction of the mass of its springs is unstable.
+LIGHT = 0.01
+
+
+def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+    """Return warnings about the steps so far, the one that stopped it last."""
+    notices = [
+        *simulation.system.colliders.surfaces.notices(),
+        *_step_notices(simulation, stats),
+        *_strain_notices(simulation),
+    ]
+    if simulation.unresolved:
+        many = counted(simulation.unresolved, "particle")
+        message = f"{many} could not be pushed out of colliders at once"
+        hint = "they start inside, or colliders close in on them from several sides"
+        notices.append(warning("SIM123", message, hint))
+    if simulation.applied < 1:
+        message = "what presses on a rigid body is heavier than the body: only "
+        message += f"{simulation.applied:.0%} of the push acts, to keep it stable"
+        hint = "give the body more mass, or less to what rests on it"
+        notices.append(warning("SIM135", message, hint))
+    return notices + through_notices(simulation.grid.through)
+
+
+def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+    """Return warnings about unstable steps, and why it stopped."""
+    notices, choice = [], simulation.choice
+    limit, h = choice.limit, choice.cell / choice.substeps
+    if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
+        message = f"{choice.solver} is not stable with steps of {plain(h)} s"
+        notices.append(
+            warning("SIM101", message, f"it is stable up to {plain(limit)} s")
+        )
+    if stats.status is Status.UNSTABLE:
+        message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
+        hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+        notices.append(warning("SIM102", message, hint))
+    elif stats.status is Status.NOT_SOLVED and simulation.strained:
+        notices.append(_refused(simulation, stats))
+    elif stats.status is Status.NOT_SOLVED:
+        message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
+        notices.append(warning("SIM105", message, _convergence_hint(simulation)))
+    return notices
+
+
+def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
+    """Return warnings about springs that xpbd leaves strained."""
+    options: SpringOptions = simulation.options
+    if simulation.strained and not simulation.auto:
+        message = f"a spring was strained by {simulation.grid.stretch:.1%}, beyond "
+        message += f"its own compliance; the limit is {options.stretch:.1%}"
+        hint = "use auto or bdf2, or less stiffness or mass"
+        if simulation.system.self_contact is not None:
+            hint = "use less stiffness or mass, or a larger stretch"
+        return [warning("SIM131", message, hint)]
+    if simulation.longest > 1 + GIVES * options.stretch:
+        least = f"{GIVES * options.stretch:.3g}"
+        message = f"springs are strained by {least} of that or more, "
+        message += "mostly by their own compliance: more steps do not change that"
+        hint = "raise their stiffness, or reduce the attached mass"
+        return [Fault("SIM161", message, hint=hint, severity=Severity.NOTE)]
+    return []
+
+
+def _convergence_hint(simulation: SpringSimulation) -> str:
+    """Return a hint for a cell where Newton's method did not converge."""
+    system, unsolved = simulation.system, simulation.unsolved
+    step = None if unsolved is None else working_step(system, unsolved)
+    ties, hint = system.ties, "use a shorter step"
+    if step is not None:
+        hint = f"step: {plain(floored(step))}"
+        if ties is not None:
+            hint += " of the bodies of its pins"
+    if ties is None:
+        return hint
+    light = ties.lightest
+    spring_mass = float(system.free_masses.sum())
+    if light is not None and light[1] < LIGHT * spring_mass:
+        name, mass = light
+        more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
+        more += f"springs of {spring_mass:.3g} kg make unstable"
+        hint = more if step is None else f"{hint}, or {more}"
+    return hint
+
+
+def _refused(simulation: SpringSimulation, stats: Stats) -> Fault:
+    """Return why auto stopped, and alternatives."""
+    choice, strain = simulation.choice, simulation.grid.stretch
+    message = f"auto finds no solver for it: {choice.solver}, chosen because "
+    message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
+    message += f"at {stats.time:.6g} s, in steps of "
+    message += f"{plain(simulation.shortest)} s; {simulation.options.stretch:.2%} "
+    hint = "use less stiffness or more uniform masses, a larger "
+    hint += f"stretch, or solver: {choice.solver}, which continues"
+    return warning("SIM178", message + "is allowed", hint)
