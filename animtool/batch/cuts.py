@@ -30,9 +30,9 @@ from animtool.batch.spans import (
     transition_sides,
 )
 from animtool.batch.timeline import (
+    FRAME_TOLERANCE,
     HIGHEST_RATE,
     LOWEST_RATE,
-    NEAR,
     exact_rate,
     is_edl,
     is_remote,
@@ -59,7 +59,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 
-# At which rate the shots of a timeline count frames.
+# Hint on setting the frame rate of a timeline's shots.
 
 SET_RATE_HINT = (
     f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
@@ -68,29 +68,30 @@ SET_RATE_HINT = (
 COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
 
 
-def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
+def edl_rate(edl: Edl, requested: Fraction | None) -> Fraction:
     """Return the frame rate of an EDL's time codes.
 
-    It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
+    It is stated in a comment (``* FPS: 25``), else requested, else configured in the
+    project.
 
     Raises:
-        OptionError: Nothing states it (BAT054), or two do (BAT051).
+        OptionError: It is not stated (BAT054), or twice differently (BAT051).
     """
     path = str(edl.path)
     if edl.fps is not None:
-        return _agreed(edl.fps, asked, path)
-    configured = asked or find_config(edl.path).timeline.fps
+        return _agreed(edl.fps, requested, path)
+    configured = requested or find_config(edl.path).timeline.fps
     if configured is not None:
         return configured
     message = "states no frame rate, which its time codes need"
-    how = COMMON_RATES_HINT
+    hint = COMMON_RATES_HINT
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
-        how = SET_RATE_HINT.format("30000/1001", "60000/1001")
+        hint = SET_RATE_HINT.format("30000/1001", "60000/1001")
     elif edl.last_label > 0:
         message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
         message += f"above {edl.last_label} fps"
-    raise OptionError(Fault("BAT054", message, path, (), how))
+    raise OptionError(Fault("BAT054", message, path, (), hint))
 
 
 def timeline_rate(
@@ -98,25 +99,25 @@ def timeline_rate(
 ) -> tuple[Fraction, list[Fault]]:
     """Return the rate of a timeline's shots, and a warning for mixed rates.
 
-    It is the stated one, else that of the global start time, else the one asked for,
-    else the project's, else the one that all clips and gaps count at, or more than half
-    of them.
+    It is the stated rate, else that of the global start time, else the requested rate,
+    else the project's, else the rate of all clips and gaps, or of more than half of
+    them.
 
     Args:
-        timeline: As OpenTimelineIO has it.
-        path: Its file.
-        stated: What its metadata states.
-        requested_fps: What options ask for.
+        timeline: OpenTimelineIO timeline.
+        path: File of the timeline.
+        stated: Rate in its metadata.
+        requested_fps: Rate requested by options.
 
     Raises:
         FormatError: Its global start time has no rate (BAT041).
-        OptionError: No rate is known (BAT054), or the one asked for is not that of
-            the timeline (BAT051).
+        OptionError: No rate is known (BAT054), or the requested rate differs from the
+            timeline's (BAT051).
     """
-    path_text, begin = str(path), timeline.global_start_time
-    if stated is None and begin is not None and begin.rate > 0:
+    path_text, start_time = str(path), timeline.global_start_time
+    if stated is None and start_time is not None and start_time.rate > 0:
         try:
-            stated = exact_rate(begin.rate)
+            stated = exact_rate(start_time.rate)
         except ValueError as error:
             message = f"invalid global start time: {error}"
             raise FormatError(Fault("BAT041", message, path_text)) from error
@@ -126,27 +127,29 @@ def timeline_rate(
     if configured is not None:
         return configured, []
     rates = Counter(picture_rates(timeline.tracks))
-    total = sum(rates.values())
-    if not total:
+    clip_count = sum(rates.values())
+    if not clip_count:
         # No clip has a visible range; each clip is reported.
         return Fraction(1), []
-    chosen, count = rates.most_common(1)[0]
+    most_common, count = rates.most_common(1)[0]
     if len(rates) == 1:
-        return chosen, []
-    each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
-    message = f"states no rate, and its clips and gaps use several: {each}"
-    if 2 * count <= total:
+        return most_common, []
+    rates_text = ", ".join(
+        f"{n} at {rate_label(rate)}" for rate, n in rates.most_common()
+    )
+    message = f"states no rate, and its clips and gaps use several: {rates_text}"
+    if 2 * count <= clip_count:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
-    message += f"; using {rate_label(chosen)}"
-    return chosen, [
+    message += f"; using {rate_label(most_common)}"
+    return most_common, [
         Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
     ]
 
 
-def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
+def _agreed(stated: Fraction, requested: Fraction | None, path: str) -> Fraction:
     """Return a stated rate (BAT051 if another one is requested)."""
-    if asked is not None and asked != stated:
-        message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
+    if requested is not None and requested != stated:
+        message = f"has {rate_label(stated)}, but {rate_label(requested)} was requested"
         hint = "shots are written at the rate of their timeline"
         raise OptionError(Fault("BAT051", message, path, (), hint))
     return stated
@@ -155,7 +158,7 @@ def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
 def picture_rates(composition: Any) -> Iterator[Fraction]:
     """Yield the rate of every clip and gap on video tracks.
 
-    A clip without a source range counts at the rate of its media range.
+    A clip without a source range has the rate of its media range.
     """
     for child in composition:
         if hasattr(child, "find_children"):
@@ -170,12 +173,12 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
             yield rate_from_float(span.start_time.rate)
 
 
-# What names of files and of variables' users may hold everywhere.
-# What a person reads of a timeline of thousands of clips.
+# Limits that keep reports on timelines of thousands of clips readable.
 MAX_FAULTS, MAX_NAMED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME = 120
-_LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
+# Everything but characters that are safe in file names and variables.
+_ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +186,9 @@ class Cut:
     """The media of an item: a clip of a timeline, or a file."""
 
     media: MatchedFile  # the media
-    # What names stand for in its scene and its output, `SHOT_NAMES`.
+    # Values of `SHOT_NAMES` for its scene and its output.
     names: Mapping[str, str] = field(default_factory=dict)
-    # The clip's frames; None for a file that no timeline shows.
+    # Frames of the clip; None for a file outside of a timeline.
     shot: Shot | None = None
 
 
@@ -194,7 +197,7 @@ class CutList:
     """The shots of a timeline."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
-    # Notices of clips that were left out or changed.
+    # Notices about clips that were left out or changed.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -206,9 +209,9 @@ def read_cuts(
 ) -> CutList:
     """Return the shots of a timeline: the clips of its video tracks.
 
-    A clip's media is the file that it refers to; one that refers to none, or to one
-    that is not there, has that of ``media`` that is called like it, or like that file.
-    Its times are seconds of the media; a shot counts frames at the timeline's rate.
+    A clip's media is the file that it refers to; without a reference, or if that file
+    is missing, it is the entry of ``media`` with the name of the clip or of that file.
+    Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
     return _CutReader(path, media, options or CutOptions(), left_out).read()
 
@@ -239,8 +242,8 @@ def _named(
         message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
         raise OptionError(Fault("BAT048", message, str(path), (), shots))
     if name not in names:
-        near = nearest(name, names)
-        hint = f"{near} {shots}" if near.startswith("did") else shots
+        suggestion = nearest(name, names)
+        hint = f"{suggestion} {shots}" if suggestion.startswith("did") else shots
         message = f"has no shot {excerpt(name)}"
         raise OptionError(Fault("BAT048", message, str(path), (), hint))
     return [entry for entry in entries if entry.name == name]
@@ -259,7 +262,7 @@ class _CutReader:
         self.path, self.options, self.left_out = path, options, left_out
         self.cuts = CutList()
         self.faults: list[Fault] = []
-        # Names of shots, and up to which number each has others behind it.
+        # Shot names, each with the highest number appended so far.
         self.taken: dict[str, int] = {}
         self.timeline_metadata = CutMetadata()
         self.fps = Fraction(0)
@@ -300,8 +303,10 @@ class _CutReader:
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
             self.timeline_metadata = self.metadata(timeline, "the timeline", rate=True)
-            asked = self.options.fps
-            rate = timeline_rate(timeline, self.path, self.timeline_metadata.fps, asked)
+            requested_fps = self.options.fps
+            rate = timeline_rate(
+                timeline, self.path, self.timeline_metadata.fps, requested_fps
+            )
             self.fps, notices = rate
         else:
             edl = read_edl(self.path)
@@ -317,9 +322,9 @@ class _CutReader:
         for entry in entries:
             self.clip(entry)
         if len(self.faults) > MAX_FAULTS:
-            rest = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
-            rest_fault = Fault("DOC011", rest, str(self.path))
-            self.faults[MAX_FAULTS:] = [rest_fault]
+            omitted_text = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
+            omitted_fault = Fault("DOC011", omitted_text, str(self.path))
+            self.faults[MAX_FAULTS:] = [omitted_fault]
         if self.faults:
             raise FormatError(self.faults)
         return self.cuts
@@ -352,47 +357,55 @@ class _CutReader:
 
     def clip(self, entry: ShownClip) -> None:
         """Add the shot of a clip."""
-        # It imports numpy, and a batch of files is planned without.
+        # Imported here since it imports numpy, which planning a batch of files does not
+        # need.
         from animtool.core.clock import MAX_FRAMES
 
-        clip, named = entry.clip, entry.named
-        medium = self.medium(clip, named)
+        clip, clip_and_name = entry.clip, entry.named
+        medium = self.medium(clip, clip_and_name)
         if medium is None:
             return
-        clip_metadata, settings = self.metadata(clip, named), find_config(self.path)
+        clip_metadata, settings = (
+            self.metadata(clip, clip_and_name),
+            find_config(self.path),
+        )
         context = CutContext(
             self.options, clip_metadata, self.timeline_metadata, settings
         )
         for message in context.cut_in()[1]:
-            self.fault("BAT047", f"{named}: {message}", "write one of them")
-        there = clip.media_reference.available_range
+            self.fault("BAT047", f"{clip_and_name}: {message}", "write one of them")
+        available = clip.media_reference.available_range
         try:
             span = span_of(entry)
-            begin, media_fps = None, span.rate
-            if there is not None:
-                begin = seconds_of(there.start_time)
-                media_fps = exact_rate(there.start_time.rate)
-            first = context.first_timecode(begin, span.rate, drop=self.drop)
+            media_start, media_fps = None, span.rate
+            if available is not None:
+                media_start = seconds_of(available.start_time)
+                media_fps = exact_rate(available.start_time.rate)
+            first_time = context.first_timecode(media_start, span.rate, drop=self.drop)
             transitions = self.overlaps(entry, span)
         except UnsupportedTimeError as error:
-            message = f"{named}: {error}; it is skipped"
+            message = f"{clip_and_name}: {error}; it is skipped"
             self.note("BAT044", message, Severity.WARNING)
             return
         except Exception as error:
-            message = f"the range of {named} is invalid: {excerpt(str(error), 120)}"
+            message = (
+                f"the range of {clip_and_name} is invalid: {excerpt(str(error), 120)}"
+            )
             self.fault("BAT041", message)
             return
         if span.seconds <= 0:
-            self.fault("BAT041", f"{named} shows no frame of its media")
+            self.fault("BAT041", f"{clip_and_name} shows no frame of its media")
             return
         shot = shot_of(
-            entry.name, span, self.fps, context, first, transitions, drop=self.drop
+            entry.name, span, self.fps, context, first_time, transitions, drop=self.drop
         )
         if shot.end - shot.start >= MAX_FRAMES:
-            message = f"{named} has too many frames: {shot.end - shot.start + 1}"
+            message = (
+                f"{clip_and_name} has too many frames: {shot.end - shot.start + 1}"
+            )
             self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
-        for notice in played_notices(shot, span, self.fps, named):
+        for notice in played_notices(shot, span, self.fps, clip_and_name):
             self.say(*notice)
         names = {
             "shot": shot.name,
@@ -416,7 +429,7 @@ class _CutReader:
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
-        # Some systems name clips after the whole file.
+        # Some systems name clips after the full file name.
         names = (clip.name, None if path is None else source_stem(path))
         for stem in (*names, source_stem(Path(clip.name or ""))):
             if stem and stem.casefold() in self.media:
@@ -427,8 +440,12 @@ class _CutReader:
                 "INPUT"
             )
             problem = "a folder" if _is_file(path) is False else "not there"
-            shown = clip.media_reference.target_url if is_remote(clip) else path
-            self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
+            reference_text = (
+                clip.media_reference.target_url if is_remote(clip) else path
+            )
+            self.fault(
+                "BAT042", f"the media of {named} is {problem}: {reference_text}", hint
+            )
         elif self.media:
             self.fault("BAT042", f"no media matches the name of {named}")
         else:
@@ -438,21 +455,28 @@ class _CutReader:
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
         """Return the frames that transitions add before and after a cut."""
-        sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
-        before, after = (
-            ceil(seconds_of(side) / entry.speed * self.fps - NEAR)
-            if side is not None and there
-            else 0
-            for side, there in sides
+        sides_and_ends = zip(
+            transition_sides(entry), (span.head, span.tail), strict=True
         )
-        if before or after:
-            more = f"{before} frames before its cut and {after} after it"
-            self.note("BAT043", f"{entry.named} is in transitions: {more} are included")
-        return before, after
+        frames_before, frames_after = (
+            ceil(seconds_of(transition) / entry.speed * self.fps - FRAME_TOLERANCE)
+            if transition is not None and is_shown
+            else 0
+            for transition, is_shown in sides_and_ends
+        )
+        if frames_before or frames_after:
+            overlap_text = (
+                f"{frames_before} frames before its cut and {frames_after} after it"
+            )
+            self.note(
+                "BAT043",
+                f"{entry.named} is in transitions: {overlap_text} are included",
+            )
+        return frames_before, frames_after
 
     def name(self, shot: str, named: str) -> str:
         """Return a legal name that no other shot has."""
-        legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
+        legal = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
             number += 1

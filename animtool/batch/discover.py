@@ -62,17 +62,17 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-# How names end of the files that a folder is searched for. USD is left out: outputs
-# are of that kind, and would be inputs of the next run.
+# Suffixes of files that are found in a folder. USD is left out: outputs are USD, and
+# would be inputs of the next run.
 SUFFIXES = (
     *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
     *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
 )
-SCENES = tuple(
+SCENE_SUFFIXES = tuple(
     f".scene{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT
 )
-# Where records stand, below the folder of all outputs.
-RECORDS = ".animtool"
+# Folder of the records, in the folder of all outputs.
+RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 
 
@@ -81,7 +81,7 @@ def sample_source(
 ) -> Source:
     """Return the source of an input's first item.
 
-    variables: what overrides give the input.
+    variables: overrides for the input.
     """
     names, file = {**shot.names, **spec.rows[0]}, shot.media
     return item_task.source(
@@ -94,16 +94,16 @@ def check_columns(spec: BatchSpec) -> None:
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
-    taken = {*INPUT_NAMES, *shots, *spec.variables}
+    reserved = {*INPUT_NAMES, *shots, *spec.variables}
     path = spec.variants.path
-    path_text, lines = (None, ()) if path is None else (str(path), (1,))
+    path_text, location = (None, ()) if path is None else (str(path), (1,))
     hint = (
         f"names of inputs, shots and {argument('set')} are reserved: "
-        f"{listed(sorted(taken))}"
+        f"{listed(sorted(reserved))}"
     )
     faults = [
-        Fault("BAT063", message, path_text, lines, hint)
-        for _, message in name_problems(spec.variants.names, taken)
+        Fault("BAT063", message, path_text, location, hint)
+        for _, message in name_problems(spec.variants.names, reserved)
     ]
     if faults:
         raise OptionError(faults)
@@ -113,10 +113,10 @@ def check_effects(
     spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], overrides: Overridden
 ) -> None:
     """Refuse scenes whose items or variants would all be equal."""
-    kinds = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
+    shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
-    for path, shot in sorted(kinds.items()):
+    for path, shot in sorted(shots_by_source.items()):
         if not is_named(path, "scene"):
             if names:
                 message = "variants need a scene"
@@ -134,9 +134,11 @@ def check_effects(
         if spec.scene is not None and not scene.effective_variables & inputs:
             faults.append(_unused(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
-            used = ", ".join(f"${{{name}}}" for name in names)
-            message = f"the scene uses none of the variables that vary: {used}"
-            hint = f"write {used.partition(',')[0]} in the scene in place of a value"
+            names_text = ", ".join(f"${{{name}}}" for name in names)
+            message = f"the scene uses none of the variables that vary: {names_text}"
+            hint = (
+                f"write {names_text.partition(',')[0]} in the scene in place of a value"
+            )
             faults.append(Fault("BAT060", message, str(path), (), hint))
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
@@ -159,12 +161,12 @@ class Batch:
 
     name: str  # name of its records
     items: tuple[Item, ...]  # in order
-    item_task: ItemTask  # how each is made
+    item_task: ItemTask  # how each item is built
     limits: Limits  # limits of each item
-    jobs: int | None  # how many processes; None is one for each processor
-    root: Path  # folder of all outputs, absolute, from which records name files
-    named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
-    # What the first item is baked from, where all are of one scene.
+    jobs: int | None  # number of processes; None uses one per processor
+    root: Path  # folder of all outputs, absolute; root of the paths in records
+    named: tuple[Path, ...] = ()  # files that all items are built with, such as a scene
+    # Source of the first item, if all have the same scene.
     sample: Source | None = None
     # Warnings about the timeline, the inputs and the overrides.
     notices: tuple[Fault, ...] = ()
@@ -172,7 +174,7 @@ class Batch:
     @property
     def records(self) -> Path:
         """Folder of its records."""
-        return self.root / RECORDS
+        return self.root / RECORDS_FOLDER
 
     def outputs(self, item: Item) -> list[Path]:
         """Return the files that an item writes."""
@@ -188,7 +190,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     """Return the items of a batch, sorted by name or in timeline order.
 
     Raises:
-        StrictError: Warnings are errors, and there is one of the batch itself.
+        StrictError: Warnings are errors, and the batch itself has one.
     """
     spec = _with_rate(_with_timeline(spec))
     if spec.output is not None:
@@ -201,7 +203,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     cuts = _cuts(spec)
     shots = cuts.shots
     if not shots:
-        raise _nothing(spec)
+        raise _no_input(spec)
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
     overrides = overridden(
@@ -278,16 +280,16 @@ def _with_scene_input(spec: BatchSpec) -> BatchSpec:
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
     path = None if spec.path is None else str(spec.path)
-    known = {**spec.variables, **spec.rows[0]}
+    known_names = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
-        known |= dict.fromkeys(SHOT_NAMES, "")
+        known_names |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
         Fault("BAT004", message, path, (), hint)
-        for message, hint in unknown_names(pattern, known)
+        for message, hint in unknown_names(pattern, known_names)
     ]
     if faults:
         raise OptionError(faults)
-    # Other names at the end may bring a suffix.
+    # Other names at the end may contain a suffix.
     if not pattern.replace("{stem}", "stem").endswith("}"):
         take_writer(Path(pattern), folders=True)
 
@@ -304,16 +306,18 @@ def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    overridden = [name for one in spec.overrides for name in one.variables]
+    overridden = [name for override in spec.overrides for name in override.variables]
     variables = [*dict.fromkeys([*spec.variables, *overridden]), *spec.rows[0]]
-    used = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
+    used_in_output = {
+        name for name in variables if f"{{{name}}}" in (spec.output or "")
+    }
     if sample is not None:
-        used |= set(getattr(sample, "variables", ()))
+        used_in_output |= set(getattr(sample, "variables", ()))
     elif any(is_named(path, "scene") for path in item_task.kinds):
-        # Each holds its faults until the items are built.
-        used |= set(variables)
-    taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used - taken)
+        # Each error holds its faults until the items are built.
+        used_in_output |= set(variables)
+    reserved = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+    check_unused(variables, used_in_output - reserved)
 
 
 @dataclass(slots=True)
@@ -334,10 +338,10 @@ class _Items:
         if spec.output is not None:
             paths = frozenset({"parent", *spec.variables})
             outputs = NamedOutputs(spec.output, spec.folder, paths)
-        pairs = itertools.product(self.shots, spec.rows)
+        combinations = itertools.product(self.shots, spec.rows)
         items = [
             self._item(number, shot, row, outputs)
-            for number, (shot, row) in enumerate(pairs, 1)
+            for number, (shot, row) in enumerate(combinations, 1)
         ]
         if self.faults:
             raise OptionError(self.faults[:MAX_FAULTS])
@@ -352,14 +356,14 @@ class _Items:
     ) -> Item:
         spec, file, overrides = self.spec, shot.media, {**shot.names, **row}
         variables = self.overrides.values.get(file.path, {})
-        parts = {name: file_name(value) for name, value in row.items()}
-        more = "".join(f"_{part}" for part in parts.values())
-        output = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
+        file_name_parts = {name: file_name(value) for name, value in row.items()}
+        suffix = "".join(f"_{part}" for part in file_name_parts.values())
+        output = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
         if spec.cuts is not None:
-            output = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
+            output = spec.cuts.with_name(f"{shot.names['shot']}{suffix}.usdc")
         if outputs is not None:
             names = {**spec.variables, **variables, **input_names(file)}
-            names |= {**shot.names, **parts}
+            names |= {**shot.names, **file_name_parts}
             try:
                 output = outputs.path(names)
             except UnsafeNameError as error:
@@ -375,7 +379,7 @@ class _Items:
     def _refuse(
         self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
     ) -> None:
-        """Record an output with an unsafe name, at the file that states it."""
+        """Record an output with an unsafe name, located in the file that states it."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
         hint = f"rename the input, or remove the name from {argument('output')}"
@@ -398,10 +402,10 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
-    shown = listed([str(root) for root in spec.roots])
+    roots_text = listed([str(root) for root in spec.roots])
     hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("DOC014", f"{str(folder)!r} is outside {shown}", path, (), hint)
+        Fault("DOC014", f"{str(folder)!r} is outside {roots_text}", path, (), hint)
         for folder in folders
         if not any(inside(folder, root) for root in spec.roots)
         for path in [None if spec.path is None else str(spec.path)]
@@ -412,36 +416,36 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
 
 def _cuts(spec: BatchSpec) -> CutList:
     """Return the cuts of the items: clips of a timeline, or the inputs."""
-    cuts, left_out, unmatched = _matched_inputs(spec)
+    cuts, left_out, inputs_and_notices = _matched_inputs(spec)
     if spec.cuts is None:
-        return CutList([Cut(file) for file in cuts], unmatched)
-    options, start = spec.options, spec.options.start
+        return CutList([Cut(file) for file in cuts], inputs_and_notices)
+    options, start_option = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
         from animtool.scene.file.read import stated_rate
 
-        start, fps = None, stated_rate(spec.scene)
+        start_option, fps = None, stated_rate(spec.scene)
     if None not in {fps, spec.fps} and fps != spec.fps:
         assert fps is not None
         assert spec.fps is not None
         message = f"{argument('fps')} is {rate_label(spec.fps)}, but the scene has "
         raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
-    if start is not None and start.denominator != 1:
-        message = f"start is {float(start):g}, but shots begin at a whole frame"
+    if start_option is not None and start_option.denominator != 1:
+        message = f"start is {float(start_option):g}, but shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
-    first = None if start is None else int(start)
+    first_frame = None if start_option is None else int(start_option)
     cut_options = CutOptions(
-        spec.handles, first, spec.fps or fps, spec.cut_start, spec.first_timecode
+        spec.handles, first_frame, spec.fps or fps, spec.cut_start, spec.first_timecode
     )
     listed_cuts = read_cuts(spec.cuts, cuts, cut_options, left_out)
-    return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
+    return replace(listed_cuts, notices=[*listed_cuts.notices, *inputs_and_notices])
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
     """Return a batch with the frame rate of the command line.
 
     Raises:
-        OptionError: What is for timelines is given without one (CLI002).
+        OptionError: Timeline options are used without a timeline (CLI002).
     """
     flags = []
     if spec.cuts is None:
@@ -461,16 +465,16 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
     """Return a batch with a timeline among its inputs as its cut list."""
-    named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
-    if not named:
+    timelines = [text for text in spec.inputs if is_timeline(spec.folder / text)]
+    if not timelines:
         return spec
-    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
+    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
     if len(cuts) > 1:
         message = f"the inputs contain several timelines: {listed(cuts)}"
         hint = "a batch takes the shots of one timeline"
         raise OptionError(Fault("BAT050", message, hint=hint))
-    inputs = tuple(text for text in spec.inputs if text not in named)
-    return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
+    inputs = tuple(text for text in spec.inputs if text not in timelines)
+    return replace(spec, cuts=spec.folder / timelines[0], inputs=inputs)
 
 
 def _matched_inputs(
@@ -478,27 +482,27 @@ def _matched_inputs(
 ) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
     """Return the distinct inputs in order, and a test for excluded files.
 
-    And a warning for each entry that matches no file.
+    Also returns a warning for each entry that matches no file.
     """
     suffixes = _suffixes(spec)
     resolve = PathResolver()
     left_out = {
         resolve(file.path)
         for text in spec.exclude
-        for file in _meant(spec.folder, text, suffixes)
+        for file in _matches(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    unmatched = []
+    notices = []
     for i, text in enumerate(spec.inputs):
-        meant = _meant(spec.folder, text, suffixes)
-        if not meant:
-            unmatched.append(_unmatched(spec, i, suffixes))
-        for file in meant:
-            where = resolve(file.path)
-            if where not in left_out:
-                files.setdefault(where, file)
-    ordered = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered, lambda path: resolve(path) in left_out, unmatched
+        matched = _matches(spec.folder, text, suffixes)
+        if not matched:
+            notices.append(_unmatched(spec, i, suffixes))
+        for file in matched:
+            resolved = resolve(file.path)
+            if resolved not in left_out:
+                files.setdefault(resolved, file)
+    sorted_files = [files[path] for path in sorted(files, key=os.fspath)]
+    return sorted_files, lambda path: resolve(path) in left_out, notices
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
@@ -511,12 +515,12 @@ def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
-    where = None if path is None else f"inputs[{i}]"
+    location = None if path is None else f"inputs[{i}]"
     message = f"no file matches {text!r}"
-    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
+    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=location)
 
 
-def _nothing(spec: BatchSpec) -> NoMatchError:
+def _no_input(spec: BatchSpec) -> NoMatchError:
     path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
         message = "has no clip with media"
@@ -529,8 +533,8 @@ def _nothing(spec: BatchSpec) -> NoMatchError:
 
 
 def _suffixes(spec: BatchSpec) -> Sequence[str]:
-    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
+    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENE_SUFFIXES)
 
 
-def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
+def _matches(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
     return list(matching_files(os.fspath(folder / text), suffixes))

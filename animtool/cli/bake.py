@@ -166,8 +166,8 @@ def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
     if len(sources) == 1 and output is not None:
         refuse_swapped(last_source, output, "SOURCE and -o")
     is_usd = last_source.suffix in {".usd", ".usda", ".usdc", ".usdz"}
-    output_given = is_usd and sources[0].exists() and not last_source.exists()
-    if len(sources) == 2 and output is None and output_given:
+    last_is_output = is_usd and sources[0].exists() and not last_source.exists()
+    if len(sources) == 2 and output is None and last_is_output:
         text = f"{last_source} does not exist; to write it, use -o {last_source}"
         raise click.UsageError(text)
 

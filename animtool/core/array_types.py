@@ -18,9 +18,9 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
     """Return values as C-contiguous float64 of the given shape.
 
     Args:
-        values: Anything that numpy turns into floats.
-        shape: One entry an axis: a length, or a letter for any length.
-        name: What to call the array in the message.
+        values: Anything that numpy converts to floats.
+        shape: One entry per axis: a length, or a letter for any length.
+        name: Name of the array in messages.
 
     Raises:
         ValueError: The shape is another one, or the values are not numbers.
@@ -36,8 +36,10 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         raise ValueError(f"{name} must be numbers of shape ({expected})") from error
     fits = array.ndim == len(shape)
     if fits:
-        for want, got in zip(shape, array.shape, strict=True):
-            fits = fits and (want == got or want.__class__ is str)
+        for expected_length, length in zip(shape, array.shape, strict=True):
+            fits = fits and (
+                expected_length == length or expected_length.__class__ is str
+            )
     if not fits:
         expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")

@@ -20,7 +20,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
-from animtool.core.names import LONGEST, similar
+from animtool.core.names import MAX_LENGTH, similar
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.skeleton import WIDTHS, JointType, Rig
@@ -134,7 +134,7 @@ def nearest_part(text: str, parts: Iterable[str]) -> str | None:
     >>> nearest_part("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
     """
-    words = text[-LONGEST:].split(".")
+    words = text[-MAX_LENGTH:].split(".")
     suffixes = [".".join(words[i:]) for i in range(1, len(words))]
     names = list(parts)
     suggestions = next(

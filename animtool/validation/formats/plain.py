@@ -56,7 +56,7 @@ FINDINGS = Template(
         Each(
             "shown",
             (
-                f"{{fault}}[{{?more}} ({{more}} more like it{_SEE})]",
+                f"{{fault}}[{{?repeats}} ({{repeats}} more like it{_SEE})]",
                 Each("excerpt", ("{self}",)),
             ),
         ),
