@@ -166,7 +166,7 @@ class Walk:
 
     def timeline(self, tracks: Any) -> None:
         """Visit the clips of a timeline's tracks."""
-        if self._off(tracks, "the timeline's stack"):
+        if self._is_disabled(tracks, "the timeline's stack"):
             return
         try:
             window, speed_and_window = _inside(tracks, None)
@@ -178,7 +178,7 @@ class Walk:
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
                 self.note("BAT043", f"{name}, of type {kind}, is skipped", False)
-            elif not self._off(track, name):
+            elif not self._is_disabled(track, name):
                 self._item(track, name, name, window, Fraction(0), speed_and_window)
 
     def _is_disabled(self, item: Any, named: str) -> bool:
@@ -244,14 +244,14 @@ class Walk:
                 self.gaps += 1
             elif isinstance(child, schema.Clip):
                 named = f"clip {excerpt(child.name or '')} of {where}"
-                if not self._off(child, named):
+                if not self._is_disabled(child, named):
                     self._item(child, named, where, window, begun, speed)
             elif isinstance(child, otio.core.Composition):
                 inner = f"{where}/{child.name}" if child.name else where
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
                     self.note("BAT043", f"{inner}, of type {kind}, is skipped", False)
-                elif not self._off(child, inner):
+                elif not self._is_disabled(child, inner):
                     self.note(
                         "BAT043", f"{inner} is nested; its clips become shots", False
                     )
