@@ -47,26 +47,29 @@ if TYPE_CHECKING:
 class MocapSolveJob:
     """Arguments of `animtool mocap solve`."""
 
-    source: Path  # file of markers
-    template: Path  # where they are
-    rig: Path | None = None  # None is the one that the template names
+    source: Path  # marker file
+    template: Path  # template file: where markers are on the rig
+    rig: Path | None = None  # rig file; None is the rig that the template names
     static: Path | None = None  # take of the subject standing at rest
-    calibrate: bool = False  # fit bones and offsets first
-    # What the source is.
+    calibrate: bool = False  # fit bone lengths and marker offsets first
+    # Properties of the source.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: SolveOptions = field(default_factory=SolveOptions)
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
     write_rig: Path | None = None  # rig file of the subject to write
-    write_template: Path | None = None  # and its template
-    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    write_template: Path | None = None  # template of the subject to write
+    # USD options; its `reduce`, `overwrite` and `strict` apply to all outputs.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
     def target(self) -> SolvedOutput:
         """The output, without the arrays of a rig."""
-        others, rig = (self.write_rig, self.write_template), self.write_rig or self.rig
-        return SolvedOutput.of(self.output, self.source, self.bake, rig, others)
+        subject_files, rig = (
+            (self.write_rig, self.write_template),
+            self.write_rig or self.rig,
+        )
+        return SolvedOutput.of(self.output, self.source, self.bake, rig, subject_files)
 
 
 @dataclass(slots=True)
@@ -100,8 +103,8 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     """Solve a capture on a rig and write the motion.
 
     Args:
-        job: What to do.
-        progress: Called with the share done, 0 to 1.
+        job: Arguments of the solve.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed.
@@ -115,8 +118,8 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     target = job.target
     template = load_template(job.template)
     rig_path = named_rig(template, job.rig, job.template)
-    named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    target.check(file_of(path) for path in named if path is not None)
+    inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
+    target.check(file_of(path) for path in inputs if path is not None)
     with atomic_outputs():
         stream, result = _solved(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)
@@ -170,14 +173,14 @@ def _solved(
     progress: Progress,
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
-    began = time.perf_counter()
+    started = time.perf_counter()
     reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
-        seconds["read"] = time.perf_counter() - began
+        seconds["read"] = time.perf_counter() - started
         if job.calibrate:
             static = job.static
             static_markers = None
@@ -192,7 +195,7 @@ def _solved(
             assert calibration is not None
             rig, template = calibration.rig, calibration.template
             notices = [*notices, *calibration.notices]
-            seconds["calibrate"] = time.perf_counter() - began - seconds["read"]
+            seconds["calibrate"] = time.perf_counter() - started - seconds["read"]
         solve = at_file(
             job.source, lambda: solve_markers(markers, rig, template, job.options)
         )

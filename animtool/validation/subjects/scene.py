@@ -137,12 +137,12 @@ def _seconds(scene: Scene, take: Take | None) -> float:
     """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)
-    from animtool.scene.systems.bake import FPS
+    from animtool.scene.systems.bake import DEFAULT_FPS
 
     frames = scene.bake.frame_range
     if frames is None:
         return 0.0
-    return float((frames.last - frames.first) / (scene.bake.fps or FPS))
+    return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:

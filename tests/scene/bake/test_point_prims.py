@@ -40,7 +40,7 @@ def test_pieces_are_the_motion_with_their_neighbours(
 ) -> None:
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(point_prims, "PIECE", most)
+        patch.setattr(point_prims, "PIECE_FRAMES", most)
         found = list(pieces(blocks(lengths), neighbours=neighbours))
     own = []
     for codes, motion, kept in found:
