@@ -14,10 +14,13 @@ MEASURED = [
         "2 kB written in 20 ms, 1.84 MB/s of source",
         "2 kB written in 1 s, 98.6 kB/s of source",
     ),
-    ("  body: 2 MB, 804 µs a frame, 0.084 µm", "  body: 2 MB, 1.1 s a frame, 0.084 µm"),
     (
-        "face: 9 shapes move, 64 frames a second",
-        "face: 9 shapes move, 60 frames a second",
+        "  body: 2 MB, 804 µs per frame, 0.084 µm",
+        "  body: 2 MB, 1.1 s per frame, 0.084 µm",
+    ),
+    (
+        "face: 9 shapes move, 64 frames per second",
+        "face: 9 shapes move, 60 frames per second",
     ),
     ("[3/12] done wave3.usdc (new) 0.03 s", "[3/12] done wave3.usdc (new) 1.10 s"),
     ("12 items: 12 done in 0.76 s", "12 items: 12 done in 11.02 s"),

@@ -9,11 +9,9 @@ from __future__ import annotations
 import importlib.util
 import os
 import pickle
-import re
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -21,6 +19,15 @@ from threading import Thread
 from typing import Any
 from uuid import uuid4
 
+from animtool.batch.cluster_client import (
+    ADDRESS,
+    TIMEOUT,
+    connected_client,
+    disk_tokens,
+    leave_cluster,
+    scheduler_address,
+    unusable,
+)
 from animtool.batch.cluster_worker import (
     DISK,
     INPUTS,
@@ -32,27 +39,21 @@ from animtool.batch.delivery import Delivery
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
-from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import (
     AnimtoolError,
     Fault,
     OptionError,
-    OutputError,
     Severity,
     counted,
     excerpt,
     listed,
 )
-from animtool.core.files.leftovers import new_temporary
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 
-# A scheduler that does not answer within this time is considered missing; including the
-# start of the command, this is reported within 10 s [s].
-TIMEOUT = 6.5
-# Interval for counting workers while nothing ends [s].
+# How often workers are counted where nothing ends [s].
 POLL_INTERVAL = 1.0
 # A nanny restarts a lost worker within seconds, and clusters on demand start machines
 # within minutes; longer waits may never end [s].
@@ -65,10 +66,6 @@ MAX_LOSSES = 3
 MAX_INPUTS = 10_000
 # Larger inputs are not compared by content before the first item [bytes].
 MAX_COMPARED = 10_000_000
-MAX_TOKENS = 50
-# Size limit of a scheduler file: it has a kilobyte, and some more per worker.
-MAX_SCHEDULER_BYTES = 16_000_000
-ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 RESUME = "finished items are recorded; run the same command again to resume"
 
 
@@ -91,27 +88,14 @@ def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
         message = "the dask executor needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("IO005", message, hint=hint))
-    return _outcomes(work, _address(Path(argument)) if file else argument)
-
-
-def _address(path: Path) -> str:
-    """Return the address in a scheduler file."""
-    try:
-        address = text_in(json_of_file(path, MAX_SCHEDULER_BYTES), "address", 1000)
-    except RecordError as error:
-        raise _unreachable(str(path), error) from error
-    if not ADDRESS.fullmatch(address):
-        raise _unreachable(
-            str(path), RecordError(f"{excerpt(address)} is not an address")
-        )
-    return address
+    return _outcomes(work, scheduler_address(Path(argument)) if file else argument)
 
 
 def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
-    client = _client(address)
+    client = connected_client(address)
     name = f"animtool-{uuid4().hex}"
     try:
-        with _tokens(work.folders) as tokens:
+        with disk_tokens(work.folders) as tokens:
             farm = _Farm(client, name, work, tokens)
             # dask calls back in one thread for all clients of a process; waiting for a
             # lost result there would block them.
@@ -122,7 +106,7 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
             finally:
                 farm.finished.put(None)
     finally:
-        _leave(client, name)
+        leave_cluster(client, name)
 
 
 def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
@@ -133,86 +117,6 @@ def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
         except BaseException as error:
             value = error
         ended.put((future, value))
-
-
-def _client(address: str) -> Any:
-    from distributed import Client
-
-    connections: SimpleQueue[Any] = SimpleQueue()
-
-    def connect() -> None:
-        try:
-            connections.put(Client(address, timeout=TIMEOUT, set_as_default=False))
-        except Exception as error:
-            connections.put(error)
-
-    # Its own timeout does not cover answers of a server that is not a scheduler.
-    with warnings.catch_warnings():
-        # Versions of workers are compared before the first item.
-        warnings.simplefilter("ignore")
-        Thread(target=connect, daemon=True).start()
-        try:
-            client = connections.get(timeout=TIMEOUT)
-        except Empty:
-            client = TimeoutError(f"no answer within {TIMEOUT:g} s")
-    if isinstance(client, Exception):
-        raise _unreachable(address, client) from client
-    return client
-
-
-def _unreachable(about: str, error: Exception) -> OutputError:
-    why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
-    if not isinstance(error, OSError | ValueError):
-        why = f"the scheduler there runs another version of dask ({why})"
-    hint = (
-        "check that the scheduler runs, at this address, with the same version of "
-        "distributed"
-    )
-    return _unusable(about, why, hint)
-
-
-def _unusable(about: str, why: str, hint: str) -> OutputError:
-    message = f"the dask cluster at {about} cannot be used: {why}"
-    return OutputError(Fault("BAT035", message, hint=hint))
-
-
-def _leave(client: Any, name: str) -> None:
-    """Stop the work of this run on workers, and disconnect.
-
-    A scheduler that does not answer is not waited for.
-    """
-
-    def release(dask_worker: Any) -> None:
-        from animtool.batch.cluster_worker import release
-
-        release(dask_worker, name)
-
-    def leave() -> None:
-        with suppress(Exception):
-            client.run(release, on_error="ignore")
-
-    leaving = Thread(target=leave, daemon=True)
-    leaving.start()
-    leaving.join(TIMEOUT)
-    with suppress(TimeoutError):
-        client.close(TIMEOUT)
-
-
-@contextmanager
-def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Create files in output folders by which workers recognise them."""
-    texts: dict[str, str] = {}
-    try:
-        for folder in folders[:MAX_TOKENS]:
-            path = new_temporary(folder.absolute() / "token")
-            with suppress(OSError):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                texts[str(path)] = text = uuid4().hex
-                path.write_text(text, "utf-8")
-        yield texts
-    finally:
-        for name in texts:
-            Path(name).unlink(missing_ok=True)
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
@@ -362,7 +266,7 @@ class _Farm:
     def _addresses(self) -> Mapping[str, int]:
         """Return the current workers and the number of their threads."""
         if self.client.status in {"closing", "closed"}:
-            raise _unusable(self.work.argument, "the scheduler has stopped", RESUME)
+            raise unusable(self.work.argument, "the scheduler has stopped", RESUME)
         try:
             threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
         except (OSError, RuntimeError):
@@ -373,8 +277,8 @@ class _Farm:
             self._had_workers, self._waits = current_time, False
             return threads
         if current_time - self._had_workers > MAX_WORKERLESS:
-            reason = f"it has had no worker for {MAX_WORKERLESS:g} s"
-            raise _unusable(self.work.argument, reason, RESUME)
+            why = f"it has had no worker for {MAX_WORKERLESS:g} s"
+            raise unusable(self.work.argument, why, RESUME)
         if not self._waits:
             self._waits = True
             message = f"the cluster at {self.work.argument} has no workers now: "
@@ -462,7 +366,7 @@ class _Farm:
             return
         count = counted(len(self.workers), "worker")
         why = f"{count}, all excluded: the warnings say why"
-        raise _unusable(self.work.argument, why, RESUME)
+        raise unusable(self.work.argument, why, RESUME)
 
     def _handle_answer(
         self, sent: _Sent, value: object

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from math import ceil
@@ -20,7 +19,7 @@ from animtool.batch.cut_frames import (
     played_notices,
     shot_of,
 )
-from animtool.batch.edl import Edl, edl_timeline, read_edl
+from animtool.batch.edl import edl_timeline, read_edl
 from animtool.batch.spans import (
     ShownClip,
     Span,
@@ -31,8 +30,6 @@ from animtool.batch.spans import (
 )
 from animtool.batch.timeline import (
     FRAME_TOLERANCE,
-    HIGHEST_RATE,
-    LOWEST_RATE,
     exact_rate,
     is_edl,
     is_remote,
@@ -41,6 +38,7 @@ from animtool.batch.timeline import (
     read_timeline,
     seconds_of,
 )
+from animtool.batch.timeline_rate import edl_rate, timeline_rate
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import (
@@ -50,130 +48,16 @@ from animtool.core.errors import (
     Severity,
     counted,
     excerpt,
+    first_faults,
     listed,
 )
 from animtool.core.files.reading import MatchedFile
 from animtool.core.names import nearest
-from animtool.core.rates import rate_from_float, rate_label
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 
-# Hint on setting the frame rate of a timeline's shots.
-
-SET_RATE_HINT = (
-    f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
-    "batch file's options, or `fps` under [timeline] in animtool.toml"
-)
-COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
-
-
-def edl_rate(edl: Edl, requested: Fraction | None) -> Fraction:
-    """Return the frame rate of an EDL's time codes.
-
-    It is stated in a comment (``* FPS: 25``), else requested, else configured in the
-    project.
-
-    Raises:
-        OptionError: It is not stated (BAT054), or twice differently (BAT051).
-    """
-    path = str(edl.path)
-    if edl.fps is not None:
-        return _agreed(edl.fps, requested, path)
-    configured = requested or find_config(edl.path).timeline.fps
-    if configured is not None:
-        return configured
-    message = "states no frame rate, which its time codes need"
-    hint = COMMON_RATES_HINT
-    if edl.drop:
-        message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
-        hint = SET_RATE_HINT.format("30000/1001", "60000/1001")
-    elif edl.last_label > 0:
-        message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
-        message += f"above {edl.last_label} fps"
-    raise OptionError(Fault("BAT054", message, path, (), hint))
-
-
-def timeline_rate(
-    timeline: Any, path: Path, stated: Fraction | None, requested_fps: Fraction | None
-) -> tuple[Fraction, list[Fault]]:
-    """Return the rate of a timeline's shots, and a warning for mixed rates.
-
-    It is the stated rate, else that of the global start time, else the requested rate,
-    else the project's, else the rate of all clips and gaps, or of more than half of
-    them.
-
-    Args:
-        timeline: OpenTimelineIO timeline.
-        path: File of the timeline.
-        stated: Rate in its metadata.
-        requested_fps: Rate requested by options.
-
-    Raises:
-        FormatError: Its global start time has no rate (BAT041).
-        OptionError: No rate is known (BAT054), or the requested rate differs from the
-            timeline's (BAT051).
-    """
-    path_text, start_time = str(path), timeline.global_start_time
-    if stated is None and start_time is not None and start_time.rate > 0:
-        try:
-            stated = exact_rate(start_time.rate)
-        except ValueError as error:
-            message = f"invalid global start time: {error}"
-            raise FormatError(Fault("BAT041", message, path_text)) from error
-    if stated is not None:
-        return _agreed(stated, requested_fps, path_text), []
-    configured = requested_fps or find_config(path).timeline.fps
-    if configured is not None:
-        return configured, []
-    rates = Counter(picture_rates(timeline.tracks))
-    clip_count = sum(rates.values())
-    if not clip_count:
-        # No clip has a visible range; each clip is reported.
-        return Fraction(1), []
-    most_common, count = rates.most_common(1)[0]
-    if len(rates) == 1:
-        return most_common, []
-    rates_text = ", ".join(
-        f"{n} at {rate_label(rate)}" for rate, n in rates.most_common()
-    )
-    message = f"states no rate, and its clips and gaps use several: {rates_text}"
-    if 2 * count <= clip_count:
-        raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
-    message += f"; using {rate_label(most_common)}"
-    return most_common, [
-        Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
-    ]
-
-
-def _agreed(stated: Fraction, requested: Fraction | None, path: str) -> Fraction:
-    """Return a stated rate (BAT051 if another one is requested)."""
-    if requested is not None and requested != stated:
-        message = f"has {rate_label(stated)}, but {rate_label(requested)} was requested"
-        hint = "shots are written at the rate of their timeline"
-        raise OptionError(Fault("BAT051", message, path, (), hint))
-    return stated
-
-
-def picture_rates(composition: Any) -> Iterator[Fraction]:
-    """Yield the rate of every clip and gap on video tracks.
-
-    A clip without a source range has the rate of its media range.
-    """
-    for child in composition:
-        if hasattr(child, "find_children"):
-            if getattr(child, "kind", "Video") == "Video":
-                yield from picture_rates(child)
-            continue
-        span = getattr(child, "source_range", None)
-        if span is None:
-            media = getattr(child, "media_reference", None)
-            span = getattr(media, "available_range", None)
-        if span is not None and LOWEST_RATE <= span.start_time.rate <= HIGHEST_RATE:
-            yield rate_from_float(span.start_time.rate)
-
-
-# Limits that keep reports on timelines of thousands of clips readable.
+# What a person reads of a timeline of thousands of clips.
 MAX_FAULTS, MAX_NAMED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME = 120
@@ -321,12 +205,8 @@ class _CutReader:
         """Return the shots of clips."""
         for entry in entries:
             self.clip(entry)
-        if len(self.faults) > MAX_FAULTS:
-            omitted_text = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
-            omitted_fault = Fault("DOC011", omitted_text, str(self.path))
-            self.faults[MAX_FAULTS:] = [omitted_fault]
         if self.faults:
-            raise FormatError(self.faults)
+            raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
 
     def say(self, code: str, message: str, warn: bool) -> None:

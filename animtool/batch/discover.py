@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool.batch.cut_frames import SHOT_NAMES, CutOptions
-from animtool.batch.cuts import Cut, CutList, read_cuts
+from animtool.batch.cut_frames import SHOT_NAMES
+from animtool.batch.cuts import Cut
+from animtool.batch.inputs import cuts_of, input_suffixes, no_input, with_timeline
 from animtool.batch.item import (
     INPUT_NAMES,
     Item,
@@ -26,32 +27,10 @@ from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
-from animtool.core.errors import (
-    Fault,
-    NoMatchError,
-    OptionError,
-    Severity,
-    listed,
-    refuse_warnings,
-)
+from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import inside
-from animtool.core.files.reading import (
-    MatchedFile,
-    PathResolver,
-    matching_files,
-    nearest_file,
-)
+from animtool.core.files.reading import MatchedFile
 from animtool.core.names import check_unused, is_named
-from animtool.core.rates import rate_label
-from animtool.core.readers import (
-    BVH,
-    DOCUMENT,
-    FBX,
-    GLTF,
-    READERS,
-    URDF,
-    is_timeline,
-)
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import source_stem
@@ -62,16 +41,7 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
-# Suffixes of files that are found in a folder. USD is left out: outputs are USD, and
-# would be inputs of the next run.
-SUFFIXES = (
-    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
-    *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
-)
-SCENE_SUFFIXES = tuple(
-    f".scene{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT
-)
-# Folder of the records, in the folder of all outputs.
+# Where records stand, below the folder of all outputs.
 RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 
@@ -192,7 +162,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     Raises:
         StrictError: Warnings are errors, and the batch itself has one.
     """
-    spec = _with_rate(_with_timeline(spec))
+    spec = with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
         pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
@@ -200,14 +170,14 @@ def find_batch(spec: BatchSpec) -> Batch:
         _check_pattern(spec, pattern)
     spec = _with_scene_input(spec)
     check_columns(spec)
-    cuts = _cuts(spec)
+    cuts = cuts_of(spec)
     shots = cuts.shots
     if not shots:
-        raise _no_input(spec)
+        raise no_input(spec)
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
     overrides = overridden(
-        spec.overrides, files, spec.folder, _suffixes(spec), spec.path
+        spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
     )
     sample = None
     if spec.scene is not None:
@@ -252,12 +222,12 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     """
     from animtool.documents.variables import SceneValues
 
-    spec = _with_scene_input(_with_rate(_with_timeline(spec)))
-    shots = _cuts(spec).shots
+    spec = _with_scene_input(with_timeline(spec))
+    shots = cuts_of(spec).shots
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
     overrides = overridden(
-        spec.overrides, files, spec.folder, _suffixes(spec), spec.path
+        spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
     )
     by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
@@ -412,129 +382,3 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     ]
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
-
-
-def _cuts(spec: BatchSpec) -> CutList:
-    """Return the cuts of the items: clips of a timeline, or the inputs."""
-    cuts, left_out, inputs_and_notices = _matched_inputs(spec)
-    if spec.cuts is None:
-        return CutList([Cut(file) for file in cuts], inputs_and_notices)
-    options, start_option = spec.options, spec.options.start
-    fps = options.fps
-    if spec.scene is not None:
-        from animtool.scene.file.read import stated_rate
-
-        start_option, fps = None, stated_rate(spec.scene)
-    if None not in {fps, spec.fps} and fps != spec.fps:
-        assert fps is not None
-        assert spec.fps is not None
-        message = f"{argument('fps')} is {rate_label(spec.fps)}, but the scene has "
-        raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
-    if start_option is not None and start_option.denominator != 1:
-        message = f"start is {float(start_option):g}, but shots begin at a whole frame"
-        raise OptionError(Fault("CLI002", message))
-    first_frame = None if start_option is None else int(start_option)
-    cut_options = CutOptions(
-        spec.handles, first_frame, spec.fps or fps, spec.cut_start, spec.first_timecode
-    )
-    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, left_out)
-    return replace(listed_cuts, notices=[*listed_cuts.notices, *inputs_and_notices])
-
-
-def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with the frame rate of the command line.
-
-    Raises:
-        OptionError: Timeline options are used without a timeline (CLI002).
-    """
-    flags = []
-    if spec.cuts is None:
-        flags = (
-            [] if spec.cut_start is None else [f"cut_start ({argument('cut_start')})"]
-        )
-        flags += [] if spec.first_timecode is None else ["first_timecode"]
-        if spec.fps is not None and spec.scene is not None:
-            flags.append(f"{argument('fps')} together with a scene")
-    if flags:
-        message = f"{listed(flags)}: only for a timeline, and the inputs contain none"
-        raise OptionError(Fault("CLI002", message))
-    if spec.fps is None or spec.scene is not None:
-        return spec
-    return replace(spec, options=replace(spec.options, fps=spec.fps))
-
-
-def _with_timeline(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with a timeline among its inputs as its cut list."""
-    timelines = [text for text in spec.inputs if is_timeline(spec.folder / text)]
-    if not timelines:
-        return spec
-    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
-    if len(cuts) > 1:
-        message = f"the inputs contain several timelines: {listed(cuts)}"
-        hint = "a batch takes the shots of one timeline"
-        raise OptionError(Fault("BAT050", message, hint=hint))
-    inputs = tuple(text for text in spec.inputs if text not in timelines)
-    return replace(spec, cuts=spec.folder / timelines[0], inputs=inputs)
-
-
-def _matched_inputs(
-    spec: BatchSpec,
-) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
-    """Return the distinct inputs in order, and a test for excluded files.
-
-    Also returns a warning for each entry that matches no file.
-    """
-    suffixes = _suffixes(spec)
-    resolve = PathResolver()
-    left_out = {
-        resolve(file.path)
-        for text in spec.exclude
-        for file in _matches(spec.folder, text, suffixes)
-    }
-    files: dict[Path, MatchedFile] = {}
-    notices = []
-    for i, text in enumerate(spec.inputs):
-        matched = _matches(spec.folder, text, suffixes)
-        if not matched:
-            notices.append(_unmatched(spec, i, suffixes))
-        for file in matched:
-            resolved = resolve(file.path)
-            if resolved not in left_out:
-                files.setdefault(resolved, file)
-    sorted_files = [files[path] for path in sorted(files, key=os.fspath)]
-    return sorted_files, lambda path: resolve(path) in left_out, notices
-
-
-def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
-    """Return a warning for each entry of the inputs without a match."""
-    return _matched_inputs(spec)[2]
-
-
-def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
-    text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
-    hint = nearest_file(Path(text), spec.folder)
-    if hint is None and (spec.folder / text).is_dir():
-        hint = f"folders are searched for {', '.join(suffixes)}"
-    location = None if path is None else f"inputs[{i}]"
-    message = f"no file matches {text!r}"
-    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=location)
-
-
-def _no_input(spec: BatchSpec) -> NoMatchError:
-    path = None if spec.path is None else str(spec.path)
-    if spec.cuts is not None:
-        message = "has no clip with media"
-        hint = "a clip without media uses the INPUT with its name: pass takes too"
-        return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
-    suffixes = _suffixes(spec)
-    message = f"no input in {listed(spec.inputs) or 'nothing'}"
-    hint = f"folders are searched for {', '.join(suffixes)}"
-    return NoMatchError(Fault("BAT005", message, path, (), hint))
-
-
-def _suffixes(spec: BatchSpec) -> Sequence[str]:
-    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENE_SUFFIXES)
-
-
-def _matches(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
-    return list(matching_files(os.fspath(folder / text), suffixes))

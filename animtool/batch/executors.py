@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import ClassVar, TypeAlias, cast
+from typing import TypeAlias, cast
 
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
@@ -13,7 +13,13 @@ from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import check_known
-from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.plugins import (
+    ListedEntry,
+    listed_entries,
+    load_object,
+    load_plugin,
+    plugin_points,
+)
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.executors"
@@ -132,33 +138,13 @@ def find_executor(name: str) -> Executor:
     return load_plugin(points[name], Executor)
 
 
-@dataclass(frozen=True, slots=True)
-class ListedExecutor:
-    """An executor as `animtool plugins` lists it."""
-
-    name: str  # as on the command line
-    source: str  # ``animtool``, or the object of the entry point
-    loads: bool  # whether it can be loaded
-    about: str  # its description, or why it cannot be loaded
-    json_keys: ClassVar[str] = "executor=name source loads about"
-
-
-def listed_executors() -> list[ListedExecutor]:
-    """Return every executor, built-in ones first, with plug-ins loaded.
+def listed_executors() -> list[ListedEntry]:
+    """Return every executor and whether it loads, built-in ones first.
 
     >>> [entry.name for entry in listed_executors()][:3]
     ['dask', 'processes', 'serial']
     """
-    executors = [
-        ListedExecutor(name, "animtool", True, entry.about)
-        for name, entry in EXECUTORS.items()
-    ]
-    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
-        if name in EXECUTORS:
-            continue
-        try:
-            about, loads = find_executor(name).about, True
-        except OptionError as error:
-            about, loads = error.faults[0].message, False
-        executors.append(ListedExecutor(name, point.value, loads, about))
-    return executors
+    points = plugin_points(PLUGIN_GROUP)
+    return listed_entries(
+        EXECUTORS, points, find_executor, lambda one: (True, one.about), False
+    )

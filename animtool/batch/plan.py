@@ -15,7 +15,13 @@ from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import package_versions, path_of_name, relative_name
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, OptionError, OutputError
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    OutputError,
+    first_faults,
+)
 from animtool.core.files.output import name_key
 from animtool.core.files.reading import FileState, PathResolver
 from animtool.core.record import dataclass
@@ -263,8 +269,5 @@ def check_overwrites(
 
 
 def _refuse(faults: list[Fault], kind: type[OptionError] | type[OutputError]) -> None:
-    if len(faults) > MAX_FAULTS:
-        omitted_text = f"{len(faults) - MAX_FAULTS} more faults are not shown"
-        faults = [*faults[:MAX_FAULTS], Fault("DOC011", omitted_text)]
     if faults:
-        raise kind(faults)
+        raise kind(first_faults(faults, MAX_FAULTS))

@@ -37,11 +37,12 @@ class ItemReport:
     measured: Measured | None = None
     # Scores of its passes, also from an earlier run.
     scores: tuple[PassScores, ...] = ()
+    again: str = ""  # the command that repeats it, where it failed
     json_keys: ClassVar[str] = (
         "item=item.number input=item.file.path values=item.values+ "
         "variables=item.variables+ output=item.output outputs=item.files+ status "
         "reason shot=item.shot? detail+ seconds=spent?~ samples=measured.samples? "
-        "error=measured?{meters=error joint} scores+ faults+ notices+"
+        "error=measured?{meters=error joint} scores+ faults+ notices+ again+"
     )
 
     @classmethod
@@ -73,6 +74,11 @@ class ItemReport:
     def skipped(self) -> bool:
         """Whether the item was, or would be, skipped."""
         return self.status is ItemStatus.SKIPPED
+
+    @property
+    def failed(self) -> bool:
+        """Whether it failed."""
+        return self.status is ItemStatus.FAILED
 
     @property
     def spent(self) -> float | None:
@@ -123,7 +129,7 @@ class BatchReport:
     @property
     def failed(self) -> list[ItemReport]:
         """The items that failed, in order."""
-        return [report for report in self.items if report.status is ItemStatus.FAILED]
+        return [report for report in self.items if report.failed]
 
     @property
     def slowest(self) -> list[ItemReport]:

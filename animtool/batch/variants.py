@@ -12,7 +12,14 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    counted,
+    excerpt,
+    first_faults,
+)
 from animtool.core.names import is_variable_name
 from animtool.core.record import dataclass
 from animtool.documents.document import read_text
@@ -249,11 +256,8 @@ def read_variants(path: Path) -> Variants:
             if problem is not None:
                 text = f"column {name!r}: {problem}"
                 faults.append(Fault("BAT064", text, str(path), (line,), column=column))
-    if len(faults) > MAX_FAULTS:
-        omitted_text = f"{len(faults) - MAX_FAULTS} more faults are not shown"
-        faults = [*faults[:MAX_FAULTS], Fault("DOC011", omitted_text, str(path))]
     if faults:
-        raise FormatError(faults)
+        raise FormatError(first_faults(faults, MAX_FAULTS, str(path)))
     table = (dict(zip(names, values, strict=True)) for _, values, _ in rows)
     return Variants(tuple(table), path)
 

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from enum import StrEnum
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -86,10 +86,7 @@ class ItemBuilder:
         try:
             return self._build(item, start_time)
         except AnimtoolError as error:
-            faults = tuple(
-                replace(fault, path=fault.path or _named(item))
-                for fault in error.faults
-            )
+            faults = tuple(fault.in_file(_named(item)) for fault in error.faults)
         except MemoryError:
             is_retired = True
             faults = (Fault("BAT022", "out of memory", _named(item)),)

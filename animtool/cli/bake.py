@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -35,14 +35,19 @@ from animtool.cli.outputs import (
     skipped,
     writing_options,
 )
-from animtool.core.values import VERSION, plain_value
+from animtool.core.record import dataclass
+from animtool.core.values import VERSION
 from animtool.core.writers import file_suffixes
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.prims import BakeReport
+    from animtool.scene.bake.progress import BakeStats
     from animtool.scene.scene import Scene
+
+
+USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
@@ -134,6 +139,8 @@ def bake(
     _refuse_patterns(sources)
     if not params["overwrite"]:
         _refuse_swapped(sources, output)
+        if not params["skip_existing"] and output is not None:
+            _refuse_capture(sources[0], output)
     sources, output = bake_shot(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
@@ -162,13 +169,22 @@ def bake(
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
     """Refuse a missing source where -o exists, or that was meant as the output."""
-    last_source = sources[-1]
+    last = sources[-1]
+    is_usd = last.suffix in USD_SUFFIXES
     if len(sources) == 1 and output is not None:
-        refuse_swapped(last_source, output, "SOURCE and -o")
-    is_usd = last_source.suffix in {".usd", ".usda", ".usdc", ".usdz"}
-    last_is_output = is_usd and sources[0].exists() and not last_source.exists()
-    if len(sources) == 2 and output is None and last_is_output:
-        text = f"{last_source} does not exist; to write it, use -o {last_source}"
+        refuse_swapped(last, output, "SOURCE and -o")
+    forgotten = is_usd and sources[0].exists() and not last.exists()
+    if len(sources) == 2 and output is None and forgotten:
+        text = f"{last} does not exist; to write it, use -o {last}"
+        raise click.UsageError(text)
+
+
+def _refuse_capture(source: Path, output: Path) -> None:
+    """Refuse to replace a capture by what may be its bake, and name both ways."""
+    is_stage = source.suffix in USD_SUFFIXES and source.exists()
+    if is_stage and output.suffix == ".bvh" and output.is_file():
+        text = f"{output} already exists: to bake it, write animtool bake {output} -o "
+        text += f"{source} --overwrite; to replace it, add --overwrite"
         raise click.UsageError(text)
 
 
@@ -222,6 +238,31 @@ def _bake(
     _print_reports(console, reports, scene, params, several=has_several)
 
 
+@dataclass(frozen=True, slots=True)
+class BakeResult:
+    """Reports of all outputs; that of a single one takes their place."""
+
+    reports: Sequence[BakeReport | ConvertReport]
+    several: bool
+    costs: BakeStats | None  # where measured
+    json_keys: ClassVar[str] = "*head written+ *only *costs"
+
+    @property
+    def head(self) -> dict[str, str]:
+        """Name of the report; empty where it is in the only one."""
+        return {"bake": VERSION} if self.several else {}
+
+    @property
+    def written(self) -> Sequence[BakeReport | ConvertReport]:
+        """Reports of several outputs."""
+        return self.reports if self.several else ()
+
+    @property
+    def only(self) -> BakeReport | ConvertReport | None:
+        """Report of a single output."""
+        return None if self.several else self.reports[0]
+
+
 def _print_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
@@ -244,9 +285,8 @@ def _print_reports(
     stages = [] if scene is None else scene.meter.stages
     costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
-        payload = {"bake": VERSION, "written": reports} if several else reports[0]
-        stats = plain_value(costs) if params["stats"] else {}
-        console.result_json({**plain_value(payload), **stats})
+        stats = costs if params["stats"] else None
+        console.result_json(BakeResult(reports, several, stats))
         raise_stopped(reports)
         return
     for report in reports:

@@ -293,6 +293,26 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     click.get_current_context().exit(int(report.exit_code))
 
 
+def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
+    """Refuse a last input that was meant as the output: a pattern or a new folder."""
+    if len(inputs) < 2 or output is not None:
+        return
+    from animtool.batch.inputs import SCENES, SUFFIXES
+    from animtool.core.files.reading import is_pattern, matching_files
+
+    text, path = inputs[-1], Path(inputs[-1])
+    known = (*SUFFIXES, *SCENES)
+    if path.is_dir():
+        meant, state = any(matching_files(text, known)), "has no file to bake"
+    else:
+        meant = path.exists() or is_pattern(text) or text.lower().endswith(known)
+        state = "does not exist"
+    if not meant or "{" in text:
+        written = text if path.suffix else f"{text.rstrip('/')}/"
+        hint = f"to write there, use -o {shlex.quote(written)}"
+        raise click.UsageError(f"{text} {state}; {hint}")
+
+
 def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     """Return the batch: the batch file's values, overridden by options."""
     from animtool.batch.spec import BatchSpec
@@ -300,6 +320,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     jobs = [text for text in inputs if is_named(Path(text), "batch")]
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: pass it alone.")
+    _refuse_output(inputs, params["output"])
     if jobs:
         from animtool.batch.file import load_batch
 
@@ -350,6 +371,10 @@ class _Repeat:
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
         self._inputs, self._params = inputs, params
 
+    def with_command(self, report: ItemReport) -> ItemReport:
+        """Return the report of a failed item with its command; others as they are."""
+        return replace(report, again=self.command(report)) if report.failed else report
+
     def command(self, report: ItemReport) -> str:
         params, item = self._params, report.item
         inputs, output = list(self._inputs), params["output"]
@@ -383,16 +408,12 @@ def _print_results(
     repeat: _Repeat,
     notices: Sequence[Fault],
 ) -> None:
-    from animtool.cli.batch_progress import (
-        DRY_RUN,
-        PLANNED,
-        SUMMARY,
-        report_json,
-    )
+    from animtool.cli.batch_progress import DRY_RUN, PLANNED, SUMMARY
 
     form = params["report_format"]
     if form == "json":
-        console.result_json(report_json(report, repeat.command))
+        items = tuple(map(repeat.with_command, report.items))
+        console.result_json(replace(report, items=items))
     elif form == "jsonl":
         if params["dry_run"]:
             for entry in report.items:

@@ -16,8 +16,7 @@ from animtool.batch.work import ItemStatus
 from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
-from animtool.core.quantities import escaped, json_printed, length_text
-from animtool.core.values import plain_value
+from animtool.core.quantities import escaped, length_text
 from animtool.report.text import Each, Template, columns
 
 if TYPE_CHECKING:
@@ -48,21 +47,9 @@ def _error_text(entry: ItemReport) -> str:
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of a finished item."""
     prefix = f"[{number}/{total}] {entry.status} {_item(entry)}"
-    if entry.status is ItemStatus.FAILED:
+    if entry.failed:
         return f"{prefix}: {entry.why}"
     return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
-
-
-def report_json(
-    report: BatchReport, command: Callable[[ItemReport], str]
-) -> dict[str, object]:
-    """Return the report as plain values."""
-    items = [
-        plain_value(entry)
-        | ({"again": command(entry)} if entry.status is ItemStatus.FAILED else {})
-        for entry in report.items
-    ]
-    return {**report.summary, "items": items}
 
 
 def openjd_lines(other: Listener, calling: Calling) -> Listener:
@@ -89,7 +76,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             """Print the progress and failures."""
             self.ended_items += 1
             output, count = report.item.output, f"{self.ended_items} of {self.total}"
-            if report.status is ItemStatus.FAILED:
+            if report.failed:
                 self.failed += 1
                 why = report.worded(calling).why
                 _say("fail", f"{self.failed} failed, the last is {output}: {why}")
@@ -156,7 +143,7 @@ def _lines(console: Console, *, lines: bool) -> Listener:
             """Print the result of one item."""
             self.ended_items += 1
             if lines:
-                _write(report.worded(console.calling))
+                console.result_json(report, line=True)
             else:
                 worded_report = report.worded(console.calling)
                 console.say(ended_text(worded_report, self.ended_items, self.due))
@@ -202,7 +189,7 @@ def _table(
             self.failed += bool(report.faults)
             self.warning = ""
             if lines:
-                _write(report.worded(console.calling))
+                console.result_json(report, line=True)
 
         def warned(self, notice: Fault) -> None:
             """Record a warning; it is shown until an item ends, and at the end."""
@@ -226,11 +213,6 @@ def _table(
         return Group(header, running_rows, Text(tracker.warning))
 
     return tracker, drawn
-
-
-def _write(report: ItemReport) -> None:
-    sys.stdout.write(json_printed(plain_value(report), ascii_only=True) + "\n")
-    sys.stdout.flush()
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:

@@ -12,12 +12,13 @@ from collections.abc import (
 )
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
-from animtool.core.arguments import Argument, Calling, flag, worded
+from animtool.core.arguments import Argument, Calling, flag, in_file, worded
 from animtool.core.errors import Fault, Severity
+from animtool.core.plugins import load_object
 from animtool.core.process.supervisor import note_said
 from animtool.core.quantities import escaped, json_printed
 from animtool.core.record import dataclass
@@ -43,14 +44,18 @@ def as_flag(argument: Argument) -> str:
     return flag(word, argument.value or "")
 
 
-def calling_of(command: click.Command) -> Calling:
-    """Return the spelling of arguments in a command: its flags."""
+@dataclass(frozen=True, slots=True)
+class FlagCalling:
+    """How a command spells arguments: its flags, None for what it lacks."""
 
-    def called(argument: Argument) -> str | None:
+    command: click.Command
+
+    def __call__(self, argument: Argument) -> str | None:
+        """Return the command's flag for an argument; None if it has none."""
         value = argument.value or ""
-        if argument.field == "form" and _option(command, (value,)) is not None:
+        if argument.field == "form" and _option(self.command, (value,)) is not None:
             return flag(value)  # --split
-        option = _option(command, _names(argument))
+        option = _option(self.command, _names(argument))
         if option is None:
             return None
         if argument.switch is False and option.secondary_opts:
@@ -60,7 +65,15 @@ def calling_of(command: click.Command) -> Calling:
             value = str(kind.choices[-1]) if isinstance(kind, click.Choice) else ""
         return f"{option.opts[0]} {value}".rstrip()
 
-    return called
+    def elsewhere(self, argument: Argument) -> str:
+        """Return what an argument that the command lacks is called elsewhere.
+
+        In `animtool bake`, such as ``bake --up Z``, or else in files.
+        """
+        # Loaded by name: its module imports this one.
+        bake = cast(click.Command, load_object("animtool.cli.bake:bake"))
+        called = FlagCalling(bake)(argument)
+        return in_file(argument) if called is None else f"bake {called}"
 
 
 def _names(argument: Argument) -> tuple[str, ...]:

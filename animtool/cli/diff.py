@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -23,8 +23,12 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.core.errors import ExitCode, counted
-from animtool.core.values import VERSION, plain_value
+from animtool.core.record import dataclass
 from animtool.report.text import Each, Template
+
+if TYPE_CHECKING:
+    from animtool.report.compare import TakeDifference
+    from animtool.report.compare_points import PointsDifference
 
 
 def _largest(kind: str, size: str, where: str) -> str:
@@ -64,6 +68,15 @@ _POINTS = Template(
         *_DIFFERENCES,
     ),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Difference of two files, and whether it is within the tolerances."""
+
+    difference: TakeDifference | PointsDifference
+    same: bool
+    json_keys: ClassVar[str] = "'diff' same *difference"
 
 
 def _choices(command: Command) -> Command:
@@ -154,9 +167,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
         )
         template, notices = _TAKES, difference.notices
     if params["report_format"] == "json":
-        console.result_json(
-            {"diff": VERSION, "same": is_within, **plain_value(difference)}
-        )
+        console.result_json(Comparison(difference, is_within))
     else:
         console.result(*template.text(difference), "same" if is_within else "different")
         console.faults(notices)

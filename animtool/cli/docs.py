@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import ClassVar
 
 import click
 
@@ -11,12 +12,37 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
+from animtool.core.record import dataclass
 
 # Generated pages.
 COMMANDS_PAGE = PageEntry("reference/commands", "Commands")
 CODES_PAGE = PageEntry("reference/codes", "Codes")
 _CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")
 SITE = Path(__file__).parents[2] / "build/site"
+
+
+@dataclass(frozen=True, slots=True)
+class DocsPage:
+    """A page, with its text if it was asked for by name."""
+
+    entry: PageEntry
+    page: str | None = None
+    json_keys: ClassVar[str] = "*entry{name title kind} page?"
+
+
+@dataclass(frozen=True, slots=True)
+class DocsReport:
+    """The pages, or one of them."""
+
+    pages: list[DocsPage]
+    json_keys: ClassVar[str] = "'docs' pages"
+
+
+def _report(topic: str | None) -> DocsReport:
+    if topic is None:
+        return DocsReport([DocsPage(page) for page in _entries()])
+    page = _page_of(topic)
+    return DocsReport([DocsPage(page, _text(page))])
 
 
 @command(
@@ -49,7 +75,7 @@ def docs(
     import sys
 
     if report_format == "json":
-        console.result_json(_json(None if listed or not topic else topic))
+        console.result_json(_report(None if listed or not topic else topic))
         return
     if listed:
         _list(console)
@@ -127,18 +153,3 @@ def _list(console: Console) -> None:
             kind = page.kind
             console.result(kind)
         console.result(f"  {page.name:{name_width}}  {page.title}")
-
-
-def _json(topic: str | None) -> dict[str, object]:
-    pages = _entries() if topic is None else [_page_of(topic)]
-    entries: list[dict[str, object]] = []
-    for page in pages:
-        entry: dict[str, object] = {
-            "name": page.name,
-            "title": page.title,
-            "kind": page.kind,
-        }
-        if topic is not None:
-            entry["page"] = _text(page)
-        entries.append(entry)
-    return {"docs": "animtool/1", "pages": entries}

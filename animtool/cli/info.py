@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -23,7 +23,7 @@ from animtool.cli.options import (
 from animtool.core.errors import counted, listed, percent
 from animtool.core.names import check_unused, is_named
 from animtool.core.quantities import plain
-from animtool.core.values import VERSION
+from animtool.core.record import dataclass
 from animtool.report.text import Each, Line, Template
 
 if TYPE_CHECKING:
@@ -156,7 +156,8 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
                 "{tied:list}][, reads {files:list}]",
             ),
         ),
-        "  frames    [{first} to {last}|those of the source][ at {rate} fps]",
+        "  frames    [{frame_range.first} to {frame_range.last}|those of the source]"
+        "[ at {rate} fps]",
         "[  variables {variables:list 40}]",
         Each(
             "outputs",
@@ -248,6 +249,14 @@ TEMPLATES = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class InfoReport:
+    """Descriptions of files, in order."""
+
+    files: list[Any]
+    json_keys: ClassVar[str] = "'info' files"
+
+
 @command(
     epilog="""\b
 Examples:
@@ -286,7 +295,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
                 raise
             errors.append(error)
     if params["report_format"] == "json":
-        console.result_json({"info": VERSION, "files": descriptions})
+        console.result_json(InfoReport(descriptions))
     else:
         for description in descriptions:
             console.result(*TEMPLATES[type(description).__name__].text(description))

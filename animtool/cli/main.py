@@ -11,7 +11,7 @@ from typing import NoReturn
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.groups import LazyGroup
+from animtool.cli.help import LazyGroup
 from animtool.core.arguments import worded
 from animtool.core.errors import (
     AnimtoolError,

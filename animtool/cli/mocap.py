@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from animtool.cli.groups import LazyGroup
+from animtool.cli.help import LazyGroup
 
 COMMANDS = {
     "clean": (

@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
+from animtool.core.errors import faults_in
 from animtool.report.text import Each, Template
 
 
@@ -77,18 +78,17 @@ def fill(
         if template is None:
             return run_fill(read, options)
         from animtool.capture.markers.skeleton import MarkerSubject
-        from animtool.capture.solve.source import at_file, named_rig
+        from animtool.capture.solve.source import named_rig
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
-        marker_template = load_template(template)
-        rig_path, notices = open_rig(named_rig(marker_template, rig, template))
-        subject = MarkerSubject(rig_path, marker_template, static)
-        filled_and_report, report = at_file(
-            markers, lambda: run_fill(read, options, subject)
-        )
+        loaded = load_template(template)
+        wearer, notices = open_rig(named_rig(loaded, rig, template))
+        subject = MarkerSubject(wearer, loaded, static)
+        with faults_in(markers):
+            filled, report = run_fill(read, options, subject)
         report.notices[:0] = notices
-        return filled_and_report, report
+        return filled, report
 
     sources = (markers,) if static is None else (markers, static)
     run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from animtool.cli.console import SOURCE_NAMES, Console, as_flag, calling_of
+from animtool.cli.console import SOURCE_NAMES, Console, FlagCalling, as_flag
 from animtool.core.arguments import worded
 from animtool.core.errors import Severity
 from animtool.core.options import Option, options_of
@@ -163,7 +163,7 @@ def _set(name: str, value: Any) -> Callable[..., None]:
     def apply(ctx: click.Context, _: click.Parameter, chosen: Any) -> None:
         console = ctx.find_object(Console)
         if console is not None:
-            console.calling = calling_of(ctx.command)
+            console.calling = FlagCalling(ctx.command)
         if console is not None and chosen:
             setattr(console, name, value)
 

@@ -19,7 +19,7 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.core.files.output import after_commit, atomic_outputs
+from animtool.core.files.output import STDOUT, after_commit, atomic_outputs
 from animtool.core.process.signals import outlast_signals
 from animtool.scene.bake.options import BakeOptions
 
@@ -99,7 +99,7 @@ def skipped(
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
     """Return whether ``--skip-existing`` skips the output, and report it."""
-    if output is None or str(output) == "-" or not params["skip_existing"]:
+    if output in {None, STDOUT} or not params["skip_existing"]:
         return False
     if params["overwrite"]:
         raise click.UsageError(
@@ -116,7 +116,7 @@ def skipped(
 
 def goes_to_stdout(output: Path | None, params: Mapping[str, Any]) -> bool:
     """Return whether the output is ``-``."""
-    if str(output) != "-":
+    if output != STDOUT:
         return False
     if params["report_format"] == "json":
         raise click.UsageError("-o - and --format json both write to stdout.")

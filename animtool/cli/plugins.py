@@ -13,41 +13,41 @@ from animtool.core.record import dataclass
 from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
-    from animtool.batch.executors import ListedExecutor
-    from animtool.core.plugins import ListedFormat
-    from animtool.core.rules import ListedRule
-    from animtool.motion.passes import ListedPass
+    from animtool.core.plugins import ListedEntry
 
 
 @dataclass(frozen=True, slots=True)
 class Plugins:
     """The entries of each plug-in table."""
 
-    passes: list[ListedPass]
-    readers: list[ListedFormat]
-    writers: list[ListedFormat]
-    executors: list[ListedExecutor]
-    rules: list[ListedRule]
+    passes: list[ListedEntry]
+    readers: list[ListedEntry]
+    writers: list[ListedEntry]
+    executors: list[ListedEntry]
+    rules: list[ListedEntry]
     json_keys: ClassVar[str] = (
-        "'plugins' passes readers{suffix source opens=can about} "
-        "writers{suffix source writes=can about} executors rules"
+        "'plugins' passes{pass=name source scope=uses about} "
+        "readers{suffix=name source opens=uses about} "
+        "writers{suffix=name source writes=uses about} "
+        "executors{executor=name source loads=uses about} "
+        "rules{rule=name source kind=uses about}"
     )
 
 
-def _lines(table: str, name: str, kind: str) -> Each:
+def _lines(table: str, kind: str) -> Each:
     """Return the lines of a plug-in table; kind: label of loaded entries."""
-    first_column = f"{{{name}:<14}} [{kind}|broken     ]"
+    first_column = f"{{name:<14}} [{kind}|broken     ]"
     return Each(table, (first_column + " {about} ({source})",))
 
 
 PLUGINS = Template(
     "animtool.cli.plugins:Plugins",
     (
-        _lines("passes", "name", "{scope:<11}"),
-        _lines("readers", "suffix", "{can:join <11}"),
-        _lines("writers", "suffix", "{can:join <11}"),
-        _lines("executors", "name", "{?loads}executor   "),
-        _lines("rules", "code", "{kind:<11}"),
+        _lines("passes", "{uses:<11}"),
+        _lines("readers", "{uses:join <11}"),
+        _lines("writers", "{uses:join <11}"),
+        _lines("executors", "{?uses}executor   "),
+        _lines("rules", "{uses:<11}"),
     ),
     is_result=True,
 )

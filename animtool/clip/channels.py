@@ -271,7 +271,7 @@ def evaluate_channels(
     curves: list[ClipChannel] = []
     quaternion_channels: list[ClipChannel] = []
     for channel in channels:
-        if _is_static(channel):
+        if is_static(channel):
             values[channel.target] = _as_quaternions(channel, channel.values[:1])
         elif channel.values.shape[1] == 4:
             quaternion_channels.append(channel)
@@ -319,7 +319,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
     return values
 
 
-def _is_static(channel: ClipChannel) -> bool:
+def is_static(channel: ClipChannel) -> bool:
     """Return whether all keys and handles have the first key's value."""
     has_equal_values = bool((channel.values == channel.values[0]).all())
     return (

@@ -14,6 +14,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.suspicions import warn_of_numbers
+from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
@@ -188,6 +189,7 @@ class _ClipReader:
             self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
         self.document.check()
+        warn_of_times(self.document, channels, fps, first, last)
         warn_of_numbers(self.document, channels, fps, self.units, self.rig)
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -26,16 +26,26 @@ class KeyedCurve:
             None if there is none.
         foreign: Whether the keys are from a file of another format.
         native: The keys in that format, for its writer.
+        sample_blocks: Yields the motion at times block by block; None samples them at
+            once.
     """
 
     sample: Callable[[FloatArray], Motion]
     clip: Callable[[], Any]
     foreign: bool = False
     native: object = None
+    sample_blocks: Callable[[FloatArray], Iterator[Motion]] | None = None
 
     def __call__(self, times: FloatArray) -> Motion:
         """Return the motion at times."""
         return self.sample(times)
+
+    def blocks(self, times: FloatArray) -> Iterator[Motion]:
+        """Yield the motion at times, in blocks with the same animated joints."""
+        if self.sample_blocks is None:
+            yield self.sample(times)
+        else:
+            yield from self.sample_blocks(times)
 
 
 def clip_of(take: Take) -> Any:

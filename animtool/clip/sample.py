@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +21,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
+if TYPE_CHECKING:
+    from animtool.motion.driver_run import DriverRun
+
 # A smaller excess is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
+# Joint values gathered in a call: few calls, at most 8 MB.
+ROWS_AT_ONCE = 2**18
 
 
 Parts = dict[str, FloatArray]
@@ -34,6 +40,7 @@ class ClipNotice:
     fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
     frame: float | None = None  # the worst frame; None if it concerns all frames
+    amount: float = 0.0  # the excess there [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +87,7 @@ def sample_channels(
     values = evaluate_channels(channels, times)
     sampled_motion = sample_values(values, rig, times, clamp=clamp)
     notices_with_keys = [
-        _with_keys(notice, channels, rig, times) for notice in sampled_motion.targeted
+        with_keys(notice, channels, rig, times) for notice in sampled_motion.targeted
     ]
     return replace(sampled_motion, targeted=notices_with_keys)
 
@@ -89,7 +96,7 @@ def sample_channels(
 MAX_LISTED_FRAMES = 8
 
 
-def _with_keys(
+def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
     """Return a notice with the key frames at which a control is out of range."""
@@ -128,11 +135,18 @@ def sample_values(
     times: FloatArray,
     *,
     clamp: bool = False,
+    run: DriverRun | None = None,
 ) -> SampledMotion:
     """Return the motion of a rig from target values; see `sample_channels`.
 
-    ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
-    rotations as quaternions.
+    Args:
+        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
+            rotations as quaternions.
+        rig: Its rig.
+        times: Of the values ``(F,)``.
+        clamp: Bring controls into their ranges and joints into their limits.
+        run: Evaluates the rig's drivers and keeps their notices, where the times go on
+            from earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []
@@ -166,9 +180,11 @@ def sample_values(
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
-        run = DriverRun(rig, report_replaced=True)
-        motion = run.drive(motion, times, coordinates)
-        notices += [ClipNotice(*notice) for notice in run.located_notices()]
+        driver_run = run or DriverRun(rig, report_replaced=True)
+        motion = driver_run.drive(motion, times, coordinates)
+        if run is None:
+            located = driver_run.located_notices()
+            notices += [ClipNotice(*notice) for notice in located]
     return SampledMotion(motion, notices)
 
 
@@ -223,7 +239,8 @@ def _range_notices(
             hint = None if clamp else _CLAMP
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
-            notices.append(ClipNotice(fault, target, float(frame)))
+            amount = float(abs(excess[worst_frame]))
+            notices.append(ClipNotice(fault, target, float(frame), amount))
     return notices
 
 
@@ -351,9 +368,13 @@ class _Joints:
                 constant_values[j] = values[0]
                 continue
             animated_joints.append(j)
-            columns.append(so3.align_signs(values) if name == "rotations" else values)
-        shape = (count, 0, rest.shape[1])
-        moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
+            columns.append(values)
+        moving = np.zeros((count, len(columns), rest.shape[1]))
+        size = max(1, ROWS_AT_ONCE // max(count, 1))
+        for begin in range(0, len(columns), size):
+            rows = np.stack(columns[begin : begin + size], axis=1)
+            rows = so3.align_signs(rows) if name == "rotations" else rows
+            moving[:, begin : begin + size] = rows
         return Channel(constant_values, np.array(animated_joints, np.int64), moving)
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
@@ -415,8 +436,8 @@ class _Joints:
         message += f"{self.times[worst_frame]:g}"
         hint = None if self.clamp else _CLAMP
         fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
-        frame = float(self.times[worst_frame])
-        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame))
+        frame, largest = float(self.times[worst_frame]), float(excess[worst_frame])
+        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import counted
+from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
+from animtool.rig.controls import evaluate_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
@@ -20,11 +21,11 @@ from animtool.rig.suspicions import (
     FULL_CIRCLE,
     HALF_CIRCLE,
     HALF_CIRCLE_Z,
-    HINGE_NAMES,
     MAX_DEGREES,
     is_multiple,
     warn_of_quaternion,
 )
+from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Channels that move by less are noise in any unit [file's angle].
 MIN_SPAN = 0.3
@@ -46,6 +47,16 @@ CHARACTER_SIZES, MAX_SPEED = (0.3, 4.0), 50.0
 # Interval for measuring a speed; a faster move is a teleport [s].
 SPEED_INTERVAL = 0.25
 SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
+# Fraction of a rig by which a joint rests away from its parent, or else is at it.
+MIN_REST = 0.05
+# Keys on average this near to the rest position, and never farther, are written from
+# the parent; a move of that length from rest and back passes 0. In rest lengths.
+NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
+# Keys on a driven joint that are smaller than this fraction of what a control adds
+# adjust it.
+MIN_LAYER = 0.25
+# Frames at which controls are evaluated.
+MAX_TIMES = 64
 
 
 def warn_of_numbers(
@@ -61,6 +72,8 @@ def warn_of_numbers(
     if rig is not None:
         _warn_of_metres(document, channels, units, rig)
         _warn_of_speed(document, channels, fps, units, rig)
+        _warn_of_rest(document, channels, rig)
+        _warn_of_controls(document, channels, rig)
 
 
 def _warn_of_speed(
@@ -220,3 +233,92 @@ def _warn_of_metres(
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
         document.warn("CLIP108", (*_at(i, len(channel.times) - 1), "v"), message, hint)
         return
+
+
+def _warn_of_rest(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of translations from the parent, which rest is added to again (CLIP112)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part != "translation" or not channel.target.startswith("joint/"):
+            continue
+        rest = np.array(rig.joints[rig.index(name)].translation)
+        length = float(np.linalg.norm(rest))
+        if length <= MIN_REST * size or not _from_parent(channel.values, rest):
+            continue
+        shown, both = (
+            length_text(float(np.linalg.norm(place)))
+            for place in (rest, rest + channel.values[0])
+        )
+        message = (
+            f"{channel.target!r} is keyed near its rest position, {shown} from its "
+            f"parent; keys are added to rest, so it is at {both}"
+        )
+        hint = f"write the move from rest, or key joint/{name}.local_translation"
+        document.warn("CLIP112", (*_at(i, 0), "v"), message, hint)
+        return
+
+
+def _from_parent(values: FloatArray, rest: FloatArray) -> bool:
+    """Return whether translations stay near a rest position."""
+    length = float(np.linalg.norm(rest))
+    if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
+        return True
+    along = values @ rest / length**2
+    near = abs(float(along.mean()) - 1) <= NEAR_REST
+    return len(values) > 1 and near and bool((abs(along - 1) <= ABOUT_REST).all())
+
+
+def _warn_of_controls(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of keys on a joint that a keyed control moves as well (CLIP111)."""
+    controls = [c for c in channels if c.target.startswith("control/")]
+    controls = [c for c in controls if np.ptp(c.values) > 0]
+    joints = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
+    if not controls or not joints:
+        return
+    times = np.unique(np.concatenate([channel.times for channel in channels]))
+    picked = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES)).astype(int)
+    times = times[picked]
+    keyed = {
+        target.removeprefix("control/"): values[:, 0]
+        for target, values in evaluate_channels(controls, times).items()
+    }
+    driven = evaluate_controls(rig.controls, keyed).targets
+    for i in joints:
+        target = channels[i].target
+        spans = [
+            float(np.ptp(values))
+            for name, values in driven.items()
+            if name == target or name.startswith(f"{target}.")
+        ]
+        own = float(np.ptp(channels[i].values, axis=0).max())
+        added = max(spans, default=0.0)
+        if not added > 0 or own < MIN_LAYER * added:
+            continue
+        names = listed([repr(name) for name in _drivers(rig, target, keyed)], 3)
+        is_length = target.endswith(("translation", "slide"))
+        shown = [
+            length_text(span) if is_length else f"{math.degrees(span):.4g}°"
+            for span in (own, added)
+        ]
+        message = (
+            f"{target!r} is keyed over {shown[0]}, and control {names} moves it over "
+            f"{shown[1]}: both are added"
+        )
+        document.warn("CLIP111", (*_at(i, 0), "v"), message, "remove one of them")
+        return
+
+
+def _drivers(rig: Rig, target: str, keyed: Mapping[str, FloatArray]) -> list[str]:
+    """Return the keyed controls that drive a target, or all that are keyed."""
+    names = [
+        control.name
+        for control in rig.controls
+        if control.name in keyed
+        and any(f"{drive.target}.".startswith(f"{target}.") for drive in control.drives)
+    ]
+    return names or list(keyed)

@@ -181,7 +181,7 @@ def _joined(parts: tuple[Part, ...], calling: Calling) -> str:
 
 def _worded(part: Part, calling: Calling) -> str:
     if isinstance(part, Argument):
-        return calling(part) or in_file(part)
+        return calling(part) or getattr(calling, "elsewhere", in_file)(part)
     if isinstance(part, Clause):
         arguments = [
             argument_part

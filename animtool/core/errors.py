@@ -85,6 +85,10 @@ class Fault:
         hint = self.hint and worded(self.hint, calling)
         return replace(self, message=message, hint=hint, brief=brief)
 
+    def in_file(self, path: object) -> Fault:
+        """Return a copy at a file, unless it names one."""
+        return self if self.path else replace(self, path=str(path))
+
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
@@ -165,6 +169,15 @@ class OptionError(AnimtoolError):
     exit_code = ExitCode.USAGE
 
 
+@contextmanager
+def faults_in(path: object) -> Iterator[None]:
+    """Add a file to faults that name none."""
+    try:
+        yield
+    except (FormatError, OptionError) as error:
+        raise type(error)([fault.in_file(path) for fault in error.faults]) from error
+
+
 def refuse(
     code: str, message: str, where: str | None = None, hint: str | None = None
 ) -> NoReturn:
@@ -226,6 +239,19 @@ class ToleranceError(AnimtoolError):
     """A solve missed its tolerance, and the caller does not allow that."""
 
     exit_code = ExitCode.TOLERANCE
+
+
+def first_faults(
+    faults: Sequence[Fault], most: int, path: str | None = None, more: str = ""
+) -> list[Fault]:
+    """Return the first faults and, if there are more, one that counts the others.
+
+    more: What else to say of these.
+    """
+    if len(faults) <= most:
+        return list(faults)
+    rest = f"{len(faults) - most} more faults are not shown{more}"
+    return [*faults[:most], Fault("DOC011", rest, path)]
 
 
 def listed(items: Sequence[object], most: int = 5) -> str:

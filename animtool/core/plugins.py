@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.record import dataclass
@@ -125,13 +125,42 @@ Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, slots=True)
-class ListedFormat:
-    """An entry as `animtool plugins` lists it."""
+class ListedEntry:
+    """An entry of a table as `animtool plugins` lists it."""
 
-    suffix: str  # suffix of the files
-    source: str  # ``animtool``, or the object of the entry point
-    can: tuple[str, ...]  # its operations; empty if it cannot be loaded
+    name: str
+    source: str  # ``animtool``, or the object that an entry point names
+    uses: Any  # what it can be used for; empty if it cannot be loaded
     about: str  # its description, or why it cannot be loaded
+
+
+def listed_entries(
+    builtin: Iterable[str],
+    points: Mapping[str, EntryPoint],
+    find: Callable[[str], Entry],
+    shown: Callable[[Entry], tuple[Any, str]],
+    unusable: Any,
+) -> list[ListedEntry]:
+    """Return every entry of a table, built-in ones first, plug-ins loaded.
+
+    Args:
+        builtin: Names of the built-in entries.
+        points: Entry points of the table, by name.
+        find: Returns an entry by its name.
+        shown: Returns the uses and the description of an entry.
+        unusable: Uses of one that cannot be loaded.
+    """
+    sources = dict.fromkeys(builtin, "animtool")
+    for name, point in sorted(points.items()):
+        sources.setdefault(name, point.value)
+    rows = []
+    for name, source in sources.items():
+        try:
+            uses, about = shown(find(name))
+        except OptionError as error:
+            uses, about = unusable, error.faults[0].message
+        rows.append(ListedEntry(name, source, uses, about))
+    return rows
 
 
 @dataclass(frozen=True)
@@ -151,34 +180,31 @@ class FormatTable(Generic[Entry]):
         suffix = path.suffix.lower()
         if suffix in self.builtin:
             return self.builtin[suffix]
-        plugins = plugin_points(self.group) if suffix else {}
-        plugin = plugins.get(suffix.removeprefix("."))
-        return None if plugin is None else load_plugin(plugin, self.kind)
+        point = self._points().get(suffix) if suffix else None
+        return None if point is None else load_plugin(point, self.kind)
+
+    def _points(self) -> dict[str, EntryPoint]:
+        """Return the entry points by suffix, with its dot."""
+        return {f".{name}": p for name, p in sorted(plugin_points(self.group).items())}
 
     def plugin_suffixes(self) -> list[str]:
-        """Return the suffixes that only plug-ins support."""
-        names = sorted(plugin_points(self.group))
-        return [f".{name}" for name in names if f".{name}" not in self.builtin]
+        """Return the suffixes that only plug-ins have."""
+        return [suffix for suffix in self._points() if suffix not in self.builtin]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
-    ) -> list[ListedFormat]:
-        """Return every entry, built-in ones first, with plug-ins loaded."""
-        formats = [
-            ListedFormat(suffix, "animtool", uses(entry), about(entry))
-            for suffix, entry in self.builtin.items()
-        ]
-        plugins = plugin_points(self.group)
-        for suffix in self.plugin_suffixes():
-            plugin = plugins[suffix.removeprefix(".")]
-            operations: tuple[str, ...] = ()
-            try:
-                entry = load_plugin(plugin, self.kind)
-                operations, text = uses(entry), about(entry)
-            except OptionError as error:
-                text = error.faults[0].message
-            formats.append(ListedFormat(suffix, plugin.value, operations, text))
-        return formats
+    ) -> list[ListedEntry]:
+        """Return every entry, built-in ones first, plug-ins loaded."""
+        points = self._points()
+
+        def find(suffix: str) -> Entry:
+            if suffix in self.builtin:
+                return self.builtin[suffix]
+            return load_plugin(points[suffix], self.kind)
+
+        return listed_entries(
+            self.builtin, points, find, lambda entry: (uses(entry), about(entry)), ()
+        )
 
 
 def suffix_text(path: Path) -> str:

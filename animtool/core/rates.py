@@ -8,7 +8,8 @@ from fractions import Fraction
 from numbers import Rational
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, OptionError, Severity, excerpt
 from animtool.core.record import dataclass
 
 # Largest frame number; beyond it, times between frames are lost to rounding.
@@ -23,7 +24,9 @@ METADATA_TOLERANCE = Fraction(5, 1_000_000)
 FRAME_TIME_EXPONENTS = (-9, 6)
 LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
-# Preferred if a time is printed so coarsely that several integers match.
+# Captures and displays are slower; a larger number is probably not a frame rate.
+MAX_PLAUSIBLE_RATE = 2000
+# Taken first where a time is printed so coarsely that several integers fit.
 MAX_DIGITS = 100
 COMMON_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
@@ -260,3 +263,19 @@ def rate_label(fps: Fraction) -> str:
     if len(str(fps.denominator)) <= 4:
         return f"{fps} ({float(fps):.5g}) fps"
     return f"{float(fps):.7g} fps"
+
+
+def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
+    """Return a warning about an implausible number of frames a second (TAKE009).
+
+    name: Of the argument that sets the rate; None where only the file does.
+    """
+    if 1 <= fps <= MAX_PLAUSIBLE_RATE:
+        return []
+    stated = f"{float(fps):g}"
+    stated = f"fps {stated}" if name is None else argument(name, stated)
+    message = (
+        f"{stated} is implausible; film has 24 frames a second, captures up to 1000"
+    )
+    hint = "use the number of frames in one second, not their total or a frame time"
+    return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]

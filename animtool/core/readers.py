@@ -13,7 +13,7 @@ from typing import Any, cast
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import not_a_file_reason, open_input, unreadable
-from animtool.core.plugins import FormatTable, ListedFormat, load_object, suffix_text
+from animtool.core.plugins import FormatTable, ListedEntry, load_object, suffix_text
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.readers"
@@ -355,10 +355,10 @@ def _opener(target: str, content: str, path: Path) -> Callable[..., Any]:
         raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
 
 
-def listed_readers() -> list[ListedFormat]:
+def listed_readers() -> list[ListedEntry]:
     """Return every reader, built-in ones first, with plug-ins loaded.
 
-    >>> listed_readers()[0].suffix
+    >>> listed_readers()[0].name
     '.bvh'
     """
     return _TABLE.listed(_opens, lambda reader: reader.about)

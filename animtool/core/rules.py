@@ -12,11 +12,11 @@ from enum import StrEnum
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
-from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.plugins import ListedEntry, load_object, load_plugin, plugin_points
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -90,17 +90,6 @@ class Rule:
     def load(self) -> Check:
         """Return the check function of a rule that has one."""
         return cast(Check, load_object(self.check))
-
-
-@dataclass(frozen=True, slots=True)
-class ListedRule:
-    """A rule of a plug-in as `animtool plugins` lists it."""
-
-    code: str  # the entry point's name
-    source: str  # the object of the entry point
-    kind: str  # kinds of the files it validates; empty if it cannot be loaded
-    about: str  # its title, or why it cannot be loaded
-    json_keys: ClassVar[str] = "rule=code source kind about"
 
 
 def read_page(code: str) -> tuple[Rule, str] | None:
@@ -203,17 +192,17 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     return rules, tuple(failed)
 
 
-def listed_rules() -> list[ListedRule]:
-    """Return the rules of plug-ins, loaded."""
-    rules = []
-    for entry_point in _points():
-        rule_or_fault = _loaded(entry_point)
-        if isinstance(rule_or_fault, Rule):
-            kind, about = ", ".join(sorted(rule_or_fault.kinds)), rule_or_fault.title
+def listed_rules() -> list[ListedEntry]:
+    """Return the rules of plug-ins, loaded, and the kinds of files that they check."""
+    listed = []
+    for point in _points():
+        loaded = _loaded(point)
+        if isinstance(loaded, Rule):
+            kind, about = ", ".join(sorted(loaded.kinds)), loaded.title
         else:
-            kind, about = "", rule_or_fault.message
-        rules.append(ListedRule(entry_point.name, entry_point.value, kind, about))
-    return rules
+            kind, about = "", loaded.message
+        listed.append(ListedEntry(point.name, point.value, kind, about))
+    return listed
 
 
 def current_codes(code: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from typing import Any, cast
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import exists
 from animtool.core.names import KINDS, is_named
-from animtool.core.plugins import FormatTable, ListedFormat, load_object, suffix_text
+from animtool.core.plugins import FormatTable, ListedEntry, load_object, suffix_text
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.writers"
@@ -286,10 +286,10 @@ def _motion_suffixes() -> list[str]:
     return [*sorted([*stages, *file_suffixes()]), *_TABLE.plugin_suffixes()]
 
 
-def listed_writers() -> list[ListedFormat]:
+def listed_writers() -> list[ListedEntry]:
     """Return every writer, built-in ones first, with plug-ins loaded.
 
-    >>> listed_writers()[0].suffix
+    >>> listed_writers()[0].name
     '.bvh'
     """
     return _TABLE.listed(_writes, lambda writer: writer.about)

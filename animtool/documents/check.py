@@ -17,7 +17,7 @@ from animtool.core.names import KINDS, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import form_hint
+from animtool.documents.forms import form_hint, paired_entries
 from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES
 from animtool.documents.placeholders import (
     annotation_at,
@@ -213,6 +213,8 @@ class _Faults:
         node = self.value
         for step in mapping:
             node = node[step]
+        if key not in node or self._paired_key(mapping, node):
+            return
         value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
         renamed = new_key(kind, location, value)
@@ -233,6 +235,22 @@ class _Faults:
             node[intended] = value
             self.document.spellings[*mapping, intended] = str(key)
             self.document.guesses.add((*mapping, intended))
+
+    def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
+        """Record an entry that pairs two names, such as {Hips: hips}, and mend it."""
+        models = models_of(annotation_at(self.model, self.value, mapping), node)
+        entries = paired_entries(models, node) if len(mapping) > 1 else []
+        if not entries:
+            return False
+        key = next(iter(node))
+        message = f"unknown key {excerpt(str(key))}"
+        hint = f"write {', '.join(map(flow_value, entries))}"
+        self.document.add("DOC020", (*mapping, key), message, hint, at_key=True)
+        node.clear()
+        node.update(entries[0])
+        for name in entries[0]:
+            self.document.spellings[*mapping, name] = str(key)
+        return True
 
     def _missing_key(self, mapping: Location, key: str) -> None:
         location = (*mapping, key)

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.errors import Fault, FormatError, Severity, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
 from animtool.core.files.signatures import DOCUMENT, expects
 from animtool.core.names import KINDS
@@ -286,11 +286,7 @@ def read_text(path: Path) -> str:
         raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
 
 
-def _first_faults(faults: Sequence[Fault]) -> Sequence[Fault]:
+def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
     """Return the first faults and one that counts the others."""
-    if len(faults) <= MAX_FAULTS:
-        return faults
-    omitted = f"{len(faults) - MAX_FAULTS} more faults are not shown"
-    if len(faults) >= MAX_COLLECTED:
-        omitted = f"{omitted}, and the rest was not checked"
-    return [*faults[:MAX_FAULTS], Fault("DOC011", omitted, faults[0].path)]
+    more = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
+    return first_faults(faults, MAX_FAULTS, faults[0].path, more)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any, get_args, get_origin
 
@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
 from animtool.documents.placeholders import (
+    annotation_inside,
     annotation_of,
     field_at,
     fields_of,
@@ -58,7 +59,11 @@ def form_hint(
         and not inner_steps
         and not _converted(entry, example)
     ):
-        example = [entry]
+        entries = _list_entries(annotation_of(info), entry)
+        for shown in (entries, entries[:1]):
+            text = flow_text(str(location[depth - 1]), shown)
+            if shown and len(text) <= MAX_EXAMPLE:
+                return f"{'write' if shown is entries else 'for example'} {text}"
     forms = _forms(annotation_of(info))
     name = inner_steps[0] if inner_steps else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
@@ -70,12 +75,37 @@ def form_hint(
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if inner_steps else _converted(entry, example)
-    if meant is not None:
-        return f"write {flow_text(key, meant)}"
+    converted = None if inner_steps else _converted(entry, example)
+    if converted is not None:
+        return f"write {flow_text(key, converted)}"
     text = flow_text(key, example)
     word = "write" if _contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
+
+
+def paired_entries(
+    models: Sequence[type[BaseModel]], value: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the entries meant by pairs of the two keys that one needs; or none."""
+    if not value or not all(isinstance(one, str) for one in value.values()):
+        return []
+    for fields in map(fields_of, models):
+        required = [key for key, info in fields.items() if info.is_required()]
+        is_pair = len(required) == 2 and "type" not in fields
+        if is_pair and fields.keys().isdisjoint(value):
+            return [dict(zip(required, pair, strict=True)) for pair in value.items()]
+    return []
+
+
+def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the entries of a list that a mapping stands for; empty if none fit."""
+    models = models_of(annotation_inside(annotation, None, 0))
+    keys = {key for model in models for key in fields_of(model)}
+    if not keys or value.keys() <= keys:
+        return [dict(value)]
+    if "name" in keys and all(isinstance(one, dict) for one in value.values()):
+        return [{"name": name, **entry} for name, entry in value.items()]
+    return paired_entries(models, value)
 
 
 # Keys that other tools use for the ends of a range, the lower end first.

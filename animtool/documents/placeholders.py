@@ -24,7 +24,7 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
     annotation: Any = model
     node = value
     for step in location:
-        annotation = _inside(annotation, node, step)
+        annotation = annotation_inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -45,7 +45,7 @@ def field_at(
             (candidate for candidate in candidates if candidate is not None), None
         )
         nearest = nearest if field is None else (depth, field)
-        annotation = _inside(annotation, node, step)
+        annotation = annotation_inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
@@ -145,7 +145,7 @@ def _selects_model(model: type[BaseModel], node: Any) -> bool:
     return node.get("type") in get_args(kinds.annotation)
 
 
-def _inside(annotation: Any, node: Any, step: str | int) -> Any:
+def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
     """Return the type one step into a type."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))

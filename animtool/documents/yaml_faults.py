@@ -52,9 +52,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         line: 1-based line of the fault.
         column: 1-based column of the fault.
 
-    >>> yaml_fault("a: 1
-      b: 2
-    ", "mapping values are not allowed", 2, 4)[:2]
+    >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
     ('line 2 is indented further than line 1', 'start it in column 1')
     """
     lines = text.splitlines() or [""]

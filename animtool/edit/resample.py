@@ -13,7 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
-from animtool.core.rates import FractionLike, rate_option
+from animtool.core.rates import FractionLike, rate_option, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
@@ -30,7 +30,6 @@ from animtool.motion.passes import (
     PassContext,
     Scope,
 )
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import Take
 
 BLOCK_FRAMES = 512
@@ -222,6 +221,20 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
 
+def single_frame_warning(
+    times: SampleTimes, clock: Clock, fps: Fraction
+) -> list[Fault]:
+    """Return a warning that one frame remains of a take with several (TAKE010)."""
+    if len(times.codes) != 1 or clock.count < 2:
+        return []
+    message = (
+        f"1 of {clock.count} frames remains, {frame_label(times.first)}: the rate of "
+        f"{float(fps):.6g} fps and the range leave no second one"
+    )
+    hint = "use a higher rate or a wider range; a still pose needs a range of one frame"
+    return [Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)]
+
+
 def sample(
     take: Take | Between, times: SampleTimes, *, smooth: bool = False
 ) -> Iterator[tuple[FloatArray, Motion]]:
@@ -304,6 +317,7 @@ def resampled(
         hint = f"{argument('smooth', True)} interpolates smoothly"
         notices = (*notices, *straight_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
+    notices = (*notices, *single_frame_warning(times, take.clock, fps))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
     first_code = float(new_start)

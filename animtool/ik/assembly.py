@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, PIN, REVOLUTION_TOLERANCE, SLIDE, Chain
@@ -280,8 +280,45 @@ def _finish(
         end.translation + tool for end, tool in zip(goal_frames, tools, strict=True)
     ]
     length = _length(builder, goal_frames, points)
-    nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     scales = np.where(builder.lengths, length, 1.0)
+    nodes, numbers = _node_rows(builder, scales, length)
+    goal_numbers = [
+        [
+            *(end.translation / length),
+            *(tool / length),
+            *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
+            *goal.weights,
+        ]
+        for goal, end, tool in zip(goals, goal_frames, tools, strict=True)
+    ]
+    goal_nodes = [
+        [end.node, *limb, level]
+        for end, limb, level in zip(goal_frames, limbs, _levels(goals), strict=True)
+    ]
+    widths = {PIN: 1, SLIDE: 1, BALL: 3}
+    return Chain(
+        nodes,
+        numbers,
+        np.array(goal_nodes, np.int64),
+        np.array(goal_numbers, np.float64),
+        np.array([end.rotation for end in goal_frames]),
+        np.array(builder.columns, np.int64),
+        scales,
+        np.array(builder.periods, np.float64),
+        tuple(builder.ball_rotations),
+        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
+        length,
+    )
+
+
+def _node_rows(
+    builder: _ChainBuilder, scales: FloatArray, length: float
+) -> tuple[IntArray, FloatArray]:
+    """Return the nodes of a chain ``(N, 4)`` and their numbers, in chain lengths.
+
+    scales: Of the coordinates ``(D,)`` [m] or 1.
+    """
+    nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
     programs = nodes[:, 3] == FOLLOWS_PROGRAM
     # Programs return metres and radians.
@@ -311,37 +348,7 @@ def _finish(
         padding[:, :6] = np.array(values).reshape(-1, 6)
         nodes = np.concatenate([nodes, np.array(program_rows, np.int64).reshape(-1, 4)])
         numbers = np.concatenate([numbers, padding])
-    goal_numbers = [
-        [
-            *(end.translation / length),
-            *(tool / length),
-            *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
-            *goal.weights,
-        ]
-        for goal, end, tool in zip(goals, goal_frames, tools, strict=True)
-    ]
-    widths = {PIN: 1, SLIDE: 1, BALL: 3}
-    return Chain(
-        nodes,
-        np.ascontiguousarray(numbers),
-        np.array(
-            [
-                [end.node, *limb, level]
-                for end, limb, level in zip(
-                    goal_frames, limbs, _levels(goals), strict=True
-                )
-            ],
-            np.int64,
-        ),
-        np.array(goal_numbers, np.float64),
-        np.array([end.rotation for end in goal_frames]),
-        np.array(builder.columns, np.int64),
-        scales,
-        np.array(builder.periods, np.float64),
-        tuple(builder.ball_rotations),
-        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
-        length,
-    )
+    return nodes, np.ascontiguousarray(numbers)
 
 
 def _levels(goals: Sequence[Goal]) -> list[int]:

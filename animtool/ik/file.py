@@ -27,6 +27,7 @@ from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import HALF_CIRCLE_Z, warn_of_quaternion
 
 # A shorter direction is a typing error and is refused.
 MIN_DIRECTION = 1e-9
@@ -82,6 +83,7 @@ class _TargetsReader:
 
     def tracks(self) -> TargetTracks:
         fps = self._fps()
+        self._warn_of_order()
         goals = [
             track
             for i, goal in enumerate(self.model.goals)
@@ -96,6 +98,27 @@ class _TargetsReader:
             tuple(self.document.notices),
             self.document.position(("fps",)),
         )
+
+    def _warn_of_order(self) -> None:
+        """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
+        rows: list[tuple[Location, list[float]]] = []
+        for i, goal in enumerate(self.document.value["goals"]):
+            value = goal.get("orientation")
+            at: Location = ("goals", i, "orientation")
+            if isinstance(value, list):
+                rows.append((at, value))
+            elif isinstance(value, dict) and isinstance(value.get("keys"), list):
+                keys = enumerate(value["keys"])
+                rows += [((*at, "keys", k, "v"), key["v"]) for k, key in keys]
+        rows = [
+            (at, row) for at, row in rows if isinstance(row, list) and len(row) == 4
+        ]
+        if any(abs(row[0]) > abs(row[3]) for _, row in rows):
+            return
+        for at, row in rows:
+            if row == HALF_CIRCLE_Z:
+                warn_of_quaternion(self.document, "TGT108", at)
+                return
 
     def _units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units

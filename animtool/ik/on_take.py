@@ -256,7 +256,7 @@ def _placed(tracks: TargetTracks) -> Iterator[None]:
 def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
     goal = _GOAL.match(fault.where or "")
     if fault.path is not None or goal is None:
-        return replace(fault, path=fault.path or str(tracks.path))
+        return fault.in_file(tracks.path)
     line, column = tracks.goals[int(goal[1])].location
     return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 

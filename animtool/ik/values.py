@@ -24,6 +24,7 @@ from animtool.documents.references import missing_hint, referred, split_referenc
 from animtool.ik.schema import ValueModel
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import warn_of_length
 
 Span = tuple[float, float]
 # Returns positions [m] ``(F, 3)`` and rotations ``(F, 4)`` of a prim, in the rig's
@@ -278,6 +279,7 @@ class ValueReader:
             message = f"quaternion {numbers} has zero length"
             self.document.add("TGT007", at, message)
             return None
+        warn_of_length(self.document, at, numbers)
         return Constant(tuple(rotations[0].tolist()))
 
     def _keyed_or_prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
@@ -391,4 +393,6 @@ class ValueReader:
             )
             self.document.add("TGT007", at, message)
             return None
+        k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
+        warn_of_length(self.document, at, values[k].tolist())
         return ArrayRows(text, rotations, first, location)

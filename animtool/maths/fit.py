@@ -93,27 +93,8 @@ def fit_keys(
     >>> keys.frames.tolist(), keys.outs.round(6).tolist()
     ([0, 100], [[2.0], [0.0]])
     """
-    samples = as_floats(values, ("F", "D"), "values")
-    if not samples.size:
-        raise ValueError("values must hold a sample")
-    limits = np.asarray(tolerance, np.float64)
-    if limits.shape not in ((), samples.shape[1:]):
-        raise ValueError(
-            f"tolerance must be a number or have shape {samples.shape[1:]}, "
-            f"not {limits.shape}"
-        )
-    frames = len(samples)
-    scales = (
-        np.ones(frames)
-        if tolerance_scale is None
-        else as_floats(tolerance_scale, (frames,), "tolerance_scale")
-    )
-    for name, array in (("tolerance", limits), ("tolerance_scale", scales)):
-        if not ((array > 0) & np.isfinite(array)).all():
-            raise ValueError(f"{name} must be above 0 and finite")
-    if not np.isfinite(samples).all():
-        frame = int(np.argmin(np.isfinite(samples).all(axis=1)))
-        raise ValueError(f"values are not finite at frame {frame}")
+    samples = _samples(values)
+    limits, scales = _tolerances(samples, tolerance, tolerance_scale)
     bounds = within or (-np.inf, np.inf)
     low, high = (
         np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / limits)
@@ -128,6 +109,36 @@ def fit_keys(
         np.ascontiguousarray(straight, np.int64),
     )
     return FittedKeys(key_frames, samples[key_frames], ins * limits, outs * limits)
+
+
+def _samples(values: ArrayLike) -> FloatArray:
+    """Return finite samples ``(F, D)``."""
+    samples = as_floats(values, ("F", "D"), "values")
+    if not samples.size:
+        raise ValueError("values must hold a sample")
+    if not np.isfinite(samples).all():
+        frame = int(np.argmin(np.isfinite(samples).all(axis=1)))
+        raise ValueError(f"values are not finite at frame {frame}")
+    return samples
+
+
+def _tolerances(
+    samples: FloatArray, tolerance: ArrayLike, scale: ArrayLike | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the tolerance, one or of each component, and its factor ``(F,)``."""
+    limits, frames = np.asarray(tolerance, np.float64), len(samples)
+    if limits.shape not in ((), samples.shape[1:]):
+        raise ValueError(
+            f"tolerance must be a number or have shape {samples.shape[1:]}, "
+            f"not {limits.shape}"
+        )
+    scales = np.ones(frames)
+    if scale is not None:
+        scales = as_floats(scale, (frames,), "tolerance_scale")
+    for name, array in (("tolerance", limits), ("tolerance_scale", scales)):
+        if not ((array > 0) & np.isfinite(array)).all():
+            raise ValueError(f"{name} must be above 0 and finite")
+    return limits, scales
 
 
 def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:

@@ -12,13 +12,19 @@ from dataclasses import field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import similar
-from animtool.core.plugins import load_object, load_plugin, plugin_points
+from animtool.core.plugins import (
+    ListedEntry,
+    listed_entries,
+    load_object,
+    load_plugin,
+    plugin_points,
+)
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
 from animtool.motion.driving import driven_stream, driven_take
@@ -99,7 +105,7 @@ PASSES: dict[str, str] = {
     "blend": "animtool.edit.layers:BLEND",
     "clean": "animtool.capture.clean:PASS",
     "difference": "animtool.edit.layers:DIFFERENCE",
-    "feet": "animtool.retarget.take_pass:FEET",
+    "feet": "animtool.retarget.feet_pass:FEET",
     "hang": "animtool.edit.tree:PASS",
     "ik": "animtool.ik.take_pass:PASS",
     "layer": "animtool.edit.layers:LAYER",
@@ -284,34 +290,18 @@ def find_pass(name: str) -> Pass:
     raise OptionError(Fault("SCN010", message, hint=hint))
 
 
-@dataclass(frozen=True, slots=True)
-class ListedPass:
-    """A pass as `animtool plugins` lists it."""
+def listed_passes() -> list[ListedEntry]:
+    """Return every pass and its scope, built-in ones first.
 
-    name: str  # as a scene writes it
-    source: str  # ``animtool``, or the object that an entry point names
-    scope: Scope | None  # None if it fails to load
-    about: str  # its summary, or why it fails to load
-    json_keys: ClassVar[str] = "pass=name source scope about"
-
-
-def listed_passes() -> list[ListedPass]:
-    """Return every pass, built-in ones first, each loaded to check that it works.
+    Each is loaded to check that it works.
 
     >>> listed_passes()[0].name
     'blend'
     """
-    sources = {name: "animtool" for name in sorted(PASSES)}
-    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
-        sources.setdefault(name, point.value)
-    passes = []
-    for name, source in sources.items():
-        try:
-            loaded = find_pass(name)
-            passes.append(ListedPass(name, source, loaded.scope, loaded.summary))
-        except OptionError as error:
-            passes.append(ListedPass(name, source, None, error.faults[0].message))
-    return passes
+    points = plugin_points(PLUGIN_GROUP)
+    return listed_entries(
+        sorted(PASSES), points, find_pass, lambda one: (one.scope, one.summary), None
+    )
 
 
 def sees_tracks(pass_: Pass) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import field
+from fractions import Fraction
+from typing import ClassVar
 
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameRange
 from animtool.core.writers import writer_of
 from animtool.scene.bake.reading import default_output, form_of, output_files
 from animtool.scene.file.entries import SceneOutput, SceneSystem
@@ -79,19 +82,24 @@ class SceneDescription:
     passes: list[PassDescription]
     systems: list[SystemDescription]
     outputs: list[OutputDescription]
-    fps: float | None  # frames per second; None is the rate of the source or rig layer
-    rate: str  # exact `fps` as text; empty if None
-    first: int | None  # first frame to write; None is the first of the source
-    last: int | None  # last frame to write; None is the last of the source
+    fps: Fraction | None  # None is the rate of the source or rig layer
+    frame_range: FrameRange | None  # frames to write; None is those of the source
     variables: list[str]  # names of variables it uses or defines
     # Always empty: `animtool validate` reports warnings.
     notices: list[Fault] = field(default_factory=list)
+    json_keys: ClassVar[str] = (
+        "path sources rig props passes systems outputs fps rate "
+        "first=frame_range.first last=frame_range.last variables notices"
+    )
+
+    @property
+    def rate(self) -> str:
+        """Exact `fps` as text; empty if None."""
+        return "" if self.fps is None else str(self.fps)
 
 
 def describe_scene(scene: Scene) -> SceneDescription:
     """Describe a loaded scene."""
-    bake = scene.bake
-    frames, rate = bake.frame_range, bake.fps
     return SceneDescription(
         str(scene.path),
         [str(source.path) for source in scene.sources],
@@ -103,10 +111,8 @@ def describe_scene(scene: Scene) -> SceneDescription:
         ],
         [_system(scene, system) for system in scene.systems],
         [_output(scene, output) for output in scene.outputs],
-        None if rate is None else float(rate),
-        "" if rate is None else str(rate),
-        None if frames is None else frames.first,
-        None if frames is None else frames.last,
+        scene.bake.fps,
+        scene.bake.frame_range,
         sorted(scene.variables),
     )
 

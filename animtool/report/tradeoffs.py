@@ -25,7 +25,7 @@ _HEAD: tuple[Line, ...] = (
     "  work: number of {unit}",
 )
 _ROWS = Table(
-    "tried",
+    "applicable",
     {
         "": "{self:marks}",
         "method": "{setting.method}",
@@ -37,7 +37,7 @@ _ROWS = Table(
         "rms mm": "[{?by_rms}{error.rms:milli}]",
         "median mm": "[{?by_rms}{error.median:milli}]",
         "rms deg": "{error.angle:degrees}",
-        "lone %": "[{?has_lone}{error.unmatched:hundredths}]",
+        "lone %": "[{?has_unmatched}{error.unmatched:hundredths}]",
         "energy %": "{energy_drift:share}",
         "stretch %": "{self:stretch}",
         "depth mm": "{self:depth}",
@@ -177,7 +177,7 @@ def table_parts(table: TrialTable) -> TableParts:
     rows, left = table_cells(table, _ROWS, _PRINTERS)
     classes = [
         "chosen" if row.chosen else "recommended" if row.recommended else ""
-        for row in table.tried
+        for row in table.applicable
     ]
     head, advice = render(table, _HEAD, _PRINTERS), render(table, _ADVICE, _PRINTERS)
     return TableParts(head, rows, left, classes, advice)

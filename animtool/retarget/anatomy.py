@@ -451,7 +451,8 @@ def _doubts(search: _Search) -> list[Fault]:
         repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0
     ]
     texts = []
-    missing = _missing_legs(roles)
+    # Without any limb it is no body: a lamp, a snake.
+    missing = _missing_legs(roles) if search.tips else ""
     if missing:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
         if missing in ONE_LEG:

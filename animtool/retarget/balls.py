@@ -53,8 +53,8 @@ def ball_positions(
     ball: Ball, foot: int, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
     """Return the ball's position ``(F, 3)`` [m] from world joints ``(F, J, …)``."""
-    if ball.joint >= 0:
-        return positions[:, ball.joint]
+    if ball.toe >= 0:
+        return positions[:, ball.toe]
     return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 

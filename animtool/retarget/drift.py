@@ -25,9 +25,9 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
+from animtool.retarget.feet_pass import no_body_warning
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.take_pass import no_body_warning
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)

@@ -44,7 +44,7 @@ class JointChain:
 class TwistFraction:
     """A target joint that takes a fraction of a bone's twist."""
 
-    joint: int  # index in the target
+    target: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
     fraction: float  # of the twist between the bone's start (0) and its end (1)
 
@@ -103,7 +103,7 @@ def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     if joint_map.twists:
         yield "twists:"
     for twist in joint_map.twists:
-        joint, bone = text(target_names[twist.joint]), text(target_names[twist.bone])
+        joint, bone = text(target_names[twist.target]), text(target_names[twist.bone])
         fraction = number(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped = {

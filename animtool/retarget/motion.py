@@ -340,9 +340,9 @@ class Retargeting:
                 if foot not in solution.clamped or ball is None:
                     continue
                 bone = ball.offset
-                if ball.joint >= 0:
+                if ball.toe >= 0:
                     inverse_rotation = so3.conjugate(rotations.world[rows, foot])
-                    tip = about[rows, ball.joint] - about[rows, foot]
+                    tip = about[rows, ball.toe] - about[rows, foot]
                     bone = so3.rotate(inverse_rotation, tip)
                 requested, actual = (
                     placed.rotations[k][output_frames],

@@ -16,6 +16,7 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roles import (
+    CONTROL,
     DIGITS,
     END,
     MITTEN,
@@ -27,6 +28,7 @@ from animtool.retarget.roles import (
     RoleSource,
     base_role,
 )
+from animtool.retarget.transfer import namesakes
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
@@ -42,6 +44,8 @@ _NEXT = {
     "shin": ("foot",),
     "foot": ("toe",),
 }
+# Joints that other joints move, that end bones, or that are no part of the body.
+_NO_ROLE = frozenset({TWIST, END, CONTROL})
 # Twist joints belong to the bone given by their name or position.
 _TWIST_BONES = ("upper_arm", "forearm", "thigh", "shin")
 
@@ -105,6 +109,8 @@ def map_joints(
             pairing.add_role(role, mode)
         if mode != "rename":
             pairing.add_mittens()
+        if by_names and mode != "rename" and source is not target:
+            pairing.add_remaining_names()
     pairs, chains = pairing.pairs, pairing.chains
     if entries is not None and entries.twists is not None:
         twists = entries.twists
@@ -116,7 +122,7 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used_joints = {pair.source for pair in pairs.values()}
     used_joints |= {j for chain in chains for j in chain.source}
-    driven_joints = {*pairs, *(twist.joint for twist in twists)}
+    driven_joints = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),
@@ -197,6 +203,20 @@ class _Pairing:
         for j, name in enumerate(target.names):
             if name in names and j not in self.pairs and j not in self.ignored[1]:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
+
+    def add_remaining_names(self) -> None:
+        """Pair joints of the same name that roles leave over on both sides."""
+        source, target = self.rigs
+        follows = np.full(len(target.joints), -1)
+        for pair in self.pairs.values():
+            follows[pair.target] = pair.source
+        used = {j for chain in self.chains for j in chain.source} | self.ignored[0]
+        for joint, other in namesakes(source, target, follows):
+            ends = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
+            free = other not in used and joint not in self.ignored[1]
+            if free and _NO_ROLE.isdisjoint(ends):
+                pair = JointPair(other, joint, "", RoleSource.NAME, 1.0)
+                self.pairs[joint] = pair
 
     def add_role(self, role: str, mode: MapMode) -> None:
         """Pair the remaining joints of one role."""

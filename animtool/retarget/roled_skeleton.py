@@ -30,7 +30,7 @@ _NEXT = {
 class Ball:
     """The point that a foot rolls over."""
 
-    joint: int  # the first joint of that toe; -1 for none
+    toe: int  # index of the first joint of that toe; -1 for none
     offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
 
 

@@ -14,14 +14,21 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import length_text
+from animtool.core.rates import rate_warning
+from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import forward, rest_size, rest_world
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import MAX_SIZE
 
+# Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
+CHOSEN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
+# Sizes of people [m].
+PERSON_METERS = (0.5, 3.0)
 # Minimum cosine to an axis for a body that stands along it [1].
 MIN_STANDING_COSINE = 0.8
 # Minimum fraction of standing frames of a body that stands throughout [1].
@@ -236,18 +243,30 @@ def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     )
 
 
-def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
+def stands_along(
+    rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
+) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not state it. ``roles`` of the joints ``(J,)``.
+    BVH files do not state it.
+
+    Args:
+        rig: Of J joints.
+        motion: The take.
+        roles: Of the joints ``(J,)``.
+        downwards: Whether it stands along the axis with the head at its negative end,
+            as a take does that was turned from the wrong axis.
     """
     if not _other_is_longer(rig, motion):
         return None
     frame_step = max(motion.frames // MAX_SAMPLES, 1)
     frames = motion.select(slice(0, motion.frames, frame_step))
-    positions = forward(rig, frames.translations.dense(), frames.rotations.dense())
-    rest_positions = rest_world(rig).positions[0]
-    return stance(roles, positions.positions, rig.up, rest_positions).axis
+    world = forward(rig, frames.translations.dense(), frames.rotations.dense())
+    positions, rest = world.positions, rest_world(rig).positions[0]
+    if downwards:
+        mirror = 1.0 - 2.0 * np.array(_other(rig.up).vector)
+        positions, rest = positions * mirror, rest * mirror
+    return stance(roles, positions, rig.up, rest).axis
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
@@ -272,24 +291,38 @@ def lying_notice(
     rig: Rig,
     motion: Motion,
     severity: Severity = Severity.NOTE,
+    up: UpAxis | None = None,
 ) -> list[Fault]:
-    """Return a notice that a body stands along another axis than up (MOT214)."""
+    """Return a notice that a body stands along another axis than up (MOT214).
+
+    up: The axis that the user chose.
+    """
     if not _other_is_longer(rig, motion):
         return []
     from animtool.retarget.anatomy import anatomy
 
-    axis = stands_along(rig, motion, anatomy(rig).roles)
+    roles, sign = anatomy(rig).roles, ""
+    axis = stands_along(rig, motion, roles)
+    read_as = axis
+    if axis is None and up is not None:
+        axis = stands_along(rig, motion, roles, downwards=True)
+        read_as, sign = _other(up), "-"
     if axis is None:
         return []
-    message = f"the body stands along {axis}, but the up axis is {rig.up}"
-    hint = f"read it with {argument('source.up', axis)}"
+    message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
+    hint = f"read it with {argument('source.up', read_as)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 
 
 def with_source_warnings(
-    path: Path, stream: TakeStream, up: UpAxis | None = None
+    path: Path,
+    stream: TakeStream,
+    up: UpAxis | None = None,
+    unit: LengthUnit | None = None,
 ) -> TakeStream:
-    """Return a stream with warnings about its rate and its up axis.
+    """Return a stream with warnings about its rate, its size and its up axis.
+
+    ``unit`` and ``up`` are those that the user chose.
 
     MOT214 is determined from the first block: a warning if the user chose the axis
     ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
@@ -299,9 +332,16 @@ def with_source_warnings(
         stream.fps / stream.step,
         {notice.code for notice in stream.notices},
     )
-    rate_warnings = [] if "BVH105" in known_codes else rate_warning(rate, "source.fps")
-    stream.notices.extend(replace(notice, path=str(path)) for notice in rate_warnings)
+    reader = reader_of(path)
+    has_rate = reader is not None and "fps" in reader.options
+    rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
+    if known_codes.isdisjoint({"BVH105", "TAKE009"}):
+        stream.notices.extend(
+            replace(notice, path=str(path)) for notice in rate_warnings
+        )
     form = stream.details.get("format")
+    if unit is not None and "RIG217" not in known_codes and form != "markers":
+        stream.notices.extend(_size_warning(path, stream.rig, unit))
     if up is None and form not in {"BVH", "markers"}:
         return stream
     severity = Severity.NOTE if up is None and form == "BVH" else Severity.WARNING
@@ -309,10 +349,29 @@ def with_source_warnings(
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
             if i == 0:
-                stream.notices.extend(lying_notice(path, stream.rig, block, severity))
+                notices = lying_notice(path, stream.rig, block, severity, up)
+                stream.notices.extend(notices)
             yield block
 
     return replace(stream, blocks=blocks())
+
+
+def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
+    """Return a warning that a chosen unit gives an implausible size (RIG217)."""
+    size = rest_size(rig)
+    low = CHOSEN_SIZES[len(rig.joints) >= MIN_JOINTS]
+    if not size or low <= size <= MAX_SIZE:
+        return []
+    message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
+    fitting = [
+        str(other)
+        for other in LengthUnit
+        if PERSON_METERS[0] <= size / unit.meters * other.meters <= PERSON_METERS[1]
+    ]
+    hint = f"remove {argument('source.unit')} if the file states its unit"
+    if fitting:
+        hint = f"use {argument('source.unit', fitting[0])}, or {hint}"
+    return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
 
 
 def _other(up: UpAxis) -> UpAxis:

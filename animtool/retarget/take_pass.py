@@ -33,9 +33,8 @@ from animtool.motion.passes import (
     Scope,
     TakePart,
 )
-from animtool.motion.take import Take, TakeStream
+from animtool.motion.take import TakeStream
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.legs import leg_of
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, transfer_of
 from animtool.retarget.options import RetargetOptions
@@ -444,68 +443,4 @@ PASS = Pass(
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),
     changes=MOTION_PARTS | {TakePart.RIG, TakePart.TRACKS},
-)
-
-
-@dataclass(frozen=True, slots=True)
-class FeetOptions:
-    """How feet are identified.
-
-    Attributes:
-        map: A map file that names leg and foot joints; None detects them.
-    """
-
-    map: Path | None = None
-
-
-def no_body_warning(error: OptionError) -> Fault:
-    """Return a warning that a take has no body, if that is the cause of an error."""
-    if error.code != "MAP004":
-        raise error
-    message = "no person was recognised in the take: it is unchanged"
-    hint = "name its joints in a map file, or skip what needs a person"
-    return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
-
-
-def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take with its feet planted in place; legs and hips adapt."""
-    path = None if options.map is None else context.folder / options.map
-    settings = RetargetOptions(map=path)
-    try:
-        retargeting, _, notices = onto_rig(
-            TakeStream.of(take), take.rig, settings, same=True
-        )
-    except OptionError as error:
-        context.notices.append(no_body_warning(error))
-        return take
-    context.notices.extend(notices)
-    if retargeting.standing.placed is None:
-        return take
-    motion = Motion.concatenate(list(retargeting.blocks()))
-    context.scores.append(scores_of(retargeting.report()))
-    skeleton = retargeting.transfer.target
-    legs = {leg_of(skeleton, side)[0] for side in retargeting.standing.sides}
-    for j, parent in enumerate(take.rig.parents.tolist()):
-        if parent in legs:
-            legs.add(j)
-    joints, root = np.array(sorted(legs)), np.array([max(skeleton.first("hips"), 0)])
-    source_motion = take.motion
-    planted_motion = replace(
-        source_motion,
-        rotations=source_motion.rotations.put(joints, motion.rotations.gather(joints)),
-        translations=source_motion.translations.put(
-            root, motion.translations.gather(root)
-        ),
-    )
-    return replace(take, motion=planted_motion)
-
-
-FEET = Pass(
-    "feet",
-    "Hold planted feet in place",
-    FeetOptions,
-    Scope.CLIP,
-    lock_feet,
-    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
-    changes=frozenset({TakePart.JOINTS}),
 )

@@ -87,15 +87,17 @@ class Transfer:
                 fraction[joint] = (
                     (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
                 )
-        for joint, source_joint in _namesakes(source.rig, target.rig, follows):
+        for joint, source_joint in namesakes(source.rig, target.rig, follows):
             follows[joint] = after[joint] = source_joint
         aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
         twists = []
         for twist in joint_map.twists:
             twisting_joint = _below(target, twist.bone)
             if twisting_joint >= 0:
-                twists.append((twist.joint, twist.bone, twisting_joint, twist.fraction))
-        scale = _scale(source, target)
+                twists.append(
+                    (twist.target, twist.bone, twisting_joint, twist.fraction)
+                )
+        scale = _scale(source, target, follows)
         return Transfer(
             source, target, upright, scale, follows, after, fraction, aligned, twists
         )
@@ -108,7 +110,7 @@ class Transfer:
         for side in sides:
             balls = [foot_ball.balls.get(side) for foot_ball in skeletons]
             # Feet with other toes roll differently, even if they are equally long.
-            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+            if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
             bones = [foot_ball.leg_bones(side) for foot_ball in skeletons]
             if len(bones[0]) != len(bones[1]):
@@ -216,7 +218,7 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
-def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+def namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used_joints, names = (
         {*follows.tolist()},
@@ -309,10 +311,11 @@ BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
-def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
+def _scale(source: RoledSkeleton, target: RoledSkeleton, follows: IntArray) -> float:
     """Return the ratio of target leg length to source leg length.
 
-    Without legs, of the path lengths from the hips to the rest of the body.
+    Without legs, of the path lengths from the hips to the rest of the body; without a
+    body, from the root to all joints that follow another.
     """
     leg_lengths = [
         (target.leg_length(side), source.leg_length(side))
@@ -328,6 +331,11 @@ def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
             )
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY and role in target.roles
+        ]
+        followers = np.flatnonzero(follows >= 0)
+        leg_lengths = leg_lengths or [
+            (float(path_lengths[0][j]), float(path_lengths[1][follows[j]]))
+            for j in followers
         ]
     target_length, source_length = (
         sum(lengths) for lengths in zip((0.0, 0.0), *leg_lengths, strict=True)

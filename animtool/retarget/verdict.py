@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.core.shot import FrameRange
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.scores import PassScores, Score
 
@@ -40,26 +41,24 @@ class FrameNumbers:
     Attributes:
         start: Number of the first frame.
         step: Increment between frames of the take.
-        first: First number in the output; None uses the take's first.
-        last: Last number in the output; None uses the take's last.
+        frames: Numbers in the output; None uses all of the take.
 
-    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), 1001, 1010).run(48, 60)
+    >>> ten = FrameRange(1001, 1010)
+    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), ten).run(48, 60)
     (1010, 1010)
     """
 
     start: Fraction = Fraction(1)
     step: Fraction = Fraction(1)
-    first: int | None = None
-    last: int | None = None
+    frames: FrameRange | None = None
 
     def run(self, first: int, last: int) -> tuple[int, int] | None:
         """Return output numbers of a run of frames from 0; None if all are cut."""
         first_number = math.floor(self.start + first * self.step)
         last_number = math.ceil(self.start + last * self.step)
-        first_number = (
-            first_number if self.first is None else max(first_number, self.first)
-        )
-        last_number = last_number if self.last is None else min(last_number, self.last)
+        if self.frames is not None:
+            first_number = max(first_number, self.frames.first)
+            last_number = min(last_number, self.frames.last)
         return (first_number, last_number) if first_number <= last_number else None
 
 

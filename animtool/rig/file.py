@@ -26,7 +26,8 @@ from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
-from animtool.rig.suspicions import warn_of_angles, warn_of_order
+from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_order
+from animtool.rig.suspicious_shape import warn_of_shape
 
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
@@ -177,7 +178,10 @@ def rig_of_document(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         }
         DriverCheck(document, model, rig, has_unnamed, joints.untyped).run()
     document.check()
-    return rig
+    known = len(document.notices)
+    warn_of_shape(document, rig)
+    warn_of_drives(document, rig)
+    return replace(rig, notices=(*rig.notices, *document.notices[known:]))
 
 
 def _with_shapes(

@@ -24,6 +24,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
+from animtool.rig.suspicions import warn_of_length
 
 # Shorter axes and quaternions are mistakes.
 MIN_VECTOR = 1e-9
@@ -425,6 +426,7 @@ def quaternion(
     if not MIN_VECTOR < length < 1 / MIN_VECTOR:
         document.add("RIG006", location, f"quaternion {values} is not a rotation")
         return (0.0, 0.0, 0.0, 1.0)
+    warn_of_length(document, location, values)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
 from animtool.documents.document import Document, Location
+from animtool.rig.controls import Control, Drive
 from animtool.rig.joint_schema import BallJointModel, JointModel, PinJointModel
+from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import HINGE_NAMES
 
 # Half a revolution in radians, rounded up: the largest limit of most joints [rad].
 HALF_CIRCLE = 3.2
@@ -18,14 +23,17 @@ TIGHT_LIMIT = 0.3
 # Minimum number of joints whose limits are all within half a revolution in radians: one
 # or two may be stiff.
 MIN_JOINTS = 3
-# Joints that bend by far more than this on every creature [deg].
-HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
+# Knees and elbows bend by far more than this on every creature [deg].
 MIN_HINGE = 2 * HALF_CIRCLE
 # Multiples of 15 degrees in radians, with at least three decimals.
 ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
 # Limits in radians exceed a full revolution only for joints that wind up [rad].
 FULL_CIRCLE, MAX_DEGREES = 6.4, 360.0
 HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
+# Rounding to two decimals changes the length of a quaternion by 0.01 at most [1].
+MAX_LENGTH_ERROR = 0.02
+# Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
+QUARTER_ROUNDING = 2e-3
 
 
 class _Limit(NamedTuple):
@@ -138,3 +146,64 @@ def _in_degrees(limits: list[_Limit]) -> list[_Limit]:
         if FULL_CIRCLE < limit.largest <= MAX_DEGREES
         and all(value.is_integer() for value in limit.values)
     ]
+
+
+def warn_of_length(
+    document: Document, location: Location, wxyz: Sequence[float]
+) -> None:
+    """Warn once of a quaternion whose length is not 1 (RIG110)."""
+    length = math.hypot(*wxyz)
+    known = any(notice.code == "RIG110" for notice in document.notices)
+    if known or not 0 < length < math.inf or abs(length - 1) <= MAX_LENGTH_ERROR:
+        return
+    shown, unit = (
+        ", ".join(f"{number:.4g}" for number in numbers)
+        for numbers in (wxyz, [number / length for number in wxyz])
+    )
+    message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
+    hint = f"write [{unit}], w first; degrees are no quaternion"
+    document.warn("RIG110", location, message, hint)
+
+
+def warn_of_drives(document: Document, rig: Rig) -> None:
+    """Warn of drives that give radians in a rig in degrees, or the reverse (RIG112)."""
+    in_degrees = rig.radians_per_unit != 1.0
+    at_rest = {control.name: np.array([control.default]) for control in rig.controls}
+    for control in rig.controls:
+        for k, drive in enumerate(control.drives):
+            largest = _largest(control, drive, at_rest) if drive.of_angle else 0.0
+            if not (_is_radians(largest) if in_degrees else _is_degrees(largest)):
+                continue
+            declared, meant = ("deg", "rad") if in_degrees else ("rad", "deg")
+            words = {"deg": "degrees", "rad": "radians"}
+            factor = math.degrees(1.0) if in_degrees else math.radians(1.0)
+            message = (
+                f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
+                f"looks like {words[meant]}, but units.angle is {declared}"
+            )
+            hint = f"for {words[declared]} the result is {largest * factor:.4g}; "
+            hint += f"multiply the expression by {factor:.6g}"
+            names = [entry.get("name") for entry in document.value["controls"]]
+            at = ("controls", names.index(control.name), "drives", k)
+            document.warn("RIG112", at, message, hint)
+            return
+
+
+def _largest(control: Control, drive: Drive, at_rest: dict[str, FloatArray]) -> float:
+    """Return a drive's largest value over its control's range [file's angle]."""
+    if control.low is None or control.high is None:
+        return 0.0
+    ends = {**at_rest, control.name: np.array([control.low, control.high])}
+    values = np.abs(drive.evaluate(control.name, ends) / drive.unit)
+    return float(values.max()) if np.isfinite(values).all() else 0.0
+
+
+def _is_radians(value: float) -> bool:
+    quarter = math.radians(90)
+    count = round(value / quarter)
+    near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
+    return value <= HALF_CIRCLE and (near or is_multiple(value))
+
+
+def _is_degrees(value: float) -> bool:
+    return FULL_CIRCLE < value <= MAX_DEGREES and float(value).is_integer()

@@ -14,12 +14,12 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator, StepControl
 from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.run import divide
+from animtool.sim.run import step_grid
 from animtool.sim.system import Energy, System
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
 # Hint when no step of a method is stable.
-STEADY = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
+STABLE_METHODS = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
 _CODES = {
     Status.UNSTABLE: "SIM102",
     Status.STEP_TOO_SMALL: "SIM103",
@@ -28,7 +28,7 @@ _CODES = {
 }
 
 
-def step_notices(
+def step_warnings(
     equations: Equations,
     integrator: Integrator,
     options: IntegrateOptions,
@@ -37,13 +37,13 @@ def step_notices(
 ) -> list[Fault]:
     """Return a warning if fixed steps exceed the stability limit.
 
-    Only of systems that say how fast they move (`System.frequencies`).
+    Only for systems that report their fastest modes (`System.frequencies`).
     """
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
     if step is None or modes is None or integrator.control is not StepControl.FIXED:
         return []
-    gaps = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
-    longest = max((divide(*gap, step).h for gap in gaps), default=0.0)
+    intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
+    longest = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
     limit = allowed_step(integrator, modes)
     if limit is None or longest <= limit:
         return []
@@ -51,8 +51,10 @@ def step_notices(
     return [warning("SIM101", message, _advice(limit))]
 
 
-def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> Fault:
-    """Return why integration stopped, and a hint."""
+def stop_warning(
+    integrator: Integrator, options: IntegrateOptions, stats: Stats
+) -> Fault:
+    """Return a warning about why integration stopped, with a hint."""
     verb = "blew up" if stats.status is Status.UNSTABLE else "stopped"
     message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
     advice = {
@@ -70,60 +72,60 @@ def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> F
 
 def _advice(stable_step: float | None) -> str:
     if stable_step is None or math.isinf(stable_step):
-        return f"use a shorter step, or {STEADY}"
+        return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
-        return f"no step is stable: use {STEADY}"
+        return f"no step is stable: use {STABLE_METHODS}"
     return f"it is stable up to steps of {plain(stable_step)} s"
 
 
-class Watch:
+class EnergyWatch:
     """Checks states for non-finite values, and energy or strain out of bounds.
 
-    Energy counts from the start, in the largest of: the energies there, what may be
-    supplied, and the potential energy released since. A motion that starts without
-    any is not judged by it.
+    The gain of energy is relative to the largest of: the initial energies, the energy
+    that may be supplied, and the potential energy released since the start. Motions
+    without any of these are not checked for energy.
     """
 
     def __init__(self, system: System, options: IntegrateOptions) -> None:
         self._system = system
         self._options = options
-        self._first: Energy | None = None
+        self._start_energy: Energy | None = None
         self.energy: Energy | None = None  # of the last checked state
-        self._typical = 0.0
+        self._energy_scale = 0.0
 
     def start(self, t: float, state: FloatArray) -> None:
-        """Take a state's energy and strain as the reference."""
-        first = self._system.energy(t, state)
-        self._first = self.energy = first
-        if first is not None:
-            self._typical = max(
-                abs(first.total), first.kinetic, abs(first.potential), first.supply
+        """Use the energy of a state as the reference."""
+        energy = self._system.energy(t, state)
+        self._start_energy = self.energy = energy
+        if energy is not None:
+            self._energy_scale = max(
+                abs(energy.total), energy.kinetic, abs(energy.potential), energy.supply
             )
 
-    def look_at(self, system: System) -> None:
-        """Watch another system from now on, such as the particles that remain."""
+    def watch_system(self, system: System) -> None:
+        """Replace the watched system, for example after particles were removed."""
         self._system = system
 
-    def sign(self, t: float, state: FloatArray) -> str:
+    def divergence(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
-        return self._grown(t, state) or self._stretched(t, state)
+        return self._energy_reason(t, state) or self._strain_reason(t, state)
 
-    def _grown(self, t: float, state: FloatArray) -> str:
-        first, now = self._first, self._system.energy(t, state)
-        self.energy = now
-        if first is None or now is None:
+    def _energy_reason(self, t: float, state: FloatArray) -> str:
+        start, current = self._start_energy, self._system.energy(t, state)
+        self.energy = current
+        if start is None or current is None:
             return ""
-        released = first.potential - now.potential
-        self._typical = max(self._typical, now.supply, released)
-        most = self._options.growth * self._typical
-        gained = now.total - first.total
-        if self._typical > 0 and not gained <= most:
-            return f"its energy rose from {first.total:.3g} J to {now.total:.3g} J"
+        released = start.potential - current.potential
+        self._energy_scale = max(self._energy_scale, current.supply, released)
+        limit = self._options.growth * self._energy_scale
+        gained = current.total - start.total
+        if self._energy_scale > 0 and not gained <= limit:
+            return f"its energy rose from {start.total:.3g} J to {current.total:.3g} J"
         return ""
 
-    def _stretched(self, t: float, state: FloatArray) -> str:
+    def _strain_reason(self, t: float, state: FloatArray) -> str:
         if np.isinf(self._options.stretch):
             return ""
         ratio = self._system.stretch(t, state)
@@ -136,7 +138,7 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     """Return sample times as an array; they must be finite and ascending.
 
     Raises:
-        OptionError: They are no times to integrate over (SIM002).
+        OptionError: The times cannot be integrated over (SIM002).
     """
     times = np.asarray(values, np.float64)
     message, hint = "", None
@@ -156,19 +158,19 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     return times
 
 
-def check_fit(equations: Equations, integrator: Integrator) -> None:
+def check_supported(equations: Equations, integrator: Integrator) -> None:
     """Raise if a method does not support a system.
 
     Raises:
-        OptionError: The method needs accelerations, or leaves no room for contacts
-            (SIM006).
+        OptionError: The system has no accelerations, which the method needs, or has
+            contacts, which it does not support (SIM006).
     """
     name, message, hint = integrator.name, "", None
-    if equations.first is None and equations.second is None:
+    if equations.first_order is None and equations.second_order is None:
         kind = type(equations.system).__name__
         message = f"a {kind} has neither rates nor accelerations"
         hint = "derive it from FirstOrder or SecondOrder"
-    elif integrator.form is Form.ACCELERATIONS and equations.second is None:
+    elif integrator.form is Form.ACCELERATIONS and equations.second_order is None:
         message = f"{name} needs accelerations, but the system has rates"
         hint = "use heun or rk4"
     elif integrator.control is StepControl.SCIPY and equations.system.settles:
@@ -182,8 +184,7 @@ def check_start(equations: Equations, t: float, state: FloatArray) -> None:
     """Raise if the initial state is missing or invalid.
 
     Raises:
-        OptionError: The start, or its rate, is not finite or of another shape
-            (SIM003).
+        OptionError: The start or its rate is not finite or has a wrong shape (SIM003).
     """
     faults = _state_faults(equations, state) or _rate_faults(equations, t, state)
     if faults:
@@ -191,10 +192,10 @@ def check_start(equations: Equations, t: float, state: FloatArray) -> None:
 
 
 def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
-    if equations.second is not None:
+    if equations.second_order is not None:
         if state.ndim != 3 or state.shape[0] != 2:
             return [f"the start must have shape (2, N, d), not {state.shape}"]
-        fixed = equations.second.fixed
+        fixed = equations.second_order.fixed
         if fixed is not None and fixed.shape != state.shape[1:2]:
             return [f"fixed must have shape {state.shape[1:2]}, not {fixed.shape}"]
         return _non_finite_rows("particle", state.swapaxes(0, 1))
@@ -202,19 +203,19 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
 
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
-    if equations.second is not None:
+    if equations.second_order is not None:
         rate, expected = equations.acceleration(t, *state), state.shape[1:]
-        what, whose = "the acceleration", "the acceleration of particle"
+        name, row_name = "the acceleration", "the acceleration of particle"
     else:
         rate, expected = equations.rate(t, state), state.shape
-        what, whose = "the rate", "the rate of component"
+        name, row_name = "the rate", "the rate of component"
     if np.shape(rate) != expected:
-        return [f"{what} must have shape {expected}, not {np.shape(rate)}"]
-    return _non_finite_rows(whose, rate)
+        return [f"{name} must have shape {expected}, not {np.shape(rate)}"]
+    return _non_finite_rows(row_name, rate)
 
 
-def _non_finite_rows(what: str, values: FloatArray) -> list[str]:
+def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
     """Return one message for each row that is not finite at the start."""
     finite = np.isfinite(np.atleast_1d(values))
     bad_rows = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
-    return [f"{what} {i} is not finite at the start" for i in bad_rows.tolist()]
+    return [f"{row_name} {i} is not finite at the start" for i in bad_rows.tolist()]

@@ -7,7 +7,7 @@ from typing import Annotated
 from animtool.core.options import Range, above, key, or_more
 from animtool.core.record import dataclass
 
-# Faster colliders are taken as teleporting [m/s]; no prop of a shot is this fast.
+# Faster motion of a collider is a teleport [m/s]; no prop of a shot is this fast.
 SPEED_LIMIT = 200.0
 
 

@@ -17,7 +17,7 @@ from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
-# These take no sparse Jacobian and use finite differences instead.
+# Solvers without support for sparse Jacobians; they use finite differences instead.
 DENSE_ONLY = {"scipy.integrate:LSODA"}
 
 
@@ -26,27 +26,27 @@ class _Solver:
     """A running solver, and its dense output over the last step."""
 
     solver: Any
-    curve: Any = None
+    dense_output: Any = None
 
 
 def advance(run: Run, target: float) -> Status:
-    """Integrate up to a time, which may lie between two steps."""
-    memory = run.memory if isinstance(run.memory, _Solver) else _begun(run)
+    """Integrate until ``target`` [s], which may lie between two steps."""
+    memory = run.memory if isinstance(run.memory, _Solver) else _start_solver(run)
     solver, shape = memory.solver, run.state.shape
     while solver.t < target:
-        before, memory.curve = solver.t, None
-        failure = _stepped(solver)
-        if failure:
-            run.time = before
-            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
-        h = float(solver.t - before)
+        start, memory.dense_output = solver.t, None
+        reason = _take_step(solver)
+        if reason:
+            run.time = start
+            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, reason))
+        h = float(solver.t - start)
         run.memory, run.state = memory, solver.y.reshape(shape)
-        go = run.count(float(solver.t), h, 1)
-        if go is not Status.OK:
-            return go
+        status = run.count(float(solver.t), h, 1)
+        if status is not Status.OK:
+            return status
         if h < run.options.floor and solver.t < run.end:
-            failure = f"the tolerance needs a step of {plain(h)} s"
-            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
+            reason = f"the tolerance needs a step of {plain(h)} s"
+            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, reason))
     run.time, run.state = target, _value(memory, target).reshape(shape)
     return Status.OK
 
@@ -54,13 +54,13 @@ def advance(run: Run, target: float) -> Status:
 def _value(memory: _Solver, t: float) -> FloatArray:
     if t == memory.solver.t:
         return np.array(memory.solver.y)
-    if memory.curve is None:
-        memory.curve = memory.solver.dense_output()
-    return np.array(memory.curve(t))
+    if memory.dense_output is None:
+        memory.dense_output = memory.solver.dense_output()
+    return np.array(memory.dense_output(t))
 
 
-def _stepped(solver: Any) -> str:
-    """Take a step; return why it failed, empty on success."""
+def _take_step(solver: Any) -> str:
+    """Take a step; return the reason of a failure, empty on success."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         message = solver.step()
@@ -74,7 +74,7 @@ def _with_suspect(run: Run, failure: str) -> str:
     return f"{failure}; {suspect}" if suspect else failure
 
 
-def _begun(run: Run) -> _Solver:
+def _start_solver(run: Run) -> _Solver:
     options, shape = run.options, run.state.shape
     equations = run.equations
 
@@ -86,16 +86,18 @@ def _begun(run: Run) -> _Solver:
         "atol": options.least,
         "max_step": math.inf if options.step is None else options.step,
     }
-    slope = _slope(run) if run.integrator.implicit else None
-    if slope is not None:
-        settings["jac"] = slope
-    kind: Any = load_object(run.integrator.solver)
-    memory = _Solver(kind(rate, run.time, run.state.ravel(), run.end, **settings))
+    jacobian = _flat_jacobian(run) if run.integrator.implicit else None
+    if jacobian is not None:
+        settings["jac"] = jacobian
+    solver_class: Any = load_object(run.integrator.solver)
+    memory = _Solver(
+        solver_class(rate, run.time, run.state.ravel(), run.end, **settings)
+    )
     run.memory = memory
     return memory
 
 
-def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
+def _flat_jacobian(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
     """Return the Jacobian of the flattened rate; None if unavailable."""
     equations, shape = run.equations, run.state.shape
 
@@ -103,19 +105,21 @@ def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
         return equations.jacobian(t, flat.reshape(shape))
 
     def of_accelerations(t: float, flat: FloatArray) -> Matrix:
-        slopes = equations.jacobians(t, *flat.reshape(shape))
-        assert slopes is not None
-        return _block(*slopes)
+        matrices = equations.jacobians(t, *flat.reshape(shape))
+        assert matrices is not None
+        return _block(*matrices)
 
-    if equations.second is None:
+    if equations.second_order is None:
         sample = equations.jacobian(run.time, run.state)
-        slope = of_rates
+        jacobian = of_rates
     else:
         pair = equations.jacobians(run.time, *run.state)
         sample = None if pair is None else pair[0]
-        slope = of_accelerations
-    taken = isinstance(sample, np.ndarray) or run.integrator.solver not in DENSE_ONLY
-    return slope if sample is not None and taken else None
+        jacobian = of_accelerations
+    supported = (
+        isinstance(sample, np.ndarray) or run.integrator.solver not in DENSE_ONLY
+    )
+    return jacobian if sample is not None and supported else None
 
 
 def _block(by_x: Matrix, by_v: Matrix) -> Matrix:

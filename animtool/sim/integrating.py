@@ -10,12 +10,12 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.sim import adaptive_steps, external
 from animtool.sim.checks import (
-    Watch,
-    check_fit,
+    EnergyWatch,
     check_start,
+    check_supported,
     check_times,
-    ending,
-    step_notices,
+    step_warnings,
+    stop_warning,
 )
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, StepControl
@@ -37,7 +37,7 @@ def advance(run: Run, target: float) -> Status:
     if not target > run.time:
         return Status.OK
     status = _ADVANCE[run.integrator.control](run, target)
-    return run.look() if status is Status.OK else status
+    return run.check() if status is Status.OK else status
 
 
 def checkpoint_of(
@@ -45,7 +45,7 @@ def checkpoint_of(
 ) -> Checkpoint:
     """Return a checkpoint to resume the integration from.
 
-    SciPy's solvers are bound to their end time, and are built again.
+    SciPy's solvers depend on their end time, and are created again.
     """
     if status is not Status.OK or run.integrator.control is StepControl.SCIPY:
         return Checkpoint(time, state)
@@ -90,25 +90,25 @@ def integrate(
 ) -> Trajectory:
     """Return the states of a system at sample times.
 
-    Methods of animtool's own end a step at each time; solvers of scipy's take their
-    own curve between two steps. A motion that cannot be gone on with is no error: what
-    was reached is returned, with a status that says where it stopped and why.
+    Built-in methods end a step at each time; SciPy's solvers interpolate between their
+    steps. Stopping early is not an error: the states reached so far are returned, with
+    a status that says where and why it stopped.
 
     Args:
-        system: Where it starts, and how it changes.
-        times: Ascending ``(F,)`` [s]; the first is that of the start. Duplicate
+        system: The system, with its initial state.
+        times: Ascending ``(F,)`` [s]; the first is the time of the initial state. Equal
             times return equal states, bit for bit.
         options: Method, step or tolerance, bounds.
-        checkpoint: Where to begin in place of the system's start: what an earlier
-            trajectory carried; its time is the first one then. With fixed steps at
-            multiples of the step, and with methods that choose theirs but scipy's, a
-            motion in parts is the motion as a whole, bit for bit.
+        checkpoint: Checkpoint of an earlier trajectory to resume from, instead of the
+            system's initial state; its time must be the first of ``times``. With fixed
+            steps at multiples of the step, and with built-in adaptive methods, resumed
+            integration equals uninterrupted integration, bit for bit.
 
     Raises:
-        OptionError: There is no such method (SIM001); times descend, are not finite or
-            none (SIM002); the start or its rate is not finite or of another shape
-            (SIM003); an option is out of its range (SIM004), missing or not heeded
-            (SIM005); the method is not for such a system (SIM006).
+        OptionError: The method is unknown (SIM001); times are empty, not finite or
+            descend (SIM002); the start or its rate is not finite or has a wrong shape
+            (SIM003); an option is out of range (SIM004), missing or ignored (SIM005);
+            the method does not support the system (SIM006).
 
     >>> from animtool.sim.system import ForceSystem
     >>> fall = ForceSystem(lambda t, x, v: np.full_like(x, -9.81), [[0.0]])
@@ -118,45 +118,52 @@ def integrate(
     """
     options = options or IntegrateOptions()
     integrator = check_options(options)
-    checked = check_times(times, checkpoint)
+    sample_times = check_times(times, checkpoint)
     equations = Equations(system)
-    check_fit(equations, integrator)
-    begin = checkpoint or Checkpoint(float(checked[0]), system.state)
+    check_supported(equations, integrator)
+    start = checkpoint or Checkpoint(float(sample_times[0]), system.state)
     with np.errstate(all="ignore"):
-        check_start(equations, begin.time, begin.state)
+        check_start(equations, start.time, start.state)
         notices = [] if checkpoint else system.notices()
-        notices += step_notices(equations, integrator, options, checked, begin.state)
-        run = _begun(equations, integrator, options, checked, begin)
-        states, status = _states(run, checked)
+        notices += step_warnings(
+            equations, integrator, options, sample_times, start.state
+        )
+        run = _start_run(equations, integrator, options, sample_times, start)
+        states, status = _states(run, sample_times)
         ends = sorted({0, len(states) - 1})
-        stats = stats_of(run, status, [(float(checked[i]), states[i]) for i in ends])
-        energies = _energies(system, checked, states)
+        stats = stats_of(
+            run, status, [(float(sample_times[i]), states[i]) for i in ends]
+        )
+        energies = _energies(system, sample_times, states)
     if status is not Status.OK:
-        notices.append(ending(integrator, options, stats))
+        notices.append(stop_warning(integrator, options, stats))
     elif options.estimate:
         refined = integrate(
-            system, checked, finer(options), replace(begin, memory=None, trial=None)
+            system,
+            sample_times,
+            finer(options),
+            replace(start, memory=None, trial=None),
         )
-        stats = replace(stats, error=_difference(refined, states))
+        stats = replace(stats, error=_refinement_error(refined, states))
     return Trajectory(
-        checked[: len(states)],
+        sample_times[: len(states)],
         np.array(states),
         energies,
         stats,
         tuple(notices),
-        checkpoint_of(run, status, float(checked[len(states) - 1]), states[-1]),
-        equations.second is not None,
+        checkpoint_of(run, status, float(sample_times[len(states) - 1]), states[-1]),
+        equations.second_order is not None,
     )
 
 
-def _begun(
+def _start_run(
     equations: Equations,
     integrator: Integrator,
     options: IntegrateOptions,
     times: FloatArray,
     begin: Checkpoint,
 ) -> Run:
-    watch = Watch(equations.system, options)
+    watch = EnergyWatch(equations.system, options)
     watch.start(begin.time, begin.state)
     return Run(
         integrator,
@@ -174,8 +181,8 @@ def _begun(
 def _states(run: Run, times: FloatArray) -> tuple[list[FloatArray], Status]:
     """Return the states at the times that were reached, and the final status."""
     states, status = [run.state], Status.OK
-    for target in times[1:].tolist():
-        status = advance(run, target)
+    for t in times[1:].tolist():
+        status = advance(run, t)
         if status is not Status.OK:
             break
         states.append(run.state)
@@ -193,8 +200,8 @@ def _energies(
     return np.array(totals) if len(totals) == len(energies) else None
 
 
-def _difference(refined: Trajectory, states: list[FloatArray]) -> float | None:
-    """Return the distance to a finer run; None if that stops early."""
+def _refinement_error(refined: Trajectory, states: list[FloatArray]) -> float | None:
+    """Return the largest difference from a finer run; None if that stopped early."""
     if refined.stats.status is not Status.OK:
         return None
     return float(np.abs(refined.states - np.array(states)).max(initial=0.0))

@@ -16,35 +16,35 @@ MAX_COMPONENTS = 240
 
 
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
-    """Return the largest step that is stable for all of some modes [s].
+    """Return the largest step that is stable for all modes [s].
 
-    They are angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
+    ``modes``: angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
 
     >>> from animtool.sim.integrators.table import find_integrator
     >>> slow = np.array([[100.0, 0.0]])
     >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
     0.02
     """
-    moving = modes[modes[:, 0] > 0]
+    oscillating = modes[modes[:, 0] > 0]
     steps = [
         integrator.largest_step(float(omega), max(0.0, float(damping)))
-        for omega, damping in moving
+        for omega, damping in oscillating
     ]
-    known = [step for step in steps if step is not None]
-    if len(known) < len(steps):
+    limits = [step for step in steps if step is not None]
+    if len(limits) < len(steps):
         return None
-    return min(known, default=math.inf)
+    return min(limits, default=math.inf)
 
 
 def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | None:
     """Return the fastest modes at a state ``(M, 2)``; None if unknown.
 
-    Those that the system names; else those of its derivative by differences, where the
-    state is small. What grows by itself, and is no method's fault, is left out.
+    The modes that the system reports; for small states without them, the eigenvalues of
+    a finite-difference Jacobian. Modes that grow physically are left out.
     """
-    named = equations.system.frequencies(t, state)
-    if named is not None:
-        return named
+    known_modes = equations.system.frequencies(t, state)
+    if known_modes is not None:
+        return known_modes
     if state.size > MAX_COMPONENTS or not np.isfinite(state).all():
         return None
 
@@ -52,14 +52,16 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
         rates: FloatArray = equations.rate(t, flat.reshape(state.shape)).ravel()
         return rates
 
-    slope = differences(rate, state.ravel(), rate(state.ravel()))
-    if not np.isfinite(slope).all():
+    jacobian = differences(rate, state.ravel(), rate(state.ravel()))
+    if not np.isfinite(jacobian).all():
         return None
-    values = np.linalg.eigvals(slope)
-    sizes = np.abs(values)
-    # Finite differences leave rounding of the largest value.
-    kept = (sizes > 1e-6 * sizes.max(initial=0.0)) & (values.real <= 1e-6 * sizes)
-    damping = np.maximum(-values.real / np.where(sizes > 0, sizes, 1.0), 0.0)
+    values = np.linalg.eigvals(jacobian)
+    magnitudes = np.abs(values)
+    # Finite differences have rounding errors relative to the largest value.
+    relevant = (magnitudes > 1e-6 * magnitudes.max(initial=0.0)) & (
+        values.real <= 1e-6 * magnitudes
+    )
+    damping = np.maximum(-values.real / np.where(magnitudes > 0, magnitudes, 1.0), 0.0)
     damping = np.where(damping < 1e-6, 0.0, damping)
-    modes: FloatArray = np.stack([sizes, damping], axis=1)[kept]
+    modes: FloatArray = np.stack([magnitudes, damping], axis=1)[relevant]
     return modes

@@ -13,15 +13,15 @@ from animtool.sim.system import Matrix
 
 Residual: TypeAlias = Callable[[FloatArray], FloatArray]
 
-# Tolerance of the last correction over the unknowns: convergence is quadratic, so what
-# remains is rounding.
-SOLVED = 1e-10
-# Velocities that move a particle by less than this fraction of its position count as 0:
-# a body coming to rest has no velocity to compare with.
-AT_REST = 1e-3
+# Relative tolerance of the last correction: as convergence is quadratic, the remaining
+# error is rounding.
+CONVERGED = 1e-10
+# Velocities that move a particle by less than this fraction of its position count as 0,
+# as a body at rest has no velocity to which errors could be relative.
+REST_FRACTION = 1e-3
 MAX_CORRECTIONS, MAX_HALVINGS = 30, 10
 # Finite-difference step: the square root of machine epsilon.
-NUDGE = 1.5e-8
+DIFFERENCE_STEP = 1.5e-8
 
 
 def solve_stage(
@@ -29,11 +29,11 @@ def solve_stage(
 ) -> FloatArray | None:
     """Solve ``y = base + scale · rate(t, y)``; None if it does not converge.
 
-    Of a system of second order only the velocities are unknowns. Where the system does
-    not say its derivatives, they are taken by differences, one evaluation an unknown.
-    The scale is the step times the method's factor [s].
+    For second-order systems only the velocities are unknowns. Without Jacobians from
+    the system, finite differences are used, with one evaluation for each unknown.
+    ``scale`` is the step times the method's factor [s].
     """
-    if equations.second is None:
+    if equations.second_order is None:
         return _first_order(equations, t, base, guess, scale)
     return _second_order(equations, t, base, guess, scale)
 
@@ -45,14 +45,14 @@ def _first_order(
 
     def residual(flat: FloatArray) -> FloatArray:
         y = flat.reshape(shape)
-        left: FloatArray = base + scale * equations.rate(t, y) - y
-        return left.ravel()
+        difference: FloatArray = base + scale * equations.rate(t, y) - y
+        return difference.ravel()
 
-    def matrix(flat: FloatArray, at: FloatArray) -> Matrix:
-        slope = equations.jacobian(t, flat.reshape(shape))
-        if slope is None:
-            return -differences(residual, flat, at)
-        return _less(slope * scale)
+    def matrix(flat: FloatArray, value: FloatArray) -> Matrix:
+        jacobian = equations.jacobian(t, flat.reshape(shape))
+        if jacobian is None:
+            return -differences(residual, flat, value)
+        return _identity_minus(jacobian * scale)
 
     solution = _newton(residual, matrix, guess.ravel(), 0.0)
     return None if solution is None else solution.reshape(shape)
@@ -69,29 +69,29 @@ def _second_order(
 
     def residual(flat: FloatArray) -> FloatArray:
         x, v = state(flat)
-        left: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
-        return left.ravel()
+        difference: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
+        return difference.ravel()
 
-    def matrix(flat: FloatArray, at: FloatArray) -> Matrix:
-        slopes = equations.jacobians(t, *state(flat))
-        if slopes is None:
-            return -differences(residual, flat, at)
-        by_x, by_v = slopes
-        return _less(by_v * scale + by_x * (scale * scale))
+    def matrix(flat: FloatArray, value: FloatArray) -> Matrix:
+        jacobians = equations.jacobians(t, *state(flat))
+        if jacobians is None:
+            return -differences(residual, flat, value)
+        by_x, by_v = jacobians
+        return _identity_minus(by_v * scale + by_x * (scale * scale))
 
-    slow = AT_REST * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
-    solution = _newton(residual, matrix, guess[1].ravel(), slow)
+    rest_velocity = REST_FRACTION * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
+    solution = _newton(residual, matrix, guess[1].ravel(), rest_velocity)
     return None if solution is None else state(solution)
 
 
 def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
     """Return the Jacobian ``(n, n)`` of a function by finite differences."""
-    size = max(float(np.abs(point).max(initial=0.0)), 1e-3)
+    scale = max(float(np.abs(point).max(initial=0.0)), 1e-3)
     columns = np.zeros((len(value), len(point)))
     for i in range(len(point)):
-        moved = point.copy()
-        moved[i] += NUDGE * max(abs(float(point[i])), size)
-        columns[:, i] = (function(moved) - value) / (moved[i] - point[i])
+        shifted = point.copy()
+        shifted[i] += DIFFERENCE_STEP * max(abs(float(point[i])), scale)
+        columns[:, i] = (function(shifted) - value) / (shifted[i] - point[i])
     return columns
 
 
@@ -99,41 +99,41 @@ def _newton(
     residual: Residual,
     matrix: Callable[[FloatArray, FloatArray], Matrix],
     start: FloatArray,
-    least: float,
+    min_size: float,
 ) -> FloatArray | None:
     """Return the root of a residual ``(n,)``; the matrix is its negative Jacobian.
 
-    Unknowns below the least size are as good as 0.
+    ``min_size`` is the magnitude below which unknowns count as 0.
     """
-    point, left = start, residual(start)
+    point, residuals = start, residual(start)
     for _ in range(MAX_CORRECTIONS):
-        correction = _solved(matrix(point, left), left)
+        correction = _solve_linear(matrix(point, residuals), residuals)
         if correction is None:
             return None
-        point, left = _corrected(residual, point, left, correction)
-        if not np.isfinite(left).all():
+        point, residuals = _line_search(residual, point, residuals, correction)
+        if not np.isfinite(residuals).all():
             return None
-        size = max(float(np.abs(point).max(initial=0.0)), least)
-        if float(np.abs(correction).max(initial=0.0)) <= SOLVED * size + 1e-300:
+        size = max(float(np.abs(point).max(initial=0.0)), min_size)
+        if float(np.abs(correction).max(initial=0.0)) <= CONVERGED * size + 1e-300:
             return point
     return None
 
 
-def _corrected(
-    residual: Residual, point: FloatArray, left: FloatArray, correction: FloatArray
+def _line_search(
+    residual: Residual, point: FloatArray, residuals: FloatArray, correction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the next iterate and residual, with a shorter step where it doubled."""
-    size = float(np.linalg.norm(left))
-    moved, after = point, left
+    """Return the next iterate and residuals; halves steps that double the residual."""
+    size = float(np.linalg.norm(residuals))
+    new_point, new_residuals = point, residuals
     for halving in range(MAX_HALVINGS):
-        moved = point + correction * 0.5**halving
-        after = residual(moved)
-        if float(np.linalg.norm(after)) <= 2 * size or size == 0:
+        new_point = point + correction * 0.5**halving
+        new_residuals = residual(new_point)
+        if float(np.linalg.norm(new_residuals)) <= 2 * size or size == 0:
             break
-    return moved, after
+    return new_point, new_residuals
 
 
-def _less(matrix: Matrix) -> Matrix:
+def _identity_minus(matrix: Matrix) -> Matrix:
     """Return the identity minus a matrix."""
     if isinstance(matrix, np.ndarray):
         return np.eye(len(matrix)) - matrix
@@ -142,21 +142,21 @@ def _less(matrix: Matrix) -> Matrix:
     return eye_array(matrix.shape[0], format="csc") - matrix
 
 
-def _solved(matrix: Matrix, right: FloatArray) -> FloatArray | None:
+def _solve_linear(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
     if not isinstance(matrix, np.ndarray):
-        return _solved_sparse(matrix, right)
+        return _solve_sparse(matrix, rhs)
     try:
-        solution = np.linalg.solve(matrix, right).astype(np.float64, copy=False)
+        solution = np.linalg.solve(matrix, rhs).astype(np.float64, copy=False)
     except np.linalg.LinAlgError:
         return None
     return solution if np.isfinite(solution).all() else None
 
 
-def _solved_sparse(matrix: Matrix, right: FloatArray) -> FloatArray | None:
+def _solve_sparse(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
     from scipy.sparse.linalg import splu
 
     try:
-        solution: FloatArray = splu(matrix.tocsc()).solve(right)
+        solution: FloatArray = splu(matrix.tocsc()).solve(rhs)
     except RuntimeError:
         # The matrix is singular.
         return None

@@ -8,7 +8,7 @@ from typing import Annotated
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
 from animtool.core.record import dataclass
-from animtool.sim.integrators.adaptive import doubled
+from animtool.sim.integrators.adaptive import step_doubling
 from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.integrators.table import find_integrator
 
@@ -16,7 +16,7 @@ from animtool.sim.integrators.table import find_integrator
 TOLERANCE = 1e-6
 # SciPy's solvers accept no smaller tolerance.
 MIN_TOLERANCE = 3e-14
-# Factors of a finer run for comparison: of the step, and of the tolerance.
+# Factors of the step and of the tolerance of a finer run, for comparison.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
 
@@ -30,16 +30,17 @@ class IntegrateOptions:
             samples equally; for adaptive methods it is a bound, None for no bound.
         tolerance: Largest relative error of an adaptive step in any component [1];
             None is 1e-6.
-        absolute: The same, in the state's own units, added; None is `tolerance`.
-        base: Method that ``adaptive_doubling`` takes its steps with.
+        absolute: Absolute tolerance in the state's units, added to the relative one;
+            None is `tolerance`.
+        base: Method whose steps ``adaptive_doubling`` uses.
         floor: Shortest step of adaptive methods [s].
-        budget: Most evaluations of rates or accelerations.
-        growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up. Just below their limits, steps that are
-            stable let energy swing by as much as a hundredfold.
-        stretch: Length of a spring, in rest lengths, from which on it has.
-        estimate: Integrate again, with half the step or a hundredth of the tolerance,
-            and say how far the two are apart; takes about three times as long.
+        budget: Largest number of evaluations of rates or accelerations.
+        growth: Gain of energy at which a motion has blown up, relative to the initial
+            and the supplied energy. With stable steps just below the limit, energy may
+            still vary a hundredfold.
+        stretch: Length of a spring over its rest length at which it has blown up.
+        estimate: Whether to integrate again with half the step or a hundredth of the
+            tolerance, to estimate the error; takes about three times as long.
     """
 
     method: str = "rk45"
@@ -70,9 +71,9 @@ def check_options(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name; raise if they are invalid.
 
     Raises:
-        OptionError: All that is wrong (SIM001, SIM004, SIM005, SIM006).
+        OptionError: Options are invalid (SIM001, SIM004, SIM005, SIM006); lists all.
     """
-    integrator = _chosen(options)
+    integrator = _integrator_of(options)
     faults = _faults(options, integrator.control)
     if faults:
         raise OptionError(faults)
@@ -85,7 +86,7 @@ def finer(options: IntegrateOptions) -> IntegrateOptions:
     >>> finer(IntegrateOptions("rk4", step=0.1)).step
     0.05
     """
-    if _chosen(options).control is StepControl.FIXED:
+    if _integrator_of(options).control is StepControl.FIXED:
         assert options.step is not None
         return replace(options, step=options.step * FINER_STEP, estimate=False)
     return replace(
@@ -96,25 +97,27 @@ def finer(options: IntegrateOptions) -> IntegrateOptions:
     )
 
 
-def _chosen(options: IntegrateOptions) -> Integrator:
+def _integrator_of(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name.
 
     Raises:
-        OptionError: There is none of that name (SIM001), or it cannot be the base of
-            step doubling (SIM006).
+        OptionError: The method is unknown (SIM001), or its base does not support step
+            doubling (SIM006).
     """
     integrator = find_integrator(options.method)
     if options.method == "adaptive_doubling" and options.base != "rk4":
-        return doubled(find_integrator(options.base))
+        return step_doubling(find_integrator(options.base))
     return integrator
 
 
 def _faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
     """Return faults of options, for a kind of method."""
-    return range_faults(options) + _unfit(options, fixed=control is StepControl.FIXED)
+    return range_faults(options) + _method_faults(
+        options, fixed=control is StepControl.FIXED
+    )
 
 
-def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
+def _method_faults(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
     """Return faults of options that a method requires or ignores."""
     faults = []
     if fixed and options.step is None:

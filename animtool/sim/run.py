@@ -19,13 +19,13 @@ from animtool.sim.trajectory import Status
 # Times within this fraction of a step count as a multiple of it.
 ON_GRID = 1e-9
 # Steps between two divergence checks.
-LOOK_EVERY = 32
+CHECK_INTERVAL = 32
 
 
-class Signs(Protocol):
+class DivergenceWatch(Protocol):
     """Checks states for divergence."""
 
-    def sign(self, t: float, state: FloatArray) -> str:
+    def divergence(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         ...
 
@@ -37,7 +37,7 @@ class Run:
     integrator: Integrator
     equations: Equations
     options: IntegrateOptions  # how to integrate
-    watch: Signs  # checks for divergence
+    watch: DivergenceWatch  # checks for divergence
     end: float  # the last time [s]
     time: float  # current time [s]
     state: FloatArray
@@ -50,9 +50,9 @@ class Run:
     largest: float = 0.0  # step [s]
     local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why it stopped
-    looked: int = field(default=0)  # accepted steps at the last divergence check
+    checked_steps: int = field(default=0)  # accepted steps at the last divergence check
 
-    def keep(self, step: Step, t: float, h: float) -> Status:
+    def accept(self, step: Step, t: float, h: float) -> Status:
         """Accept a step that ends at time t; return whether to continue."""
         system = self.equations.system
         state, memory = step.state, step.memory
@@ -70,24 +70,24 @@ class Run:
         self.time = t
         self.steps += steps
         self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
-        if self.steps - self.looked >= LOOK_EVERY:
-            return self.look()
-        return self.within_budget()
+        if self.steps - self.checked_steps >= CHECK_INTERVAL:
+            return self.check()
+        return self.budget_status()
 
-    def look(self) -> Status:
-        """Return whether the state has diverged."""
-        self.looked = self.steps
-        sign = self.watch.sign(self.time, self.state)
-        if sign:
-            return self.stop(Status.UNSTABLE, sign)
-        return self.within_budget()
+    def check(self) -> Status:
+        """Check the state for divergence; return whether to continue."""
+        self.checked_steps = self.steps
+        reason = self.watch.divergence(self.time, self.state)
+        if reason:
+            return self.stop(Status.UNSTABLE, reason)
+        return self.budget_status()
 
-    def within_budget(self) -> Status:
-        """Return whether evaluations remain."""
+    def budget_status(self) -> Status:
+        """Return OK while evaluations remain, else OUT_OF_BUDGET."""
         if self.equations.evaluations < self.options.budget:
             return Status.OK
-        took = f"it took {self.equations.evaluations} evaluations"
-        return self.stop(Status.OUT_OF_BUDGET, took)
+        reason = f"it took {self.equations.evaluations} evaluations"
+        return self.stop(Status.OUT_OF_BUDGET, reason)
 
     def stop(self, status: Status, reason: str) -> Status:
         """Stop, and record the reason."""
@@ -96,8 +96,8 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Division:
-    """Equal steps between two times."""
+class StepGrid:
+    """Equal steps between two times, aligned to multiples of the step if possible."""
 
     start: float  # [s]
     end: float  # [s]
@@ -113,63 +113,67 @@ class Division:
         return self.end if i == self.count else self.start + i * self.h
 
 
-def divide(start: float, end: float, step: float) -> Division:
-    """Split an interval into equal steps, none longer than a given one.
+def step_grid(start: float, end: float, step: float) -> StepGrid:
+    """Split an interval into equal steps no longer than ``step``.
 
-    Where both times are multiples of the step, it is taken as it is, and steps begin
-    at multiples of it: so it is the same steps whichever values are asked for between,
-    and wherever a motion is gone on from.
+    If both times are multiples of the step, it is used unchanged and steps begin at its
+    multiples. The steps are then the same for any sample times between, and for any
+    time from which integration is resumed.
 
-    >>> divide(0.5, 1.0, 0.2).h
+    >>> step_grid(0.5, 1.0, 0.2).h
     0.16666666666666666
-    >>> divide(0.1 + 0.2, 0.6, 0.1)
-    Division(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
+    >>> step_grid(0.1 + 0.2, 0.6, 0.1)
+    StepGrid(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
     """
     first, last = start / step, end / step
-    near, far = round(first), round(last)
-    # Rounding of times that are multiples.
-    slack = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
-    on_grid = max(abs(first - near), abs(last - far)) <= slack < 0.5
-    if on_grid and far > near:
-        return Division(start, end, far - near, step, near)
+    first_index, last_index = round(first), round(last)
+    # Rounding error of times that are multiples of the step.
+    tolerance = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
+    on_grid = max(abs(first - first_index), abs(last - last_index)) <= tolerance < 0.5
+    if on_grid and last_index > first_index:
+        return StepGrid(start, end, last_index - first_index, step, first_index)
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
-    return Division(start, end, count, (end - start) / count, None)
+    return StepGrid(start, end, count, (end - start) / count, None)
 
 
 def advance_evenly(run: Run, target: float) -> Status:
-    """Integrate up to a time, in equal steps."""
+    """Integrate until ``target`` [s] in equal steps."""
     assert run.options.step is not None
-    division = divide(run.time, target, run.options.step)
+    grid = step_grid(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
-    go = _stepwise(run, division) if native is None else _blocks(run, division, native)
-    # The last step ends at the requested time, but for rounding.
-    run.time = target if go is Status.OK else run.time
-    return go
+    status = (
+        _advance_by_steps(run, grid)
+        if native is None
+        else _advance_by_blocks(run, grid, native)
+    )
+    # Up to rounding, the last step ends at the requested time.
+    run.time = target if status is Status.OK else run.time
+    return status
 
 
-def _stepwise(run: Run, division: Division) -> Status:
-    take = run.integrator.step
-    assert take is not None
-    for i in range(division.count):
-        t = division.time(i)
-        step = take(run.equations, t, run.state, division.h, run.memory)
+def _advance_by_steps(run: Run, grid: StepGrid) -> Status:
+    step_function = run.integrator.step
+    assert step_function is not None
+    for i in range(grid.count):
+        t = grid.time(i)
+        step = step_function(run.equations, t, run.state, grid.h, run.memory)
         if step is None:
             reason = "Newton's method did not converge"
             return run.stop(Status.NOT_SOLVED, reason)
-        go = run.keep(step, division.time(i + 1), division.h)
-        if go is not Status.OK:
-            return go
+        status = run.accept(step, grid.time(i + 1), grid.h)
+        if status is not Status.OK:
+            return status
     return Status.OK
 
 
-def _blocks(run: Run, division: Division, native: Native) -> Status:
-    """Take the steps in blocks, as long as no check is due."""
-    each = run.integrator.evaluations or 1
-    for i in range(0, division.count, LOOK_EVERY):
-        count = min(LOOK_EVERY, division.count - i)
-        run.state = native(division.time(i), run.state, division.h, count)
-        run.equations.evaluations += each * count
-        go = run.count(division.time(i + count), division.h, count)
-        if go is not Status.OK:
-            return go
+def _advance_by_blocks(run: Run, grid: StepGrid, native: Native) -> Status:
+    """Take the steps in compiled blocks, with a check after each."""
+    evaluations = run.integrator.evaluations or 1
+    for i in range(0, grid.count, CHECK_INTERVAL):
+        count = min(CHECK_INTERVAL, grid.count - i)
+        run.state = native(grid.time(i), run.state, grid.h, count)
+        run.equations.evaluations += evaluations * count
+        status = run.count(grid.time(i + count), grid.h, count)
+        if status is not Status.OK:
+            return status
     return Status.OK

@@ -1,7 +1,7 @@
-"""The largest steps with which methods stay stable.
+"""Largest stable steps of methods.
 
-All of it for ``x'' + 2 ζ ω x' + ω² x = 0``, in ``s = ω h``. Polynomials are numpy's:
-coefficients in ascending order.
+For the equation ``x'' + 2 ζ ω x' + ω² x = 0``, in ``s = ω h``. Polynomials are arrays
+of coefficients in ascending order, as in numpy.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
 
     R is a polynomial that begins 1 + z.
 
-    Limits of the method: of the steps up to the first that is not stable; windows of
-    stable steps beyond are left out.
+    It is the first step that is not stable; larger stable steps beyond are ignored.
 
     >>> round(rate_limit([1, 1, 1 / 2, 1 / 6, 1 / 24])(1.0, 0.0), 3)
     2.828
@@ -44,7 +43,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     coefficients = np.asarray(growth, np.float64)
 
     def limit(omega: float, damping_ratio: float) -> float:
-        # λ h of the slower decay is smaller than rounding.
+        # λ h of the slower decay is below rounding.
         if damping_ratio >= 1:
             root = math.sqrt(damping_ratio - 1) * math.sqrt(damping_ratio + 1)
             values = {complex(-damping_ratio - root)}
@@ -59,8 +58,8 @@ def rate_limit(growth: Sequence[float]) -> Limit:
 
 def _first_growth(growth: FloatArray, value: complex) -> float:
     size = abs(value)
-    along = growth * (value / size) ** np.arange(len(growth))
-    square: FloatArray = np.convolve(along, along.conj()).real
+    scaled = growth * (value / size) ** np.arange(len(growth))
+    square: FloatArray = np.convolve(scaled, scaled.conj()).real
     square[0] = 0.0
     return _first_positive(square) / size
 
@@ -71,9 +70,9 @@ def jury_limit(
 ) -> Limit:
     """Return the limit of a method that maps (x, v/ω) by a matrix each step.
 
-    Both of its eigenvalues are in the unit circle where the determinant D is at most 1
-    and the trace T at most 1 + D in size (Jury's conditions). Both are polynomials in s
-    for each damping ratio.
+    Both eigenvalues are in the unit circle if the determinant D is at most 1 and the
+    magnitude of the trace T at most 1 + D (Jury's conditions). For a damping ratio,
+    ``trace`` and ``determinant`` return polynomials in s.
 
     >>> limit = jury_limit(lambda ζ: [2, -2 * ζ, -1], lambda ζ: [1, -2 * ζ])
     >>> round(limit(10.0, 0.0), 9)
@@ -83,30 +82,33 @@ def jury_limit(
     def limit(omega: float, damping_ratio: float) -> float:
         ratio = min(damping_ratio, MAX_DAMPING)
         t, d = np.array(trace(ratio)), np.array(determinant(ratio))
-        above = poly.polysub(d, [1.0])
-        beyond = [poly.polysub(side, poly.polyadd(d, [1.0])) for side in (t, -t)]
-        least = min(map(_first_positive, [above, *beyond])) / omega
+        determinant_excess = poly.polysub(d, [1.0])
+        trace_excess = [
+            poly.polysub(signed_trace, poly.polyadd(d, [1.0]))
+            for signed_trace in (t, -t)
+        ]
+        step = min(map(_first_positive, [determinant_excess, *trace_excess])) / omega
         # The limit is proportional to 1 / ratio there.
-        return least * (ratio / damping_ratio) if damping_ratio > ratio else least
+        return step * (ratio / damping_ratio) if damping_ratio > ratio else step
 
     return limit
 
 
 def _first_positive(polynomial: FloatArray) -> float:
     """Return the smallest argument above 0 at which a polynomial is positive."""
-    small = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
-    kept = np.where(small, 0.0, polynomial)
-    (used,) = kept.nonzero()
-    if not len(used):
+    negligible = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
+    coefficients = np.where(negligible, 0.0, polynomial)
+    (nonzero,) = coefficients.nonzero()
+    if not len(nonzero):
         return math.inf
-    kept = kept[used[0] : used[-1] + 1]
-    if kept[0] > 0:
+    coefficients = coefficients[nonzero[0] : nonzero[-1] + 1]
+    if coefficients[0] > 0:
         return 0.0
-    roots = poly.polyroots(kept)
+    roots = poly.polyroots(coefficients)
     real = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
-    ends = sorted(real[real > 0].tolist())
-    for here, there in pairwise([*ends, math.inf]):
-        between = here + 1 if math.isinf(there) else (here + there) / 2
-        if poly.polyval(between, kept) > 0:
-            return float(here)
+    bounds = sorted(real[real > 0].tolist())
+    for low, high in pairwise([*bounds, math.inf]):
+        between = low + 1 if math.isinf(high) else (low + high) / 2
+        if poly.polyval(between, coefficients) > 0:
+            return float(low)
     return math.inf

@@ -1,8 +1,8 @@
-"""What has a state over time, as integrators see it, and systems made of functions.
+"""Interface between integrators and systems, and systems defined by functions.
 
-A system says how its state changes; everything else is optional. Classes of systems
-derive from `FirstOrder` or `SecondOrder` and so have what they leave out. Arrays go
-in and come out whole: one call serves all N particles, and none is changed in place.
+A system defines how its state changes; everything else is optional. Systems derive from
+`FirstOrder` or `SecondOrder`, which have defaults for optional methods. Methods take
+and return arrays of all N particles, and change none in place.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Energy:
     Attributes:
         kinetic: [J]
         potential: [J], of springs and fields, from any zero.
-        supply: What forces from outside (wind, motors, moved pins) may well bring in
-            [J]; 0 where there are none. It need only be of the right size: growth far
-            beyond it is taken for a blow-up.
+        supply: Energy that external forces (wind, motors, moving pins) may add [J]; 0
+            without any. The order of magnitude is enough: a gain far beyond it counts
+            as divergence.
     """
 
     kinetic: float
@@ -40,15 +40,15 @@ class Energy:
 
     @property
     def total(self) -> float:
-        """Kinetic and potential energy together [J]."""
+        """Sum of kinetic and potential energy [J]."""
         return self.kinetic + self.potential
 
 
 class System(Protocol):
     """A system with a state that changes over time.
 
-    In all methods ``t`` is a time [s] and ``state`` has the shape of the one that it
-    starts with: any of `FirstOrder`, ``(2, N, d)`` of `SecondOrder`.
+    In all methods ``t`` is a time [s] and ``state`` has the shape of the initial state:
+    any shape for `FirstOrder`, ``(2, N, d)`` for `SecondOrder`.
 
     Attributes:
         settles: Whether `settle` does anything; False by default.
@@ -62,7 +62,7 @@ class System(Protocol):
         ...
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:
-        """Return the energy of a state; None if it has no useful one."""
+        """Return the energy of a state; None if it has none or it cannot be used."""
         return None
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
@@ -72,10 +72,10 @@ class System(Protocol):
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
         """Return the fastest modes: angular frequency [rad/s], damping ratio.
 
-        One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` a mode ``(M, 2)``; a decay
-        ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes that
-        limit the step are needed: the stiffest, and for methods stabilised by damping
-        also the least damped.
+        One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` for each mode ``(M, 2)``; a
+        decay ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes
+        that limit the step are needed: the stiffest, and for methods stabilised by
+        damping also the least damped.
         """
         return None
 
@@ -84,20 +84,20 @@ class System(Protocol):
     ) -> FloatArray:
         """Return the state after a step's contacts, constraints and pins.
 
-        Called after every step that is kept, of a system that `settles`.
+        Called after every accepted step of a system that `settles`.
 
         Args:
             t: Time at the end of the step [s].
             h: The step [s].
-            before: State that the step began with.
-            after: State that it led to; returned itself where nothing is to change.
+            before: State at the start of the step.
+            after: State after the step; the same object is returned if unchanged.
         """
         return after
 
     def native(self, method: str) -> Native | None:
         """Return a compiled loop that takes many steps; None if there is none.
 
-        It does what the method of that name does, and `settle` too.
+        It must match the method of that name, including `settle`.
         """
         return None
 
@@ -120,7 +120,7 @@ class FirstOrder(System, Protocol):
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
         """Return the Jacobian of the flattened rate ``(n, n)``.
 
-        Dense or sparse; None where implicit methods are to take differences.
+        Dense or sparse; None lets implicit methods use finite differences.
         """
         return None
 
@@ -131,10 +131,10 @@ class SecondOrder(System, Protocol):
     The state is ``(2, N, d)``: positions [m], then velocities [m/s].
 
     Attributes:
-        fixed: Particles of infinite mass ``(N,)``: whatever their acceleration, they
-            keep their velocity. None where there are none.
-        velocity_dependent: Whether accelerations depend on velocities. Where they do
-            not, methods may evaluate them less often. True by default.
+        fixed: Mask of particles of infinite mass, which keep their velocity ``(N,)``;
+            None if there are none.
+        velocity_dependent: Whether accelerations depend on velocities; if not, methods
+            may evaluate them less often. True by default.
     """
 
     fixed: BoolArray | None = None
@@ -155,7 +155,7 @@ class SecondOrder(System, Protocol):
     ) -> tuple[Matrix, Matrix] | None:
         """Return Jacobians of accelerations by positions and by velocities.
 
-        Both ``(N d, N d)``, dense or sparse; None where implicit methods are to take
+        Both ``(N d, N d)``, dense or sparse; None lets implicit methods use finite
         differences.
         """
         return None
@@ -169,7 +169,7 @@ Jacobians: TypeAlias = Callable[[float, FloatArray, FloatArray], tuple[Matrix, M
 
 
 class _StateFunctions:
-    """The optional parts of a system made of functions."""
+    """Optional parts of a system defined by functions."""
 
     def __init__(
         self, state: FloatArray, energy: EnergyOf | None, frequencies: ArrayLike | None
@@ -200,11 +200,11 @@ class RateSystem(_StateFunctions, FirstOrder):
     """A first-order system from a function, such as a velocity field.
 
     Args:
-        rate: From time [s] and state to its rate of change.
-        state: Where it starts, of any shape: for N particles in a field ``(N, d)``.
-        jacobian: Derivative of the rate by the state, flat.
-        energy: Of a time and state, or another quantity that ought to stay.
-        frequencies: Its fastest motions, see `System.frequencies`.
+        rate: Function of time [s] and state that returns the rate of change.
+        state: Initial state of any shape; ``(N, d)`` for N particles in a field.
+        jacobian: Function that returns the Jacobian of the flattened rate.
+        energy: Function that returns the energy, or another conserved quantity.
+        frequencies: The fastest modes, see `System.frequencies`.
 
     >>> whirl = RateSystem(lambda t, y: np.stack([-y[:, 1], y[:, 0]], 1), [[1.0, 0.0]])
     >>> whirl.rate(0.0, whirl.state).tolist()
@@ -234,17 +234,17 @@ class RateSystem(_StateFunctions, FirstOrder):
 
 
 class ForceSystem(_StateFunctions, SecondOrder):
-    """A second-order system from a function to accelerations.
+    """A second-order system from a function that returns accelerations.
 
     Args:
-        acceleration: From time [s], positions and velocities ``(N, d)`` to
-            accelerations ``(N, d)`` [m/s²].
-        positions: At the start ``(N, d)`` [m].
-        velocities: At the start ``(N, d)`` [m/s]; None is at rest.
-        jacobians: Derivatives of accelerations by positions and by velocities.
-        energy: Of a time and state.
-        frequencies: Its fastest motions, see `System.frequencies`.
-        fixed: Particles that keep their velocity ``(N,)``.
+        acceleration: Function of time [s], positions and velocities ``(N, d)`` that
+            returns accelerations ``(N, d)`` [m/s²].
+        positions: Initial positions ``(N, d)`` [m].
+        velocities: Initial velocities ``(N, d)`` [m/s]; None is at rest.
+        jacobians: Function that returns the Jacobians by positions and velocities.
+        energy: Function that returns the energy of a time and state.
+        frequencies: The fastest modes, see `System.frequencies`.
+        fixed: Mask of particles that keep their velocity ``(N,)``.
         velocity_dependent: Whether accelerations depend on velocities.
 
     >>> fall = ForceSystem(lambda t, x, v: np.full_like(x, -9.81), [[0.0]])

@@ -14,10 +14,10 @@ class Status(StrEnum):
 
     Attributes:
         OK: All times were reached.
-        UNSTABLE: It blew up: energy or springs grew beyond bounds, or numbers did.
-        STEP_TOO_SMALL: The step that the tolerance asks for is below the floor.
-        OUT_OF_BUDGET: It took more evaluations than it may.
-        NOT_SOLVED: The equations of an implicit step were not solved.
+        UNSTABLE: It blew up: energy, springs or the state itself exceeded bounds.
+        STEP_TOO_SMALL: The tolerance requires a step below the floor.
+        OUT_OF_BUDGET: It used up its budget of evaluations.
+        NOT_SOLVED: An implicit step did not converge.
     """
 
     OK = "ok"
@@ -33,9 +33,9 @@ class Checkpoint:
 
     Attributes:
         time: [s]
-        state: At that time.
-        memory: What the method takes along beside it.
-        trial: The step to try next, of methods that choose theirs [s].
+        state: State at that time.
+        memory: Data that the method keeps between steps.
+        trial: Next step that an adaptive method tries [s].
     """
 
     time: float
@@ -50,19 +50,19 @@ class Stats:
 
     Attributes:
         status: How it ended.
-        time: When [s]: the last time, or where it stopped.
-        reason: Why it stopped, empty where it did not.
-        steps: Taken and kept.
-        rejected: Taken and not kept; None of solvers of scipy's, which do not say.
-        evaluations: Of rates or accelerations.
-        smallest: Step [s]; 0 where there was none.
-        largest: Step [s].
-        local_error: Sum of the largest errors that steps made by their own estimate;
-            None of methods that have none.
-        error: Largest difference to a motion in finer steps, in the state's units, as
-            an estimate of its error; None where it was not asked for.
-        stable_step: Of a motion that blew up with a fixed step, the largest that is
-            stable [s]: 0 where none is, None where it is not known.
+        time: The last time, or the time at which it stopped [s].
+        reason: Why it stopped; empty on success.
+        steps: Number of accepted steps.
+        rejected: Number of rejected steps; None for SciPy's solvers, which hide it.
+        evaluations: Number of evaluations of rates or accelerations.
+        smallest: Smallest step [s]; 0 without steps.
+        largest: Largest step [s].
+        local_error: Sum over steps of the largest estimated error; None for methods
+            without an estimate.
+        error: Largest difference from a run with finer steps, in the state's units, as
+            an estimate of the error; None if not requested.
+        stable_step: Largest stable step of a run that blew up with a fixed step [s]: 0
+            if none is stable, None if unknown.
     """
 
     status: Status
@@ -83,14 +83,12 @@ class Trajectory:
     """States of a system over time.
 
     Attributes:
-        times: Those reached ``(F,)`` [s]; all that were asked for where the status
-            is ok.
-        states: At these times ``(F, …)``; of particles ``(F, 2, N, d)``.
-        energies: Kinetic and potential together ``(F,)`` [J], None where the system
-            says none.
-        stats: What it took, and how it ended.
-        notices: Warnings: of a step too long to be stable, of how it ended.
-        checkpoint: Where it can be gone on from, at the last of the times.
+        times: Times reached ``(F,)`` [s]; all requested ones if the status is ok.
+        states: States at these times ``(F, …)``; of particles ``(F, 2, N, d)``.
+        energies: Total energies ``(F,)`` [J]; None if the system has none.
+        stats: Statistics, and how it ended.
+        notices: Warnings about unstable steps and early stops.
+        checkpoint: Checkpoint at the last time, to resume from.
         second_order: Whether states are positions and velocities.
     """
 

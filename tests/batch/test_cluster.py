@@ -18,7 +18,8 @@ from support.cli import animtool
 from support.cluster import small_cluster
 
 from animtool.batch import cluster_worker
-from animtool.batch.cluster import _address, _asking, dask
+from animtool.batch.cluster import _asking, dask
+from animtool.batch.cluster_client import scheduler_address
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
@@ -62,7 +63,7 @@ def test_what_is_no_file_of_a_scheduler(tmp_path: Path, text: str) -> None:
     path = tmp_path / "scheduler.json"
     path.write_text(text)
     with pytest.raises(OutputError) as error:
-        _address(path)
+        scheduler_address(path)
     assert error.value.code == "BAT035"
 
 
@@ -125,6 +126,7 @@ def test_a_cluster_that_is_lost_ends_the_run(
         next(outcomes)
         monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS", 0.2)
         monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
+        monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
         if whole:
             lost.close()
         else:
@@ -206,6 +208,7 @@ def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
     monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.2)
     for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
         with pytest.raises(OutputError) as error:
             list(dask(work(tmp_path, argument)))
@@ -254,6 +257,7 @@ def test_something_else_answers(
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
     monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
+    monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as mute:
         argument = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with pytest.raises(OutputError) as error:

@@ -167,7 +167,7 @@ def test_executors_of_plug_ins(
     point = EntryPoint(name, f"batch.test_executors:{value}", "animtool.executors")
     monkeypatch.setattr("animtool.core.plugins.may_have", lambda _: True)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [point])
-    listed = {entry.name: entry.loads for entry in listed_executors()}
+    listed = {entry.name: entry.uses for entry in listed_executors()}
     assert listed == {**dict.fromkeys(EXECUTORS, True), name: loads}
     if loads:
         assert find_executor(name) == OTHER

@@ -6,10 +6,11 @@ to where their joints are; clips of many keys. All in this process, in turn.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +18,17 @@ from typing import Any
 
 import numpy as np
 from figures import Bound, Clock, Row, ratio_rows, time_rows
-from measuring import ROOT, begin, in_process, in_turn, on_one_thread, parser
+from measuring import (
+    FLOOR,
+    ROOT,
+    begin,
+    floor_work,
+    floors,
+    in_process,
+    in_turn,
+    on_one_thread,
+    parser,
+)
 
 from animtool import Channel, Motion, Take, ik
 from animtool import Clock as TakeClock
@@ -123,7 +134,9 @@ def ik_routes() -> list[Route]:
     ]
 
 
-def curve_routes(rng: np.random.Generator) -> list[Route]:
+def curve_routes(
+    rng: np.random.Generator, libraries: Mapping[str, ctypes.CDLL]
+) -> list[Route]:
     """Return rotations and numbers between keys."""
     ends = so3.normalize(rng.normal(size=(2, FRAMES, JOINTS, 4)))
     share = rng.uniform(size=(FRAMES, 1))
@@ -140,12 +153,35 @@ def curve_routes(rng: np.random.Generator) -> list[Route]:
             work = _curve(times, keys, kind, at)
             name = f"{kind.name.lower()}, {count} keys"
             routes.append(Route(section, name, work, base=SLERP, times=most))
-    for count in (50, 1000, FRAMES):
-        curves = _lines(rng, count)
-        work = _samples(curves, np.arange(FRAMES) + 0.3)
-        section = f"{7 * JOINTS} linear curves, {FRAMES} times"
-        routes.append(Route(section, f"{count} keys", work))
+    for count, most in ((50, 1.5), (1000, 2.0), (FRAMES, 4.0)):
+        curves, at = _lines(rng, count), np.arange(FRAMES) + 0.3
+        section = f"{7 * JOINTS} linear curves of {count} keys, {FRAMES} times"
+        routes.append(
+            Route(section, "Curves.sample", _samples(curves, at), 5, None, FLOOR, most)
+        )
+        for name, library in libraries.items():
+            work = _lerp(library, curves, count, at)
+            error = float(np.abs(work() - curves.sample(at)).max())
+            assert error < 1e-12, error
+            routes.append(Route(section, name, work, 5))
     return routes
+
+
+def _lerp(
+    library: ctypes.CDLL, curves: Curves, count: int, at: Any
+) -> Callable[[], Any]:
+    """Return a plain loop over straight curves, seven with keys at one time."""
+    sizes = JOINTS, 7, count
+    frames = len(at)
+
+    def work() -> Any:
+        # Into an array of its own, as `Curves.sample` gives one.
+        out = np.empty((7 * JOINTS, frames))
+        keys = curves.times, curves.values
+        floor_work(library, "lerp", *keys, *sizes, at, frames, out)()
+        return out
+
+    return work
 
 
 def _curve(times: Any, keys: Any, kind: RotationKind, at: Any) -> Callable[[], object]:
@@ -234,7 +270,7 @@ def rows_of(routes: list[Route], runs: int) -> list[Row]:
         rows.append(
             Row(route.section, route.name, "least CPU [us]", least, most, Clock.CPU)
         )
-        if route.base:
+        if f"{route.section}: {route.base}" in taken:
             base = taken[f"{route.section}: {route.base}"]
             bound = Bound(at_least=False, bound=route.times or 0.0)
             rows += ratio_rows(
@@ -245,12 +281,15 @@ def rows_of(routes: list[Route], runs: int) -> list[Row]:
 
 def main() -> None:
     """Measure, print the table, write the CSV."""
-    options = parser(__doc__, "calls.csv", runs=9).parse_args()
+    made = parser(__doc__, "calls.csv", runs=9)
+    made.add_argument("--compiler", default="c++", help="of the plain loops")
+    options = made.parse_args()
     on_one_thread()
     session = begin(options, (sys.executable, ["animtool", "numpy"]))
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as folder:
-        routes = [*ik_routes(), *curve_routes(rng), *take_routes(rng)]
+        libraries = floors(options.compiler, Path(folder))
+        routes = [*ik_routes(), *curve_routes(rng, libraries), *take_routes(rng)]
         rows = rows_of([*routes, *clip_routes(rng, Path(folder))], options.runs)
     session.finish(options.csv, rows)
 

@@ -269,7 +269,7 @@ class _Samples:
                 root=None,
                 error=0.0,
                 error_code=0.0,
-                error_joint=0,
+                error_joint_index=0,
             )
 
 

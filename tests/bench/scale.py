@@ -1,11 +1,13 @@
 """How CPU time grows with joints, shapes, keys, frames, channels and files.
 
 Each case runs at a quarter, half and all of its size; the exponent is that of the least
-CPU times from the smallest to the largest size, 1 where time is proportional.
+CPU times from the smallest to the largest size, 1 where time is proportional. A long
+clip is baked in a process of its own, whose memory is held against the file.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 import tempfile
@@ -15,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from figures import Bound, Clock, Row, time_rows
-from measuring import begin, in_process, in_turn, on_one_thread, parser
+from measuring import Run, begin, in_process, in_turn, on_one_thread, parser, run
 
 from animtool import (
     BakeOptions,
@@ -33,6 +35,8 @@ LARGEST_EXPONENT = 1.1
 PARTS = (4, 2, 1)
 # Joints of a chain, after which the next chain begins: as long as those of characters.
 CHAIN = 25
+# Of the clip whose memory is measured.
+ROTATIONS, LONG = 667, 10_000
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,54 @@ CASES = (
 )
 
 
+def rotations(folder: Path, last: int) -> Path:
+    """Write a clip that turns every joint of a rig of balls."""
+    joints = [
+        f"- {{name: j{i}, type: ball, translate: [0, 0.1, 0]"
+        + (f", parent: {f'j{i - 1}' if i % CHAIN else 'j0'}}}" if i else "}")
+        for i in range(ROTATIONS)
+    ]
+    folder.mkdir()
+    head = ["rig: animtool/1", "name: a", "up: Y", "joints:"]
+    (folder / "a.rig.yaml").write_text("\n".join([*head, *joints]) + "\n")
+    rng = np.random.default_rng(0)
+    times = np.linspace(1, LONG, 40).round().tolist()
+    channels = []
+    for i in range(ROTATIONS):
+        walk = np.cumsum(rng.normal(size=(len(times), 4)), 0) * 0.3 + [1, 0, 0, 0]
+        values = (walk / np.linalg.norm(walk, axis=1, keepdims=True)).tolist()
+        keys = [{"t": t, "v": v} for t, v in zip(times, values, strict=True)]
+        target = f"joint/j{i}.rotation"
+        channels.append({"target": target, "interp": "slerp", "keys": keys})
+    clip = {"clip": "animtool/1", "rig": "a.rig.yaml", "fps": 24, "range": [1, last]}
+    path = folder / "a.clip.json"
+    path.write_text(json.dumps({**clip, "channels": channels}))
+    return path
+
+
+def memory_rows(folder: Path, runs: int) -> list[Row]:
+    """Return time and memory of a long clip, beyond those of its first frame."""
+    section = f"{ROTATIONS} rotations, {LONG:,} frames, baked"
+    peaks: dict[int, list[Run]] = {}
+    for last in (1, LONG):
+        clip = rotations(folder / str(last), last)
+        output = clip.with_name("out.usdc")
+        options = ["-o", str(output), "--overwrite", "--format", "json"]
+        command = [sys.executable, "-m", "animtool", "bake", str(clip), *options]
+        peaks[last] = [run(command) for _ in range(runs)]
+    size = output.stat().st_size
+    rows = time_rows(section, "animtool", [one.taken for one in peaks[LONG]])
+    peak, short = ([one.peak_bytes for one in peaks[n]] for n in (LONG, 1))
+    beyond = [(one - min(short)) / size for one in peak]
+    bound = Bound(at_least=False, bound=2.0)
+    return [
+        *rows,
+        Row(section, "animtool", "peak memory [MB]", [one / 1e6 for one in peak]),
+        Row(section, "a frame", "peak memory [MB]", [one / 1e6 for one in short]),
+        Row(section, "animtool", "peak beyond a frame / file [x]", beyond, bound),
+    ]
+
+
 def rows_of(case: Case, folder: Path, runs: int) -> list[Row]:
     """Time a case at its sizes, and return its figures."""
     works = {}
@@ -191,6 +243,8 @@ def main() -> None:
         for case in CASES:
             if options.cases in case.name:
                 rows += rows_of(case, Path(folder), options.runs)
+        if options.cases in "rotations":
+            rows += memory_rows(Path(folder), options.runs)
     session.finish(options.csv, rows)
 
 

@@ -8,8 +8,7 @@ import click
 import pytest
 from support.cli import animtool
 
-from animtool.cli.groups import LazyGroup
-from animtool.cli.help import Command, common_options, group_of
+from animtool.cli.help import Command, LazyGroup, common_options, group_of
 from animtool.cli.main import COMMANDS, SECTIONS, cli
 
 

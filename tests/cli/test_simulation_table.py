@@ -67,7 +67,7 @@ KEYS = {
 @pytest.fixture(autouse=True)
 def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     # How long anything takes is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
 
 
 @pytest.fixture

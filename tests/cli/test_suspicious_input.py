@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.cli import animtool
+from support.gltf import write_small
 from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool import open_source
@@ -84,8 +85,9 @@ def test_an_up_axis_that_the_body_contradicts(
     assert "MOT214" not in "".join(warnings(*words, "--up", right, *again))
 
 
-def test_a_solve_whose_body_lies(tmp_path: Path) -> None:
-    """A walk with Z up, in a file of markers that states Y."""
+@pytest.mark.parametrize(("right", "along"), [("Z", "Z"), ("Y", "-Z")])
+def test_a_solve_whose_body_lies(right: str, along: str, tmp_path: Path) -> None:
+    """A walk with one axis up, in a file of markers that is read with the other."""
     take = open_source(WALK).collect()
     take = trim(take, None, float(take.clock.times[9]))
     corners = {"a": (0.1, 0.0, 0.0), "b": (0.0, 0.1, 0.0), "c": (0.0, 0.0, 0.1)}
@@ -96,7 +98,7 @@ def test_a_solve_whose_body_lies(tmp_path: Path) -> None:
             for corner, offset in corners.items()
         )
     )
-    world = reorient(TakeStream.of(take), UpAxis.Z).collect().world()
+    world = reorient(TakeStream.of(take), UpAxis(right)).collect().world()
     offsets = np.array(list(corners.values()))
     points = world.positions[:, :, None] + np.einsum(
         "fjab,kb->fjka", world.linear, offsets
@@ -108,10 +110,12 @@ def test_a_solve_whose_body_lies(tmp_path: Path) -> None:
     (tmp_path / "w.markers.yaml").write_text(text, "utf-8")
     write_marker_arrays(replace(captured_walk, up=UpAxis.Z), tmp_path / "w.npz")
     command = ("mocap", "solve", "w.npz", "--template", "w.markers.yaml", "--up")
-    lines = warnings(*command, "y", cwd=tmp_path)
+    wrong = "Z" if right == "Y" else "Y"
+    lines = warnings(*command, wrong.lower(), cwd=tmp_path)
     (line,) = [line for line in lines if "MOT214" in line]
-    assert "the body stands along Z, but the up axis is Y; read it with --up Z" in line
-    assert "MOT214" not in "".join(warnings(*command, "z", cwd=tmp_path))
+    assert f"the body stands along {along}, but the up axis is Y" in line
+    assert line.endswith(f"read it with --up {right}")
+    assert "MOT214" not in "".join(warnings(*command, right.lower(), cwd=tmp_path))
 
 
 def test_a_rate_that_no_camera_has(tmp_path: Path) -> None:
@@ -217,3 +221,75 @@ def test_hints_name_their_callers_words(tmp_path: Path) -> None:
         if notice.code == "TAKE007"
     ]
     assert notice.hint == "smooth=True interpolates smoothly"
+
+
+@pytest.mark.parametrize(("unit", "found"), [("mm", True), ("m", False)])
+def test_a_unit_that_makes_a_speck_of_a_gltf(
+    unit: str, found: bool, tmp_path: Path
+) -> None:
+    source = write_small(tmp_path / "small.gltf")
+    lines = warnings("bake", source, "-o", tmp_path / "a.usda", "--units", unit)
+    found_lines = [line for line in lines if "RIG217" in line]
+    assert len(found_lines) == found
+    assert all("use --units m" in line for line in found_lines)
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (("--fps", "0.5"), True),
+        (("--range", "1-9x40"), True),
+        (("--range", "3"), False),
+        (("--fps", "12"), False),
+    ],
+)
+def test_one_frame_of_several(
+    options: tuple[str, ...], found: bool, tmp_path: Path
+) -> None:
+    few = shorter(tmp_path / "few.bvh", 20)
+    lines = warnings("bake", few, "-o", tmp_path / "a.usda", *options)
+    assert sum("TAKE010" in line for line in lines) == found
+
+
+def test_a_capture_is_not_replaced_by_its_bake(tmp_path: Path) -> None:
+    walk, layer = shorter(tmp_path / "walk.bvh", 3), tmp_path / "walk.usdc"
+    assert animtool("bake", walk, "-o", layer).code == 0
+    done = animtool("bake", layer, "-o", walk)
+    assert done.code == 2
+    (command,) = re.findall(r"write animtool (.*?);", done.stderr)
+    assert animtool(*command.split()).code == 0
+    skipped = animtool("bake", layer, "-o", walk, "--skip-existing")
+    assert (skipped.code, "skipped" in skipped.stderr) == (0, True)
+
+
+def test_an_output_among_the_inputs_of_a_batch(tmp_path: Path) -> None:
+    shorter(tmp_path / "walk.bvh", 3)
+    (tmp_path / "empty").mkdir()
+    for output in ("out", "out/", "empty", "out.usdc", "out/{stem}.usdc"):
+        done = animtool("batch", "walk.bvh", output, cwd=tmp_path)
+        assert done.code == 2, output
+        (words,) = re.findall(r"use -o (.*)", done.stderr)
+        again = animtool("batch", "walk.bvh", "-o", words.strip("'"), cwd=tmp_path)
+        assert again.code == 0, again.stderr
+    assert not (tmp_path / "walk.usdc").exists()
+
+
+def test_a_missing_input_of_a_batch_is_named_before_it_runs(tmp_path: Path) -> None:
+    shorter(tmp_path / "walk.bvh", 3)
+    command = ("batch", "walk.bvh", "wlk.bvh", "-o", "{stem}.usdc", "-n")
+    (line,) = warnings(*command, cwd=tmp_path)
+    assert "BAT067 'wlk.bvh' does not exist" in line
+    assert "'walk.bvh'" in line
+
+
+def test_an_option_that_only_bake_has(tmp_path: Path) -> None:
+    done = animtool("convert", WALK, tmp_path / "a.usda", "--rig", CHILD)
+    assert done.code == 2
+    clip = tmp_path / "a.clip.yaml"
+    clip.write_text(
+        f"clip: animtool/1\nrig: {CHILD}\nfps: 24\nrange: [1, 2]\nchannels: []\n",
+        "utf-8",
+    )
+    done = animtool("convert", clip, tmp_path / "b.usda", "--units", "cm")
+    assert "bake --to-units" in done.stderr
+    assert "to_units:" not in done.stderr

@@ -75,9 +75,9 @@ def test_small_motion_is_plausible(tmp_path: Path) -> None:
 
 def test_w_last(tmp_path: Path) -> None:
     at = "joint/thigh.rotation", ""
-    assert codes(tmp_path, (*at, [[0, 0, 0, 1], [0.3, 0, 0, 0.9]])) == ["CLIP106"]
+    assert codes(tmp_path, (*at, [[0, 0, 0, 1], [0.3, 0, 0, 0.954]])) == ["CLIP106"]
     assert codes(tmp_path, (*at, [[1, 0, 0, 0], [0, 0, 0, 1]])) == []
-    assert codes(tmp_path, (*at, [[0, 0, 0, -1], [0.1, 0, 0, 0.9]])) == []
+    assert codes(tmp_path, (*at, [[0, 0, 0, -1], [0.1, 0, 0, 0.995]])) == []
 
 
 def test_metres_in_a_clip_in_centimetres(tmp_path: Path) -> None:
@@ -92,3 +92,125 @@ def test_metres_in_a_clip_in_centimetres(tmp_path: Path) -> None:
 def test_a_root_faster_than_any_fall(tmp_path: Path) -> None:
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [4800, 0, 0]]), KNEE) == ["CLIP109"]
     assert codes(tmp_path, (*ROOT, [[0, 0, 0], [1000, 0, 0]]), KNEE) == []
+
+
+def said(folder: Path, head: str, *channels: str, rig: str = RIG) -> list[str]:
+    """Return the codes of a clip with lines of channels."""
+    (folder / "leg.rig.yaml").write_text(rig, "utf-8")
+    path = folder / "a.clip.yaml"
+    lines = ["clip: animtool/1", "rig: leg.rig.yaml", head, "channels:", *channels]
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return [notice.code for notice in Clip.load(path).notices]
+
+
+def knee(times: list[float]) -> str:
+    keys = ", ".join(f"{{t: {t:.6g}, v: {10 * (k % 3)}}}" for k, t in enumerate(times))
+    return f"- {{target: joint/knee.angle, keys: [{keys}]}}"
+
+
+@pytest.mark.parametrize(
+    ("times", "fps", "found"),
+    [
+        ([0, 0.5, 1.5, 3], 24, True),
+        ([0, 0.25], 30, True),
+        ([k / 24 for k in range(60)], 24, True),
+        ([k / 120 for k in range(60)], 24, True),
+        ([0.5, 1.25, 2], 24, True),
+        ([0, 1, 2, 3], 24, False),  # a sampled clip
+        ([1, 2.5, 4, 12], 24, False),
+        ([0, 3.7, 9.2, 15.8, 22.4], 24, False),  # a retimed clip
+        ([k / 4 for k in range(200)], 24, False),  # samples between frames
+        ([k / 5 for k in range(60)], 24, False),
+        ([0, 1.5, 9, 30], 24, False),
+    ],
+)
+def test_key_times_in_seconds(
+    tmp_path: Path, times: list[float], fps: int, found: bool
+) -> None:
+    assert ("CLIP110" in said(tmp_path, f"fps: {fps}", knee(times))) is found
+
+
+@pytest.mark.parametrize(
+    ("fps", "code"), [("2400", "TAKE009"), ("0.04", "TAKE009"), ("240", "")]
+)
+def test_an_implausible_rate_is_that_of_the_file(
+    tmp_path: Path, fps: str, code: str
+) -> None:
+    assert said(tmp_path, f"fps: {fps}", knee([1, 24])) == [code] * bool(code)
+
+
+@pytest.mark.parametrize(
+    ("ends", "found"),
+    [("[3.2, 3.7]", True), ("[3, 3]", False), ("[3.2, 4.7]", False)],
+)
+def test_a_range_of_one_frame(tmp_path: Path, ends: str, found: bool) -> None:
+    codes = said(tmp_path, f"fps: 24\nrange: {ends}", knee([1, 12, 24]))
+    assert ("TAKE010" in codes) is found
+
+
+def test_keys_outside_the_range_warn_once_when_a_clip_is_read(tmp_path: Path) -> None:
+    outside = knee([1, 24, 40, 60])
+    turn = "[{t: 1, v: [0, 0, 0]}, {t: 30, v: [9, 0, 0]}, {t: 40, v: [0, 0, 0]}]"
+    foot = f"- {{target: joint/foot.rotation, euler: XYZ, keys: {turn}}}"
+    head = "fps: 24\nrange: [1, 24]"
+    assert said(tmp_path, head, outside, foot) == ["CLIP201"]
+    cycle = outside.replace("keys:", "post: cycle, keys:")
+    assert said(tmp_path, head, cycle) == []
+
+
+@pytest.mark.parametrize(
+    ("target", "keys", "found"),
+    [
+        ("hips", "[0, 90, 0], [0, 90, 0]", True),
+        ("hips", "[0, 90, 0], [0, 84, 60], [0, 92, 120]", True),
+        ("hips", "[0, 0, 0], [0, -12, 40], [0, 3, 90]", False),
+        ("hips", "[0, 0, 0], [0, 90, 0], [0, 0, 0]", False),  # a jump of that height
+        ("hips", "[0, 40, 0], [0, 50, 0]", False),
+    ],
+)
+def test_positions_that_repeat_rest(
+    tmp_path: Path, target: str, keys: str, found: bool
+) -> None:
+    values = [f"[{row}]" for row in keys.strip("[]").split("], [")]
+    rows = ", ".join(f"{{t: {1 + 12 * k}, v: {v}}}" for k, v in enumerate(values))
+    for part, wrong in (("translation", found), ("local_translation", False)):
+        line = f"- {{target: joint/{target}.{part}, keys: [{rows}]}}"
+        assert ("CLIP112" in said(tmp_path, "fps: 24", line)) is wrong
+
+
+CURL = """\
+controls:
+- {name: curl, range: [0, 1], drives: [{joint: knee.angle, expr: curl * 90}]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("bend", "drawn", "found"),
+    [(80, 1, True), (25, 1, True), (8, 1, False), (80, 0, False), (0, 1, False)],
+)
+def test_a_joint_and_its_control_are_keyed(
+    tmp_path: Path, bend: float, drawn: float, found: bool
+) -> None:
+    lines = (
+        f"- {{target: joint/knee.angle, keys: [{{t: 1, v: 0}}, {{t: 9, v: {bend}}}]}}",
+        f"- {{target: control/curl, keys: [{{t: 1, v: 0}}, {{t: 9, v: {drawn}}}]}}",
+    )
+    assert ("CLIP111" in said(tmp_path, "fps: 24", *lines, rig=RIG + CURL)) is found
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "found"),
+    [
+        ("[1, 0, 1, 0]", True),
+        ("[0, 90, 0, 0]", True),
+        ("[0.71, 0, 0.71, 0]", False),
+        ("[0.7071, 0, 0.7071, 0]", False),
+        ("[-1, 0, 0, 0]", False),
+    ],
+)
+def test_quaternions_of_another_length(
+    tmp_path: Path, quaternion: str, found: bool
+) -> None:
+    keys = f"[{{t: 1, v: [1, 0, 0, 0]}}, {{t: 9, v: {quaternion}}}]"
+    line = f"- {{target: joint/thigh.rotation, keys: {keys}}}"
+    assert ("RIG110" in said(tmp_path, "fps: 24", line)) is found

@@ -105,7 +105,7 @@ def test_what_comes_out_is_what_is_expected(path: Path) -> None:
             assert animation.span == pytest.approx(spans, abs=1e-7)
         assert len(animation.tracks) == len(clip["channels"])
         for track, channel in zip(animation.tracks, clip["channels"], strict=True):
-            part = "" if track.part < 0 else f"/{track.part}"
+            part = "" if track.weight_index < 0 else f"/{track.weight_index}"
             moved = [f"{track.path}{part}", str(track.interpolation)]
             assert moved == channel[1:3]
             assert len(track.times) == channel[3]

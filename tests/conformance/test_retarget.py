@@ -20,9 +20,9 @@ from animtool.maths.runs import runs
 from animtool.motion.passes import PassContext
 from animtool.retarget import map_joints
 from animtool.retarget.anatomy import anatomy
+from animtool.retarget.feet_pass import FeetOptions, lock_feet
 from animtool.retarget.motion import Retargeted, retarget_take
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.take_pass import FeetOptions, lock_feet
 
 # Frames of captures in the default profile.
 LONG = 300

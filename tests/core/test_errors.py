@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+
+import pytest
 
 from animtool.core.errors import (
     AnimtoolError,
@@ -11,6 +14,7 @@ from animtool.core.errors import (
     OutputError,
     StrictError,
     excerpt,
+    faults_in,
 )
 
 
@@ -40,3 +44,11 @@ def test_errors_carry_their_faults_and_exit_codes() -> None:
 def test_excerpts_are_short_and_quoted() -> None:
     assert len(excerpt("x" * 10_000)) < 50
     assert excerpt("a\nb") == "'a\\nb'"
+
+
+@pytest.mark.parametrize("kind", [FormatError, OptionError])
+def test_faults_without_a_file_get_that_of_the_block(kind: type[FormatError]) -> None:
+    faults = [Fault("SOL001", "a"), Fault("SOL002", "b", "other.yaml")]
+    with pytest.raises(kind) as caught, faults_in(Path("take.c3d")):
+        raise kind(faults)
+    assert [fault.path for fault in caught.value.faults] == ["take.c3d", "other.yaml"]

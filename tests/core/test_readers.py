@@ -98,7 +98,7 @@ def test_a_reader_of_a_plugin(
     path.write_text(str(walk))
     assert open_source(path, SourceOptions(fps=24)).fps == 24
     row = listed_readers()[-1]
-    assert (row.suffix, row.can, row.about) == (".marks", ("source",), "marks")
+    assert (row.name, row.uses, row.about) == (".marks", ("source",), "marks")
     with raises(AnimtoolError, "IO002"):
         Rig.load(path)
     # Who cannot be told a unit states that of the rig.
@@ -146,7 +146,7 @@ def test_a_broken_reader_is_named(
     with raises(AnimtoolError, "IO003", match=why):
         find_reader(tmp_path / "walk.marks")
     row = listed_readers()[-1]
-    assert not row.can
+    assert not row.uses
     assert why in row.about
 
 

@@ -144,7 +144,7 @@ def test_a_writer_of_a_plugin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert done.code == 0, done.stderr
     assert (folder / "walk.count").read_text() == "64\n"
     row = listed_writers()[-1]
-    assert (row.suffix, row.can, row.about) == (".count", ("motion",), "how many")
+    assert (row.name, row.uses, row.about) == (".count", ("motion",), "how many")
 
 
 def test_a_broken_writer_is_named(
@@ -155,4 +155,4 @@ def test_a_broken_writer_is_named(
         take_writer(tmp_path / "walk.marks")
     assert caught.value.code == "IO003"
     row = listed_writers()[-1]
-    assert (row.suffix, row.can) == (".marks", ())
+    assert (row.name, row.uses) == (".marks", ())

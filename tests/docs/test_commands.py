@@ -109,7 +109,7 @@ def test_printed_commands(
     title: str,
 ) -> None:
     # How long the methods of a table take is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
     # Each as it stands there, on fewer frames: what the samples look like over all of
     # theirs, the tests of samples say.
     shorten(workplace)

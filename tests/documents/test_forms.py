@@ -31,3 +31,43 @@ class Shown(BaseModel):
 )
 def test_a_hint_is_made_of_what_was_written(key: str, given: Any, hint: str) -> None:
     assert form_hint(Shown, {key: given}, (key,), expects_list=True) == hint
+
+
+class Pair(BaseModel):
+    source: str
+    target: str
+    role: str = ""
+
+
+class Named(BaseModel):
+    name: str
+    size: float = 1.0
+
+
+class Lists(BaseModel):
+    pairs: list[Pair] = Field(examples=[[{"source": "a", "target": "b"}]])
+    parts: list[Named] = Field(examples=[[{"name": "a"}]])
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "hint"),
+    [
+        ("pairs", {"Hips": "hips"}, "write pairs: [{source: Hips, target: hips}]"),
+        (
+            "pairs",
+            {"source": "a", "target": "b"},
+            "write pairs: [{source: a, target: b}]",
+        ),
+        ("parts", {"leg": {"size": 2}}, "write parts: [{name: leg, size: 2}]"),
+        (
+            "pairs",
+            {f"bone{i}": "x" * 20 for i in range(9)},
+            f"for example pairs: [{{source: bone0, target: {'x' * 20}}}]",
+        ),
+        ("pairs", {"Hips": 3}, "for example pairs: [{source: a, target: b}]"),
+    ],
+)
+def test_a_mapping_becomes_the_entries_of_a_list(
+    key: str, given: Any, hint: str
+) -> None:
+    assert form_hint(Lists, {key: given}, (key,), expects_list=True) == hint

@@ -104,7 +104,7 @@ def test_map_1() -> None:
     ]
     assert found.twists == (TwistFraction(5, 4, 0.25),)
     assert found.ignored == ({4}, {6})
-    assert not found.only
+    assert not found.is_exclusive
 
 
 def test_markers_1() -> None:

@@ -34,7 +34,7 @@ from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
 
 # Those of packages that are installed here are tested too, with their usual options.
-NAMES = [entry.name for entry in listed_passes() if entry.scope is not None]
+NAMES = [entry.name for entry in listed_passes() if entry.uses is not None]
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "trim": {"first": 1, "last": 9},

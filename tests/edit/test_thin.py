@@ -110,7 +110,7 @@ def test_a_joint_of_its_own_tolerance() -> None:
     )
     assert tight.error <= 1e-4 < loose.error
     assert len(tight.kept) > len(loose.kept)
-    assert tight.joint == 1
+    assert tight.joint_index == 1
 
 
 def test_weights_count_too() -> None:

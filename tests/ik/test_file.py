@@ -301,3 +301,27 @@ def test_a_missing_prim_is_found_without_a_rig(tmp_path: Path) -> None:
     assert fault.hint == "did you mean /prop?"
     path.write_text(text.replace("PRIM", "prop"), "utf-8")
     assert not validate(path)
+
+
+TURNED = "- {effector: leg_l, orientation: [0, 0, 0, 1]}"
+
+
+@pytest.mark.parametrize(
+    ("goals", "codes"),
+    [
+        (TURNED, ["TGT108"]),
+        (
+            "- {effector: leg_l, orientation: {keys: [{t: 1, v: [0, 0, 0, 1]}]}}",
+            ["TGT108"],
+        ),
+        (TURNED.replace("0, 1]", "0, -1]"), []),
+        (f"{TURNED}\n- {{effector: leg_r, orientation: [1, 0, 0, 0]}}", []),
+        ("- {effector: leg_l, orientation: [1, 1, 0, 0]}", ["RIG110"]),
+        ("- {effector: leg_l, orientation: [0.71, 0.71, 0, 0]}", []),
+    ],
+)
+def test_orientations_that_look_mistaken(
+    goals: str, codes: list[str], tmp_path: Path
+) -> None:
+    path = write_targets(tmp_path, goals)
+    assert [notice.code for notice in load_targets(path).notices] == codes

@@ -31,6 +31,7 @@ from animtool.ik import (
     smooth,
     solve,
 )
+from animtool.ik import path as ik_path
 from animtool.ik.chain import difference, moved
 from animtool.ik.goals import KINDS
 from animtool.ik.path import at_poses, path_of
@@ -239,3 +240,17 @@ def test_limbs_that_ease_and_stretch_are_smoothed_as_they_are_solved() -> None:
     np.testing.assert_array_equal(smoother.stretches, result.stretches)
     np.testing.assert_allclose(smoother.positions, result.positions, atol=1e-5)
     assert acceleration(smoother) <= acceleration(result)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_of_a_long_path_join_smoothly(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    problem = redundant()
+    result, targets = followed(problem, seed)
+    whole = smooth(result, targets, 0.01, fps=FPS)
+    monkeypatch.setattr(ik_path, "MIN_BLOCK", 5)
+    blocks = smooth(result, targets, 0.01, fps=FPS)
+    assert not np.array_equal(blocks.coordinates, whole.coordinates)
+    assert not (result.converged & ~blocks.converged).any()
+    assert acceleration(blocks) <= 1.05 * acceleration(whole)

@@ -102,7 +102,7 @@ def test_twist_joints_take_their_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
+    shares = [(target.names[t.target], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("upperarm_twist_01_l", arm, pytest.approx(0.25)),
         ("upperarm_twist_02_l", arm, pytest.approx(0.75)),
@@ -123,7 +123,7 @@ def test_twist_joints_of_other_bones_have_no_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
+    shares = [(target.names[t.target], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("lowerarm_twist_01_r", arm, pytest.approx(0.2)),
         ("lowerarm_twist_02_r", arm, 1.0),
@@ -202,6 +202,45 @@ def test_a_hand_in_a_mitten_moves_all_fingers() -> None:
     assert back["fingers_r"] == "middle_1_r"
 
 
+def named_chain(name: str, count: int, length: float, parents: int = 1) -> Rig:
+    """Return a chain of joints, or all below the first, that is no body."""
+    step = (0.0, 0.0, length)
+    joints = [Joint("part_0", -1)]
+    for i in range(1, count):
+        parent = i - 1 if parents else 0
+        joints.append(Joint(f"part_{i}", parent, translation=step))
+    return Rig(name, tuple(joints))
+
+
+@pytest.mark.parametrize("parents", [0, 1])
+def test_equal_names_pair_where_no_body_is_known(parents: int) -> None:
+    source = named_chain("snake", 6, 0.1, parents)
+    target = named_chain("worm", 4, 0.13, parents)
+    for mode in ("auto", "names"):
+        found = map_joints(source, target, mode=mode)  # type: ignore[arg-type]
+        assert [(p.source, p.target) for p in found.pairs] == [(i, i) for i in range(4)]
+        assert found.unmapped_source == (4, 5)
+        assert found.notices == ()
+    with pytest.raises(OptionError):
+        map_joints(source, target, mode="structure")
+
+
+def test_a_joint_of_a_known_name_does_not_hide_the_others() -> None:
+    lamps = [
+        Rig(
+            "lamp",
+            tuple(
+                Joint(name, i - 1, translation=(0.0, size, 0.0))
+                for i, name in enumerate(("base", "lower", "upper", "head"))
+            ),
+        )
+        for size in (0.2, 0.3)
+    ]
+    found = map_joints(*lamps)
+    assert {(p.source, p.target) for p in found.pairs} == {(i, i) for i in range(4)}
+    assert found.notices == ()
+
+
 def test_nothing_in_common_is_refused() -> None:
     source, _ = person()
     crane = Rig("crane", (Joint("base", -1), Joint("jib", 0, translation=(1, 0, 0))))
@@ -271,7 +310,8 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
         ("{sauce: Hips, target: hips}", "DOC020", (3, 4), "'source'"),
-        ("", "DOC022", (2, 9), "for example joints: [{"),
+        ("", "DOC022", (2, 9), "write joints: [{source: Hips, target: hips}]"),
+        ("{Hips: hips}", "DOC020", (3, 4), "write {source: Hips, target: hips}"),
     ],
 )
 def test_a_wrong_map_is_refused_with_its_place(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.scores import PassScores, Score, ScoreUnit
@@ -48,9 +49,9 @@ from animtool.retarget.transfer import (
     _below,
     _heading,
     _middles,
-    _namesakes,
     _scale,
     middle_of_hips,
+    namesakes,
 )
 from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
 from animtool.rig.limits import RangeLimit
@@ -122,18 +123,25 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert not own.separate(1, 1)
 
 
+# No joint follows another.
+NONE = np.full(13, -1)
+
+
 def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
-    assert _scale(body(), body(2.0)) == pytest.approx(2)
-    assert _scale(body(), body(1.0, 0.6)) == pytest.approx(1.05 / 0.85)
+    assert _scale(body(), body(2.0), NONE) == pytest.approx(2)
+    assert _scale(body(), body(1.0, 0.6), NONE) == pytest.approx(1.05 / 0.85)
 
     def armed(person: RoledSkeleton) -> RoledSkeleton:
         roles = tuple("" if "_" in r and r != "upper_arm_l" else r for r in ROLES)
         return replace(person, roles=roles)
 
     longer = armed(body(3.0))
-    assert _scale(armed(body()), longer) == pytest.approx(3)
+    assert _scale(armed(body()), longer, NONE) == pytest.approx(3)
     nothing = replace(body(), roles=("",) * 13)
-    assert _scale(nothing, nothing) == 1
+    assert _scale(nothing, nothing, NONE) == 1
+    larger = replace(body(2.0), roles=("",) * 13)
+    assert _scale(nothing, larger, NONE) == 1
+    assert _scale(nothing, larger, np.arange(13)) == pytest.approx(2)
 
 
 def test_middles_and_what_hangs_below() -> None:
@@ -151,12 +159,12 @@ def test_middles_and_what_hangs_below() -> None:
     rigs = own.rig, own.rig
     follows = np.full(13, -1)
     follows[:4] = np.arange(4)
-    assert _namesakes(*rigs, follows)[0] == (4, 4)
+    assert namesakes(*rigs, follows)[0] == (4, 4)
     follows[:] = np.arange(13)
     follows[12] = -1
-    assert _namesakes(*rigs, follows) == [(12, 12)]
+    assert namesakes(*rigs, follows) == [(12, 12)]
     follows[3] = 12
-    assert _namesakes(*rigs, follows) == []
+    assert namesakes(*rigs, follows) == []
 
 
 def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
@@ -471,9 +479,9 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
     statuses = [verdict_of(PassScores((one,)), {}, {}).status for one in limbs]
     assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
     assert FrameNumbers().run(0, 3) == (1, 4)
-    assert FrameNumbers(first=5).run(0, 3) is None
-    assert FrameNumbers(first=4).run(0, 3) == (4, 4)
-    assert FrameNumbers(last=1).run(0, 3) == (1, 1)
+    assert FrameNumbers(frames=FrameRange(5, 9)).run(0, 3) is None
+    assert FrameNumbers(frames=FrameRange(4, 9)).run(0, 3) == (4, 4)
+    assert FrameNumbers(frames=FrameRange(0, 1)).run(0, 3) == (1, 1)
 
 
 def test_integrals_slopes_and_medians_of_drift() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from animtool.core.errors import Fault
+from animtool.core.shot import FrameRange
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
 
@@ -52,7 +53,7 @@ def test_what_is_not_the_motion_is_not_usable() -> None:
     [
         (FrameNumbers(), ((11, 14), (41, 41))),
         (FrameNumbers(Fraction(1001), Fraction(1, 2)), ((1006, 1008), (1021, 1021))),
-        (FrameNumbers(first=12, last=20), ((12, 14),)),
+        (FrameNumbers(frames=FrameRange(12, 20)), ((12, 14),)),
     ],
 )
 def test_frames_are_numbered_as_in_the_output(
@@ -64,6 +65,6 @@ def test_frames_are_numbered_as_in_the_output(
     found = verdict_of(scores(0.02), {"drift": drift}, {}).numbered(numbers)
     assert found.reasons[0].frames == runs
     outside = verdict_of(scores(0.02), {"drift": drift}, {}).numbered(
-        FrameNumbers(first=100, last=120)
+        FrameNumbers(frames=FrameRange(100, 120))
     )
     assert outside.status is TakeStatus.GOOD

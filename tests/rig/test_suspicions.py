@@ -70,6 +70,111 @@ def test_w_last(tmp_path: Path) -> None:
     turned = "{name: a, type: free, rotate: [0, 0, 0, 1]}"
     (said,) = warnings(tmp_path, [turned, turned.replace("a,", "b,")])
     assert said.startswith("RIG108")
-    other = "{name: b, type: free, rotate: [0.9, 0.1, 0, 0]}"
+    other = "{name: b, type: free, rotate: [0.995, 0.1, 0, 0]}"
     assert warnings(tmp_path, [turned, other]) == []
     assert warnings(tmp_path, [turned.replace("0, 1]", "0, -1]")]) == []
+
+
+def codes(folder: Path, head: str, *joints: str, tail: str = "") -> list[str]:
+    path = folder / "a.rig.yaml"
+    lines = "".join(f"- {{{joint}}}\n" for joint in joints)
+    text = f"rig: animtool/1\nname: a\n{head}\njoints:\n{lines}{tail}"
+    path.write_text(text, "utf-8")
+    return [notice.code for notice in load_rig(path).notices]
+
+
+def chain(length: float, count: int = 3, name: str = "part") -> list[str]:
+    """Return joints in a row."""
+    joints = [f"name: {name}0, type: free"]
+    for i in range(1, count):
+        joints.append(
+            f"name: {name}{i}, parent: {name}{i - 1}, type: ball, "
+            f"translate: [0, {length / (count - 1):.6g}, 0]"
+        )
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("unit", "length", "name", "found"),
+    [
+        ("m", 45, "arm", True),  # a lamp in centimetres
+        ("m", 700, "link", True),  # a robot in millimetres
+        ("cm", 0.45, "arm", True),  # a lamp in metres
+        ("mm", 0.7, "link", True),
+        ("cm", 1.8, "knee", True),  # a person in metres
+        ("m", 0.45, "arm", False),
+        ("m", 14, "boom", False),  # a camera crane
+        ("m", 14, "knee", False),  # a giant
+        ("mm", 700, "link", False),
+        ("mm", 12, "tibia", False),  # an insect
+        ("cm", 1.2, "tibia", False),
+        ("in", 8, "wing", False),
+    ],
+)
+def test_sizes_of_any_kind_of_rig(
+    tmp_path: Path, unit: str, length: float, name: str, found: bool
+) -> None:
+    head = f"units: {{length: {unit}}}"
+    assert codes(tmp_path, head, *chain(length, name=name)) == ["RIG217"] * found
+
+
+BODY = [
+    "name: hips, type: free, translate: [0, 0.9, 0]",
+    "name: spine, parent: hips, type: ball, translate: [0, 0.3, 0.02]",
+    "name: head, parent: spine, type: ball, translate: [0, 0.4, 0]",
+    "name: foot, parent: hips, type: ball, translate: [0, -0.85, 0.05]",
+]
+OTHER = [
+    line.replace("[0, 0.9, 0]", "[0, 0, 0.9]")
+    .replace("[0, 0.3, 0.02]", "[0, 0.02, 0.3]")
+    .replace("[0, 0.4, 0]", "[0, 0, 0.4]")
+    .replace("[0, -0.85, 0.05]", "[0, 0.05, -0.85]")
+    for line in BODY
+]
+
+
+def test_a_body_stands_along_the_up_axis(tmp_path: Path) -> None:
+    assert codes(tmp_path, "up: Z", *BODY) == ["RIG111"]
+    assert codes(tmp_path, "up: Y", *OTHER) == ["RIG111"]
+    assert codes(tmp_path, "up: Y", *BODY) == codes(tmp_path, "up: Z", *OTHER) == []
+    # A snake lies along Y.
+    assert codes(tmp_path, "up: Z", *chain(1.0, 12, "neck")) == []
+
+
+ELBOW = "name: elbow, type: pin, axis: [0, 0, 1], limits: [0, 140]"
+
+
+@pytest.mark.parametrize(
+    ("angle", "drive", "found"),
+    [
+        ("deg", "expr: curl * 1.5708", True),
+        ("deg", "expr: curl * 1.57", True),
+        ("deg", "curve: [[0, 0], [1, 2.3562]]", True),
+        ("rad", "expr: curl * 120", True),
+        ("deg", "expr: curl * 1.5", False),  # a breath
+        ("deg", "expr: curl * 90", False),
+        ("rad", "expr: curl * 1.5708", False),
+    ],
+)
+def test_drives_in_another_unit(
+    tmp_path: Path, angle: str, drive: str, found: bool
+) -> None:
+    elbow = ELBOW if angle == "deg" else ELBOW.replace("140", "2.4")
+    control = (
+        f"{{name: curl, range: [0, 1], drives: [{{joint: elbow.angle, {drive}}}]}}"
+    )
+    head, tail = f"units: {{angle: {angle}}}", f"controls:\n- {control}\n"
+    # A drive beyond its limits is reported by validation.
+    assert codes(tmp_path, head, elbow, tail=tail) == ["RIG112"] * found
+
+
+def test_quaternions_of_another_length(tmp_path: Path) -> None:
+    turned = "name: b, parent: a, type: ball, rotate: "
+    for numbers, found in (
+        ("[0.5, 0.5, 0, 0]", True),
+        ("[0, 2, 0, 0]", True),
+        ("[0.71, 0.71, 0, 0]", False),
+    ):
+        joints = ("name: a, type: free", turned + numbers, f"{turned}{numbers}")
+        two = (*joints[:2], joints[2].replace("b,", "c,", 1))
+        assert codes(tmp_path, "up: Y", *two) == ["RIG110"] * found

@@ -7,8 +7,8 @@ import pytest
 from support.motions import oscillator
 
 from animtool.sim import IntegrateOptions, find_integrator, integrate
-from animtool.sim.adaptive_steps import _first_trial, _ratio
-from animtool.sim.checks import Watch
+from animtool.sim.adaptive_steps import _error_ratio, _first_trial
+from animtool.sim.checks import EnergyWatch
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Step
 from animtool.sim.run import Run
@@ -25,7 +25,7 @@ def test_an_error_is_allowed_by_the_size_of_what_it_is_in() -> None:
         ([24e-3, 6e-3, 5e-3], 3.0),
     ):
         step = Step(after, error=np.array(error))
-        assert _ratio(step, before, options) == pytest.approx(ratio)
+        assert _error_ratio(step, before, options) == pytest.approx(ratio)
 
 
 def test_the_first_step_that_is_tried_is_that_of_any_unit() -> None:
@@ -38,7 +38,7 @@ def test_the_first_step_that_is_tried_is_that_of_any_unit() -> None:
             find_integrator("rk45"),
             Equations(system),
             options,
-            Watch(system, options),
+            EnergyWatch(system, options),
             7.0,
             0.0,
             system.state,

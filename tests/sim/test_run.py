@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.sim.run import divide
+from animtool.sim.run import step_grid
 
 
 @given(st.integers(1, 10**7), st.integers(1, 500), st.sampled_from([24, 25, 30, 60]))
@@ -16,8 +16,8 @@ def test_multiples_of_a_step_are_met_from_wherever(
 ) -> None:
     # As times of frames come: divided by the rate, each rounded by itself.
     step = 1 / (rate * 10)
-    whole = divide(0.0, (first + count) / rate, step)
-    part = divide(first / rate, (first + count) / rate, step)
+    whole = step_grid(0.0, (first + count) / rate, step)
+    part = step_grid(first / rate, (first + count) / rate, step)
     assert part.h == whole.h == step
     assert part.count == 10 * count
     assert [part.time(i) for i in range(5)] == [
@@ -32,7 +32,7 @@ def test_steps_are_even_and_none_is_too_long(
     end = start + gap
     if end == start:
         return
-    found = divide(start, end, step)
+    found = step_grid(start, end, step)
     assert found.h <= step * (1 + 1e-9)
     assert found.time(0) == pytest.approx(start, abs=1e-9 * step + math.ulp(start) * 4)
     assert found.time(found.count) == pytest.approx(end, abs=1e-8 * step + 1e-12)
@@ -41,5 +41,5 @@ def test_steps_are_even_and_none_is_too_long(
 
 def test_rates_of_video_are_met() -> None:
     rate = Fraction(30000, 1001)
-    found = divide(float(7 / rate), float(8 / rate), float(1 / (rate * 4)))
+    found = step_grid(float(7 / rate), float(8 / rate), float(1 / (rate * 4)))
     assert (found.count, found.first) == (4, 28)

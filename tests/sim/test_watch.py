@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.sim import Energy, ForceSystem, IntegrateOptions
-from animtool.sim.checks import Watch
+from animtool.sim.checks import EnergyWatch
 
 STATE = np.zeros((2, 1, 1))
 
@@ -13,9 +13,9 @@ def watch(*energies: Energy) -> list[str]:
     system = ForceSystem(
         lambda _t, x, _v: x, [[0.0]], energy=lambda t, _y: energies[int(t)]
     )
-    seen = Watch(system, IntegrateOptions(growth=10))
+    seen = EnergyWatch(system, IntegrateOptions(growth=10))
     seen.start(0.0, STATE)
-    return [seen.sign(float(i), STATE) for i in range(1, len(energies))]
+    return [seen.divergence(float(i), STATE) for i in range(1, len(energies))]
 
 
 def test_energy_that_stays_is_no_sign() -> None:

@@ -46,7 +46,7 @@ def out_of_skin(points: Array, skin: Array, normals: Array) -> Array:
 def out_of_capsules(rig: Rig, motion: Motion, points: Array) -> Array:
     """Return how far points ``(F, N, 3)`` are outside the rig's capsules [m]."""
     capsules = Capsules.of(rig)
-    placed = capsules.placed(forward(rig, *motion.dense()))
+    placed = capsules.world_ends(forward(rig, *motion.dense()))
     radii = capsules.radii.tolist()
     return np.array(
         [

@@ -22,8 +22,8 @@ _KEYS = "|".join(
 )
 _MEASURED = [
     (rf"(?m)( written in ){_DURATION}(?:, {_NUMBER} [kMG]?B/s of source)?$", r"\1#"),
-    (rf"(?m), {_DURATION} a frame(?=,|$)", ", # a frame"),
-    (rf"(?m), {_NUMBER} frames a second$", ", # frames a second"),
+    (rf"(?m), {_DURATION} per frame(?=,|$)", ", # per frame"),
+    (rf"(?m), {_NUMBER} frames per second$", ", # frames per second"),
     (rf"(?m)^(\[\d+/\d+\] .*\)) {_NUMBER} s$", r"\1 #"),
     (rf"(?m)^(\d+ items?: .* in ){_NUMBER} s$", r"\1#"),
     (r"(?m)^  slowest: .*$", "  slowest: #"),

@@ -210,9 +210,11 @@ FILES = {
     "turn.targets.yaml": TURN,
     "other.scene.yaml": OTHER,
     "solved.scene.yaml": SOLVED,
+    "walk.scene.yaml": "scene: animtool/1\nsource: {file: walk.bvh}\n",
     "body.usda": "#usda 1.0\n",
     "prop.usda": PROP,
     "walk.bvh": CAPTURE,
+    "takes/walk.bvh": CAPTURE,
     "still.bvh": CAPTURE.replace("0 0 5", "0 0 0"),
     "dog.bvh": re.sub("hips|leg", "paw", CAPTURE),
 }
@@ -220,6 +222,7 @@ FILES = {
 
 def make_stage(folder: Path) -> None:
     """Write the files into a folder."""
+    (folder / "takes").mkdir()
     for name, text in FILES.items():
         (folder / name).write_text(text, "utf-8")
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])

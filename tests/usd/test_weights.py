@@ -21,8 +21,9 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake
 from animtool.usd.layers.names import RigPaths, joint_names
+from animtool.usd.rigs.joint_map import map_joints, match_shapes
 from animtool.usd.rigs.layer import write_rig_layer
-from animtool.usd.rigs.target import map_joints, match_shapes, open_target
+from animtool.usd.rigs.target import open_target
 from animtool.usd.takes.author import author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 from animtool.usd.takes.read import read_usd

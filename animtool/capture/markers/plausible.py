@@ -7,8 +7,8 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
+from animtool.core.rates import rate_warning
 from animtool.motion.markers import Markers
-from animtool.motion.plausible import rate_warning
 
 # Sizes of captured subjects, from a hand to a group of people [m].
 MIN_SUBJECT, MAX_SUBJECT = 0.05, 60.0

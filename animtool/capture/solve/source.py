@@ -14,7 +14,7 @@ from animtool.capture.solve.run import MarkerSolve, solve_markers
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, FormatError, OptionError, Severity, counted
+from animtool.core.errors import Fault, OptionError, Severity, counted, faults_in
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.marker_files import open_markers
 from animtool.motion.driving import driven_stream
@@ -71,10 +71,8 @@ def open_markers_source(
     marker_template = load_template(template)
     rig_path = named_rig(marker_template, rig, template)
     loaded_rig = at_origin(Rig.load(rig_path))
-    solve = at_file(
-        path,
-        lambda: solve_markers(markers, loaded_rig, marker_template, SolveOptions()),
-    )
+    with faults_in(path):
+        solve = solve_markers(markers, loaded_rig, marker_template, SolveOptions())
     stream = solve_stream(solve, path, progress)
     stream.notices = [*loaded_rig.notices, *stream.notices]
     stream.details |= {"rig": str(rig_path), "template": str(template)}
@@ -122,15 +120,6 @@ def triangulated(
     return replace(result.markers, notices=(*result.notices, note))
 
 
-def at_file(path: Path, read: Callable[[], Any]) -> Any:
-    """Return a function's result; faults without a file get the markers' path."""
-    try:
-        return read()
-    except (FormatError, OptionError) as error:
-        faults = [f if f.path else replace(f, path=str(path)) for f in error.faults]
-        raise type(error)(faults) from error
-
-
 def solve_stream(
     solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
 ) -> TakeStream:
@@ -143,13 +132,13 @@ def solve_stream(
         clock.start,
         clock.step,
         iter(()),
-        [_at(path, fault) for fault in (*markers.notices, *solve.notices)],
+        [fault.in_file(path) for fault in (*markers.notices, *solve.notices)],
     )
 
     def blocks() -> Iterator[Motion]:
         known_count = len(solve.notices)
         yield from solve.blocks(progress)
-        stream.notices += [_at(path, fault) for fault in solve.notices[known_count:]]
+        stream.notices += [fault.in_file(path) for fault in solve.notices[known_count:]]
         stream.scores.append(solve_scores(solve))
 
     stream.blocks = blocks()
@@ -171,7 +160,3 @@ def solve_scores(solve: MarkerSolve) -> PassScores:
         Score("outliers", outliers, ScoreUnit.FRACTION, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
-
-
-def _at(path: Path, fault: Fault) -> Fault:
-    return fault if fault.path else replace(fault, path=str(path))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # Maximum length of a name in a folder, on nearly every disk [byte].
 MAX_NAME_BYTES = 255
+# The output that is no file, as commands name it.
+STDOUT = Path("-")
 # Windows reserves these names for devices, whatever the suffix.
 _DEVICES = frozenset(
     {"con", "prn", "aux", "nul", "conin$", "conout$"}

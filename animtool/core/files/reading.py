@@ -349,6 +349,11 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
 
 
+def is_pattern(text: str) -> bool:
+    """Return whether a path has the wildcards of a glob."""
+    return not _WILDCARDS.isdisjoint(text)
+
+
 def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """Yield the files that a name, folder or glob matches, in order.
 
@@ -363,8 +368,8 @@ def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
         for file in sorted(path.rglob("*")):
             if file.name.lower().endswith(suffix_tuple) and _is_shown(file, path):
                 yield MatchedFile(file, path)
-    elif _WILDCARDS & set(text) and not path.exists():
-        # Folders without a wildcard keep the user's spelling.
+    elif is_pattern(text) and not path.exists():
+        # Folders without a wildcard stay as the user spells them.
         parts = path.parts
         wildcard_index = next(
             i for i, part in enumerate(parts) if _WILDCARDS & set(part)

@@ -53,7 +53,7 @@ class BvhHeader:
 class _OpenBrace:
     """An unclosed brace of a joint, or of an End Site (with its parent's index)."""
 
-    joint: int
+    joint_index: int
     is_end: bool
     line: int
     opened: bool = False
@@ -154,7 +154,7 @@ class _Hierarchy:
             self.lines.fail("BVH001", message, "remove it")
         if not name:
             self.lines.fail("BVH003", f"{keyword} has no name")
-        parent = block.joint if block else -1
+        parent = block.joint_index if block else -1
         self.joints.append(BvhJoint(name, parent, self.lines.number))
         self.stack.append(_OpenBrace(len(self.joints) - 1, False, self.lines.number))
 
@@ -162,7 +162,7 @@ class _Hierarchy:
         if block is None or block.is_end:
             self.lines.fail("BVH003", "unexpected End Site outside a joint")
         self._take_name(words)
-        self.stack.append(_OpenBrace(block.joint, True, self.lines.number))
+        self.stack.append(_OpenBrace(block.joint_index, True, self.lines.number))
 
     @staticmethod
     def _take_name(words: list[str]) -> str:
@@ -184,9 +184,9 @@ class _Hierarchy:
         offset = (values[0], values[1], values[2])
         block.has_offset = True
         if block.is_end:
-            self.joints[block.joint].tips.append(offset)
+            self.joints[block.joint_index].tips.append(offset)
         else:
-            self.joints[block.joint].offset = offset
+            self.joints[block.joint_index].offset = offset
 
     def _number(self, text: str) -> float:
         try:
@@ -201,7 +201,7 @@ class _Hierarchy:
     def _channels(self, words: list[str], block: _OpenBrace | None) -> None:
         if block is None or block.is_end:
             self.lines.fail("BVH003", "unexpected CHANNELS outside a joint")
-        joint = self.joints[block.joint]
+        joint = self.joints[block.joint_index]
         if joint.channels is not None:
             self.lines.fail("BVH007", f"{self._name(block)} has two CHANNELS lines")
         if not words or not words[0].isdecimal():
@@ -239,7 +239,7 @@ class _Hierarchy:
 
     def _name(self, block: _OpenBrace) -> str:
         kind = "End Site of" if block.is_end else "joint"
-        name = excerpt(self.joints[block.joint].name)
+        name = excerpt(self.joints[block.joint_index].name)
         return f"{kind} {name}, line {block.line}"
 
     def _open_blocks(self) -> str | None:

@@ -84,44 +84,37 @@ def read_bvh(
             raise unreadable(path, error) from error
     rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
-    assert header.rate is not None
-    stream = TakeStream(
-        rig,
-        header.rate.fps if rate is None else rate,
-        None,
-        Fraction(1),
-        iter(()),
-        notices,
-        {
-            "format": "BVH",
-            "declared_frames": header.declared_frames,
-            "frame_time": header.frame_time,
-            "rate_choice": "stated" if fps is not None else str(header.rate.kind),
-            "channels": sum(len(joint.channels or ()) for joint in header.joints),
-        },
-    )
-    if up is not None:
-        stream.details["up_choice"] = "stated"
-    if fps is not None:
-        stream.notices[:] = [n for n in notices if n.code not in _RATE_CODES]
-    names = [
+    if rate is not None:
+        notices = [notice for notice in notices if notice.code not in _RATE_CODES]
+    channels = [
         f"{joint.name}.{channel}"
         for joint in header.joints
         for channel in joint.channels or ()
     ]
-    source = RowSource(
+    rows = RowSource(
         path,
         file.state,
         rows_start,
         lines.number,
-        names,
+        channels,
         header.declared_frames,
         header.frames_line,
         progress,
     )
     layout = _Layout(header, offsets=positions == "offsets")
-    stream.blocks = _blocks(source, layout, rig, stream.notices)
-    return stream
+    assert header.rate is not None
+    details: dict[str, object] = {
+        "format": "BVH",
+        "declared_frames": header.declared_frames,
+        "frame_time": header.frame_time,
+        "rate_choice": str(header.rate.kind) if rate is None else "stated",
+        "channels": len(channels),
+    }
+    if up is not None:
+        details["up_choice"] = "stated"
+    fps = header.rate.fps if rate is None else rate
+    blocks = _blocks(rows, layout, rig, notices)
+    return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
 @expects("BVH001", "a BVH file")

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import binascii
-import re
 from dataclasses import field
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote_to_bytes, urlsplit
 
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.errors import FormatError, excerpt
-from animtool.core.files.reading import not_a_file_reason, read_input
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
+from animtool.formats.gltf.buffers import Buffers
 from animtool.formats.gltf.container import Container
 from animtool.formats.gltf.json_items import JsonItem
 
@@ -41,8 +37,6 @@ WIDTHS = {
 # accessors may share bytes. Zeros without stored bytes have their own limit.
 MAX_NUMBERS, NUMBERS_PER_BYTE = 8_000_000, 4
 MAX_ZEROS = 8_000_000
-
-_DATA = re.compile(r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?")
 
 AnyArray = npt.NDArray[Any]
 
@@ -108,10 +102,9 @@ class Accessors:
     skipped: frozenset[int]  # accessors that are never read
     skipped_views: frozenset[int]
     skipped_buffers: frozenset[int]
-    buffers: list[JsonItem] = field(default_factory=list)
+    buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
-    _bytes: dict[int, memoryview] = field(default_factory=dict)
     _arrays: dict[int, AnyArray] = field(default_factory=dict)
     _numbers: int = 0
     _zeros: int = 0
@@ -119,10 +112,10 @@ class Accessors:
     def __post_init__(self) -> None:
         """Check all lengths; no buffer is opened."""
         root = self.container.root
-        self.buffers = root.children("buffers")
-        for i, buffer in enumerate(self.buffers):
+        self.buffers = Buffers(self.container, self.folder, self.notes)
+        for i in range(len(self.buffers)):
             if i not in self.skipped_buffers:
-                self._check_buffer(i, buffer)
+                self.buffers.check(i)
         for i, item in enumerate(root.children("bufferViews")):
             self.views.append(self._view(item, i in self.skipped_views))
         for i, item in enumerate(root.children("accessors")):
@@ -149,10 +142,7 @@ class Accessors:
         if accessor.view < 0:
             return accessor.sparse is not None
         view = self.views[accessor.view]
-        return view is not None and (
-            "uri" in self.buffers[view.buffer].values
-            or (view.buffer == 0 and self.container.binary is not None)
-        )
+        return view is not None and self.buffers.has_data(view.buffer)
 
     def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
         """Return an accessor's numbers ``(count, width)`` in the stored type.
@@ -188,9 +178,8 @@ class Accessors:
         count = accessor.count * accessor.width
         self._numbers += count
         self._zeros += count if accessor.view < 0 else 0
-        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * sum(
-            [self.container.bytes, *(len(content) for content in self._bytes.values())]
-        )
+        opened = self.container.bytes + self.buffers.opened_bytes
+        limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened
         if self._numbers > limit or self._zeros > MAX_ZEROS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
@@ -202,7 +191,7 @@ class Accessors:
             return np.zeros(shape, kind)
         view = self._used_view(accessor.view, accessor.where)
         start = view.offset + accessor.offset
-        content = self.bytes_of(view.buffer)
+        content = self.buffers.bytes_of(view.buffer)
         step = view.stride or accessor.width * kind.itemsize
         return _strided(content, start, accessor.count, accessor.width, step, kind)
 
@@ -214,7 +203,7 @@ class Accessors:
         value_view = self._used_view(sparse.value_view, f"{where}/values")
         kind = COMPONENTS[accessor.component]
         indices = _strided(
-            self.bytes_of(at.buffer),
+            self.buffers.bytes_of(at.buffer),
             at.offset + sparse.index_offset,
             sparse.count,
             1,
@@ -226,7 +215,7 @@ class Accessors:
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided(
-            self.bytes_of(value_view.buffer),
+            self.buffers.bytes_of(value_view.buffer),
             value_view.offset + sparse.value_offset,
             sparse.count,
             accessor.width,
@@ -241,93 +230,6 @@ class Accessors:
             self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
         return view
 
-    def bytes_of(self, index: int) -> memoryview:
-        """Return the bytes of a buffer, opened on first use."""
-        if index not in self._bytes:
-            self._bytes[index] = self._opened(index)
-        return self._bytes[index]
-
-    def _opened(self, index: int) -> memoryview:
-        buffer = self.buffers[index]
-        length = buffer.size("byteLength", minimum=1)
-        uri = buffer.text("uri")
-        if uri is None:
-            binary = self.container.binary
-            if index or binary is None:
-                message = "the buffer has no uri, and no GLB chunk holds it"
-                self.notes.fail("GLT007", buffer.pointer, message)
-            content = binary
-        elif uri.startswith("data:"):
-            content = memoryview(decode_data(uri, buffer))
-        else:
-            content = memoryview(self._from_file(uri, buffer))
-        if len(content) < length:
-            message = f"byteLength is {length}, but there are {len(content)} bytes"
-            self.notes.fail("GLT007", buffer.pointer, message)
-        return content[:length]
-
-    def _from_file(self, uri: str, buffer: JsonItem) -> bytes:
-        path = self._resolved(uri, buffer)
-        reason = not_a_file_reason(path)
-        if reason is not None:
-            message = f"the file {uri!r} {reason}"
-            self.notes.fail("GLT007", buffer.at("uri"), message)
-        try:
-            return read_input(path)
-        except FormatError as error:
-            self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
-
-    def _resolved(self, uri: str, buffer: JsonItem) -> Path:
-        """Return the path of a URI, inside the folder of the glTF."""
-        where = buffer.at("uri")
-        try:
-            url = urlsplit(uri)
-            name = unquote_to_bytes(url.path).decode("utf-8")
-        except ValueError:
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} is no URI")
-        if url.scheme or url.netloc:
-            message = f"{excerpt(uri)} is on another machine or uses another scheme"
-            hint = "animtool downloads nothing: put the file next to the glTF"
-            self.notes.fail("GLT007", where, message, hint)
-        if not name or "\0" in name or "\\" in name or url.query or url.fragment:
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
-        folder = self.folder.resolve()
-        try:
-            path = (folder / name).resolve()
-        except (OSError, RuntimeError, ValueError):
-            self.notes.fail("GLT007", where, f"{excerpt(uri)} does not name a file")
-        if not path.is_relative_to(folder):
-            message = f"{excerpt(uri)} leads outside the folder of the file"
-            self.notes.fail("GLT007", where, message, "put the file next to the glTF")
-        return path
-
-    def _check_buffer(self, index: int, buffer: JsonItem) -> None:
-        """Check a buffer without opening its file."""
-        length = buffer.size("byteLength", minimum=1)
-        uri = buffer.text("uri")
-        binary = self.container.binary
-        if uri is None:
-            if index == 0 and self.container.is_glb:
-                if binary is None:
-                    message = "the buffer has no uri, and the GLB has no binary chunk"
-                    self.notes.fail("GLT007", buffer.pointer, message)
-                if len(binary) < length:
-                    message = f"byteLength is {length}, but the chunk has {len(binary)}"
-                    self.notes.fail("GLT007", buffer.pointer, message)
-                if len(binary) > length + 3:
-                    message = (
-                        f"{len(binary) - length} bytes after the buffer are unused"
-                    )
-                    self.notes.warn("GLT101", buffer.pointer, message)
-        elif uri.startswith("data:"):
-            self.bytes_of(index)
-        else:
-            path = self._resolved(uri, buffer)
-            reason = not_a_file_reason(path)
-            if reason is not None:
-                message = f"the file {uri!r} {reason}"
-                self.notes.fail("GLT007", buffer.at("uri"), message)
-
     def _view(self, item: JsonItem, skipped: bool) -> BufferView | None:
         if skipped:
             return None
@@ -337,7 +239,7 @@ class Accessors:
         length = item.size("byteLength", minimum=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
-        available = self.buffers[buffer].size("byteLength", minimum=1)
+        available = self.buffers.size(buffer)
         if offset + length > available:
             message = f"ends at byte {offset + length} of a buffer of {available}"
             self.notes.fail("GLT008", item.pointer, message)
@@ -506,17 +408,3 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
         i = int(not_finite[0, 0])
         message = f"element {i} is {values[tuple(not_finite[0])]}, not finite"
         accessor.item.notes.fail("GLT010", accessor.where, message)
-
-
-def decode_data(uri: str, item: JsonItem) -> bytes:
-    """Return the bytes of a data URI of any media type."""
-    media_type, comma, text = uri.partition(",")
-    where = item.at("uri")
-    if not comma or not _DATA.fullmatch(media_type):
-        item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
-    if not media_type.endswith(";base64"):
-        return unquote_to_bytes(text)
-    try:
-        return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)
-    except (binascii.Error, ValueError) as error:
-        item.notes.fail("GLT007", where, f"the data URI is not valid base64: {error}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
@@ -17,6 +16,11 @@ from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
+from animtool.formats.gltf.animation_targets import (
+    ChannelTarget,
+    TargetPath,
+    channel_target,
+)
 from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.meshes import (
     I8,
@@ -26,23 +30,12 @@ from animtool.formats.gltf.meshes import (
     MeshEntry,
     check_bounds,
 )
-from animtool.formats.gltf.nodes import UNIT_TOLERANCE, VISIBILITY
+from animtool.formats.gltf.nodes import UNIT_TOLERANCE
 from animtool.maths import so3
 
-POINTER = "KHR_animation_pointer"
 # Tolerance for the length of quantized quaternion keys, which are coarse [1].
 UNIT_TOLERANCES = {I8: 2e-2, U8: 2e-2, I16: UNIT_TOLERANCE, U16: UNIT_TOLERANCE}
 SMALL_INTEGERS = (I8, U8, I16, U16)
-
-
-class TargetPath(StrEnum):
-    """Which property of a node a channel animates."""
-
-    TRANSLATION = "translation"
-    ROTATION = "rotation"
-    SCALE = "scale"
-    WEIGHTS = "weights"
-    VISIBLE = "visible"
 
 
 class SamplerInterpolation(StrEnum):
@@ -51,14 +44,6 @@ class SamplerInterpolation(StrEnum):
     LINEAR = "LINEAR"
     STEP = "STEP"
     CUBIC = "CUBICSPLINE"
-
-
-_WIDTHS = {
-    TargetPath.TRANSLATION: 3,
-    TargetPath.ROTATION: 4,
-    TargetPath.SCALE: 3,
-    TargetPath.VISIBLE: 1,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,7 +240,7 @@ def _animation(
     times: dict[int, tuple[FloatArray, bool]] = {}
     left_out: dict[str, None] = {}
     for channel in item.children("channels"):
-        candidate = _target(channel, nodes, meshes, left_out)
+        candidate = channel_target(channel, nodes, meshes, left_out)
         index = channel.index("sampler", len(samplers.items), "sampler")
         if index < 0:
             channel.missing("sampler")
@@ -281,115 +266,9 @@ def _animation(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Target:
-    node: int
-    mesh: int
-    path: TargetPath
-    weight_index: int
-    width: int  # numbers per value
-
-
-def _target(
-    channel: JsonItem,
-    nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
-    left_out: dict[str, None],
-) -> _Target | None:
-    """Return the target of a channel; None if it is not read."""
-    target = channel.required("target")
-    path = target.text("path")
-    if path is None:
-        target.missing("path")
-    if path == "pointer":
-        return _pointer_target(target, nodes, meshes, left_out)
-    node = target.index("node", len(nodes), "node")
-    if path not in {"translation", "rotation", "scale", "weights"}:
-        message = f"unknown path {excerpt(path)}: the channel is ignored"
-        target.notes.warn("GLT106", target.at("path"), message)
-        return None
-    if node < 0:
-        # Without a node, the target belongs to an extension, or is ignored.
-        return None
-    return _node_target(target, nodes, meshes, node, TargetPath(path))
-
-
-def _node_target(
-    target: JsonItem,
-    nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
-    node: int,
-    path: TargetPath,
-    weight_index: int = -1,
-) -> _Target | None:
-    if path is TargetPath.WEIGHTS:
-        mesh = nodes[node].mesh
-        count = meshes[mesh].targets if mesh >= 0 else 0
-        if weight_index >= count or not count:
-            message = f"node {node} has {count} morph targets: the channel is ignored"
-            target.notes.warn("GLT106", target.pointer, message)
-            return None
-        return _Target(node, -1, path, weight_index, count if weight_index < 0 else 1)
-    if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
-        message = f"the matrix of node {node}, which is animated, is decomposed"
-        target.notes.warn("GLT106", target.pointer, message)
-    return _Target(node, -1, path, -1, _WIDTHS[path])
-
-
-_NODE = re.compile(
-    r"/nodes/(\d+)/(translation|rotation|scale|weights"
-    rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
-)
-_MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
-
-
-def _pointer_target(
-    target: JsonItem,
-    nodes: Sequence[Node],
-    meshes: Sequence[MeshEntry],
-    left_out: dict[str, None],
-) -> _Target | None:
-    """Return the target of a `KHR_animation_pointer` channel."""
-    extension = target.extension(POINTER)
-    text = None if extension is None else extension.text("pointer")
-    if text is None:
-        message = f"a channel of {POINTER} without a pointer is ignored"
-        target.notes.warn("GLT106", target.pointer, message)
-        return None
-    if not text.startswith("/"):
-        where = extension.at("pointer") if extension else target.pointer
-        message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
-        target.notes.warn("GLT106", where, message)
-        return None
-    if match := _NODE.fullmatch(text):
-        node = int(match[1][:9])
-        if node >= len(nodes):
-            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
-        path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
-        if match[3] is None or path is TargetPath.WEIGHTS:
-            weight_index = -1 if match[3] is None else int(match[3][:9])
-            return _node_target(target, nodes, meshes, node, path, weight_index)
-    elif match := _MESH.fullmatch(text):
-        mesh = int(match[1][:9])
-        if mesh >= len(meshes):
-            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
-        count = meshes[mesh].targets
-        weight_index = -1 if match[2] is None else int(match[2][:9])
-        if count and weight_index < count:
-            return _Target(
-                -1,
-                mesh,
-                TargetPath.WEIGHTS,
-                weight_index,
-                count if weight_index < 0 else 1,
-            )
-    left_out[excerpt(text)] = None
-    return None
-
-
 def _track(
     channel: JsonItem,
-    target: _Target,
+    target: ChannelTarget,
     samplers: _Samplers,
     index: int,
     cache: dict[int, tuple[FloatArray, bool]],
@@ -441,7 +320,9 @@ def _track(
     )
 
 
-def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int) -> Any:
+def _values(
+    channel: JsonItem, target: ChannelTarget, samplers: _Samplers, index: int
+) -> Any:
     item, accessor = samplers.items[index], samplers.ends[index][1]
     accessors = samplers.accessors
     entry = accessors.entries[accessor]

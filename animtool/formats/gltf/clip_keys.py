@@ -10,7 +10,7 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.animations import TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp

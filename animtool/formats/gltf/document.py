@@ -11,7 +11,8 @@ from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node, SkinEntry, roots
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
-from animtool.formats.gltf.animations import POINTER, Animation, read_animations
+from animtool.formats.gltf.animation_targets import POINTER
+from animtool.formats.gltf.animations import Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
 from animtool.formats.gltf.json_items import JsonItem, escaped
 from animtool.formats.gltf.meshes import (

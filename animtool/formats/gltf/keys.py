@@ -8,7 +8,8 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation, TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
+from animtool.formats.gltf.animations import GltfTrack, SamplerInterpolation
 from animtool.formats.gltf.rig import GltfRig
 from animtool.formats.gltf.sampling import SAME_KEY, GltfSampler, MovingRow
 from animtool.formats.gltf.timing import GltfFrames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -112,67 +113,74 @@ def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
 
 def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     attributes = item.required("attributes")
-    count = len(accessors.entries)
-    accessors_of_names: dict[str, int] = {}
-    for name in attributes.values:
-        if not is_read(name):
-            if not is_known(name):
-                message = f"unknown attribute {name!r}: ignored"
-                item.notes.warn("GLT106", attributes.at(name), message)
-            continue
-        accessors_of_names[name] = attributes.index(name, count, "accessor")
-    position, normal = (
-        accessors_of_names.get("POSITION", -1),
-        accessors_of_names.get("NORMAL", -1),
-    )
-    vertex_count = _check_vertices(attributes, accessors_of_names, accessors)
-    sets = sorted(
-        int(name[7:]) for name in accessors_of_names if name.startswith("JOINTS_")
-    )
-    weights = sorted(
-        int(name[8:]) for name in accessors_of_names if name.startswith("WEIGHTS_")
-    )
-    if sets != weights:
-        message = f"JOINTS {sets} and WEIGHTS {weights} do not match"
-        item.notes.fail("GLT011", attributes.pointer, message)
-    targets = []
-    for target in item.children("targets"):
-        _check_target(target)
-        accessors_of = {
-            name: target.index(name, count, "accessor")
-            for name in ("POSITION", "NORMAL")
-            if name in target.values
-        }
-        for name, index in accessors_of.items():
-            accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
-            if accessor.count != vertex_count:
-                message = f"{accessor.count} rows for {vertex_count} vertices"
-                item.notes.fail("GLT011", target.at(name), message)
-            if accessors.has_data(index):
-                check_bounds(accessor.item, accessors.numbers(index))
-        targets.append(
-            MorphTarget(
-                accessors_of.get("POSITION", -1), accessors_of.get("NORMAL", -1)
-            )
-        )
+    read = _read_attributes(attributes, len(accessors.entries))
+    vertex_count = _check_vertices(attributes, read, accessors)
+    sets = _skin_sets(attributes, read)
+    targets = [
+        _morph_target(target, vertex_count, accessors)
+        for target in item.children("targets")
+    ]
     mode = item.number("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
         item.notes.warn("GLT106", item.at("mode"), message)
-    indices = item.index("indices", count, "accessor")
-    primitive = Primitive(
-        position,
-        normal,
-        tuple(accessors_of_names[f"JOINTS_{set_index}"] for set_index in sets),
-        tuple(accessors_of_names[f"WEIGHTS_{set_index}"] for set_index in sets),
+    indices = item.index("indices", len(accessors.entries), "accessor")
+    if indices >= 0:
+        _check_indices(item, indices, vertex_count, accessors)
+    return Primitive(
+        read.get("POSITION", -1),
+        read.get("NORMAL", -1),
+        tuple(read[f"JOINTS_{set_index}"] for set_index in sets),
+        tuple(read[f"WEIGHTS_{set_index}"] for set_index in sets),
         indices,
         TRIANGLES if mode is None else mode,
         tuple(targets),
         item.pointer,
     )
-    if indices >= 0:
-        _check_indices(item, indices, vertex_count, accessors)
-    return primitive
+
+
+def _read_attributes(attributes: JsonItem, count: int) -> dict[str, int]:
+    """Return the accessors of attributes that are read; warn of unknown ones."""
+    read: dict[str, int] = {}
+    for name in attributes.values:
+        if is_read(name):
+            read[name] = attributes.index(name, count, "accessor")
+        elif not is_known(name):
+            message = f"unknown attribute {name!r}: ignored"
+            attributes.notes.warn("GLT106", attributes.at(name), message)
+    return read
+
+
+def _skin_sets(attributes: JsonItem, read: Mapping[str, int]) -> list[int]:
+    """Return the numbers of the sets of joints and weights."""
+    joints, weights = (
+        sorted(int(name.removeprefix(kind)) for name in read if name.startswith(kind))
+        for kind in ("JOINTS_", "WEIGHTS_")
+    )
+    if joints != weights:
+        message = f"JOINTS {joints} and WEIGHTS {weights} do not match"
+        attributes.notes.fail("GLT011", attributes.pointer, message)
+    return joints
+
+
+def _morph_target(
+    target: JsonItem, vertex_count: int, accessors: Accessors
+) -> MorphTarget:
+    """Return the accessors of a morph target."""
+    _check_target(target)
+    read = {
+        name: target.index(name, len(accessors.entries), "accessor")
+        for name in ("POSITION", "NORMAL")
+        if name in target.values
+    }
+    for name, index in read.items():
+        accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
+        if accessor.count != vertex_count:
+            message = f"{accessor.count} rows for {vertex_count} vertices"
+            target.notes.fail("GLT011", target.at(name), message)
+        if accessors.has_data(index):
+            check_bounds(accessor.item, accessors.numbers(index))
+    return MorphTarget(read.get("POSITION", -1), read.get("NORMAL", -1))
 
 
 def _check_target(target: JsonItem) -> None:

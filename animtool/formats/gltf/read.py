@@ -10,7 +10,8 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.stream import TakeWords, choose_take, finish_stream
-from animtool.formats.gltf.animations import Animation, TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
+from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import build_rig, scale_notice

@@ -16,7 +16,7 @@ from animtool.formats.characters.binding import Binder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import joint_names, renamed_notice
 from animtool.formats.characters.nodes import SAME_SCALE
-from animtool.formats.gltf.animations import TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.surfaces import mesh_names, mesh_parts, names_of_shapes
 from animtool.formats.gltf.vrm import humanoid_bones

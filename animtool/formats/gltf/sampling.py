@@ -14,7 +14,8 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
-from animtool.formats.gltf.animations import Animation, GltfTrack, TargetPath, between
+from animtool.formats.gltf.animation_targets import TargetPath
+from animtool.formats.gltf.animations import Animation, GltfTrack, between
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
 from animtool.formats.gltf.timing import GltfFrames

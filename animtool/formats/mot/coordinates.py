@@ -24,7 +24,7 @@ _SLIDE = re.compile(
 class Coordinate:
     """One scalar coordinate of a joint."""
 
-    joint: int  # joint index
+    joint_index: int
     component: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
     axis: int = 0  # axis of a rotation or translation
 
@@ -86,14 +86,14 @@ def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
 
 
 def _dotted(rig: Rig, coordinate: Coordinate) -> str:
-    name = f"{rig.joints[coordinate.joint].name}.{coordinate.component}"
+    name = f"{rig.joints[coordinate.joint_index].name}.{coordinate.component}"
     if coordinate.component in {"angle", "slide"}:
         return name
     return f"{name}.{'xyz'[coordinate.axis]}"
 
 
 def _short(rig: Rig, coordinate: Coordinate) -> str:
-    name, axis = rig.joints[coordinate.joint].name, "xyz"[coordinate.axis]
+    name, axis = rig.joints[coordinate.joint_index].name, "xyz"[coordinate.axis]
     suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(
         coordinate.component, ""
     )
@@ -149,9 +149,11 @@ def rows_to_coordinates(
         if joint.type in (JointType.BALL, JointType.FREE):
             coordinates[:, slice_.stop - 1] = 1.0
     for coordinate, column in zip(columns, values.T, strict=True):
-        slice_ = slices[coordinate.joint]
+        slice_ = slices[coordinate.joint_index]
         if coordinate.component == "rotation":
-            angles = rotations.setdefault(coordinate.joint, np.zeros((len(values), 3)))
+            angles = rotations.setdefault(
+                coordinate.joint_index, np.zeros((len(values), 3))
+            )
             angles[:, coordinate.axis] = column
         else:
             at = slice_.start + (
@@ -172,12 +174,14 @@ def rows_of_coordinates(
     values = np.zeros((len(coordinates), len(columns)))
     rotations: dict[int, FloatArray] = {}
     for c, coordinate in enumerate(columns):
-        slice_ = slices[coordinate.joint]
+        slice_ = slices[coordinate.joint_index]
         if coordinate.component == "rotation":
-            if coordinate.joint not in rotations:
+            if coordinate.joint_index not in rotations:
                 quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
-                rotations[coordinate.joint] = euler.from_quaternion(quaternions, ORDER)
-            values[:, c] = rotations[coordinate.joint][:, coordinate.axis]
+                rotations[coordinate.joint_index] = euler.from_quaternion(
+                    quaternions, ORDER
+                )
+            values[:, c] = rotations[coordinate.joint_index][:, coordinate.axis]
         else:
             at = slice_.start + (
                 coordinate.axis if coordinate.component == "translation" else 0

@@ -238,7 +238,9 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = rows_to_coordinates(rig, columns, values)
-    animated_joints = {rig.joints[coordinate.joint].name for coordinate in columns}
+    animated_joints = {
+        rig.joints[coordinate.joint_index].name for coordinate in columns
+    }
     local = local_from_coordinates(rig, with_mimics(rig, coordinates, animated_joints))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)

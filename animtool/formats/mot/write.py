@@ -73,7 +73,7 @@ def mot_text(take: Take) -> TakeText:
     static = {
         j
         for j in {
-            coordinate.joint
+            coordinate.joint_index
             for coordinate in columns
             if coordinate.component == "translation"
         }
@@ -82,7 +82,7 @@ def mot_text(take: Take) -> TakeText:
     written_columns = [
         c
         for c, coordinate in enumerate(columns)
-        if coordinate.component != "translation" or coordinate.joint not in static
+        if coordinate.component != "translation" or coordinate.joint_index not in static
     ]
     columns = [columns[c] for c in written_columns]
     values = values[:, written_columns]
@@ -103,7 +103,7 @@ def _translations(columns: list[Coordinate], joint: int) -> list[int]:
     return [
         c
         for c, coordinate in enumerate(columns)
-        if coordinate.joint == joint and coordinate.component == "translation"
+        if coordinate.joint_index == joint and coordinate.component == "translation"
     ]
 
 

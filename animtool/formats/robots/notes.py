@@ -137,7 +137,7 @@ def to_number(text: str) -> float | None:
 def label(kind: str, name: str) -> str:
     """Return a joint's or link's label for messages.
 
-    >>> named("joint", "elbow flex")
+    >>> label("joint", "elbow flex")
     "joint 'elbow flex'"
     """
     return f"{kind} {excerpt(name)}"

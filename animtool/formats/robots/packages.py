@@ -17,7 +17,6 @@ _PACKAGES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
 MAX_ABOVE = 12
 PACKAGE = "package.xml"
-MAX_PACKAGE_BYTES = 1_000_000
 
 
 class OutsideError(ValueError):

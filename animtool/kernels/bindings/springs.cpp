@@ -53,9 +53,11 @@ Edges are pairs of particles, the lower first, in order.)");
 From positions ``(N, 3)``; returns the state ``(2, N, 3)``. No contact history is used.)");
 
   m.def("pierced_edges", &pierced_edges, Unlocked(), "positions"_a, "triangles"_a,
+        "others"_a.none() = nb::none(),
         R"(Count pairs of an edge through a triangle ``(T, 3)`` that has neither of its ends.
 
-At ``positions`` ``(N, 3)``.)");
+At ``positions`` ``(N, 3)``. With ``others`` ``(U, 3)``, edges of each through triangles of the
+other alone.)");
 
   m.def("spring_order", &spring_order, Unlocked(), "ends"_a, "particles"_a,
         R"(Return the solver order ``(S,)`` of springs ``(S, 2)``.
@@ -127,7 +129,7 @@ strands above which a step is corrected once more.)")
 
   m.def("follow_strands", &follow_strands, Unlocked(), "strands"_a, "targets"_a, "state"_a,
         "span"_a, "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
-        "own"_a = OwnColliders{0, 0},
+        "own"_a = CarrierColliders{0, 0},
         R"(Advance strands over a frame, from a state ``(2, N, 3)``.
 
 ``targets`` ``(cells + 1, N, 3)`` are animated positions at the ends of even cells, linear

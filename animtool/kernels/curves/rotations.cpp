@@ -179,43 +179,62 @@ struct RotationKeys {
 };
 
 // Angular velocities in body space. Each key's is that of the quadratic through it and its
-// neighbours; a slerp beside it has its say, a step has none.
+// neighbours; a slerp beside it has its say, a step has none. Those of the last keys asked for
+// are kept: as times ascend, each is worked out once, in little memory.
 class Velocities {
  public:
-  explicit Velocities(const RotationKeys& keys)
-      : keys_(keys), steps_(3 * keys.curves * (keys.count - 1)),
-        values_(3 * keys.curves * keys.count) {
-    for (std::size_t k = 0; k + 1 < keys.count; ++k)
-      for (std::size_t c = 0; c < keys.curves; ++c)
-        rotation_between(keys.key(k, c), keys.key(k + 1, c), &steps_[3 * (k * keys.curves + c)]);
-    for (std::size_t k = 0; k < keys.count; ++k) set(k);
+  explicit Velocities(const RotationKeys& keys) : keys_(keys) {
+    for (std::size_t i = 0; i < KEPT; ++i) {
+      steps_[i].values.resize(3 * keys.curves);
+      velocities_[i].values.resize(3 * keys.curves);
+    }
   }
 
-  // The rotation vector from a key to the next.
-  const double* step(std::size_t k, std::size_t c) const {
-    return &steps_[3 * (k * keys_.curves + c)];
+  // The rotation vectors from a key to the next (C, 3).
+  const double* steps(std::size_t k) {
+    Row& row = steps_[k % KEPT];
+    if (row.key == k) return row.values.data();
+    row.key = k;
+    for (std::size_t c = 0; c < keys_.curves; ++c)
+      rotation_between(keys_.key(k, c), keys_.key(k + 1, c), &row.values[3 * c]);
+    return row.values.data();
   }
 
-  const double* at(std::size_t k, std::size_t c) const {
-    return &values_[3 * (k * keys_.curves + c)];
+  // The velocities at a key (C, 3).
+  const double* at(std::size_t k) {
+    Row& row = velocities_[k % KEPT];
+    if (row.key == k) return row.values.data();
+    row.key = k;
+    set(k, row.values);
+    return row.values.data();
   }
 
  private:
+  static constexpr std::size_t KEPT = 4, NONE = static_cast<std::size_t>(-1);
+
+  struct Row {
+    std::size_t key = NONE;
+    std::vector<double> values;
+  };
+
   static int rank(std::int64_t kind) { return kind == kStep ? 0 : kind == kSlerp ? 2 : 1; }
 
-  void set(std::size_t k) {
+  void set(std::size_t k, std::vector<double>& values) {
     const std::size_t last = keys_.count - 1;
     const double before = k > 0 ? keys_.times[k] - keys_.times[k - 1] : 0;
     const double after = k < last ? keys_.times[k + 1] - keys_.times[k] : 0;
     const int first = k > 0 ? rank(keys_.kinds[k - 1]) : 0;
     const int second = k < last ? rank(keys_.kinds[k]) : 0;
+    std::fill(values.begin(), values.end(), 0.0);
     if (!first && !second) return;
     const double fraction = first > second ? 1 : first < second ? 0 : after / (before + after);
+    const double* arriving = first >= second ? steps(k - 1) : nullptr;
+    const double* leaving = second >= first ? steps(k) : nullptr;
     for (std::size_t c = 0; c < keys_.curves; ++c) {
-      double* out = &values_[3 * (k * keys_.curves + c)];
+      double* out = &values[3 * c];
       for (int i = 0; i < 3; ++i) {
-        if (first >= second) out[i] += fraction * (step(k - 1, c)[i] / before);
-        if (second >= first) out[i] += (1 - fraction) * (step(k, c)[i] / after);
+        if (arriving) out[i] += fraction * (arriving[3 * c + i] / before);
+        if (leaving) out[i] += (1 - fraction) * (leaving[3 * c + i] / after);
       }
       const double limit = length(out) * std::max(before, after);
       if (limit > MAX_ROTATION)
@@ -224,14 +243,14 @@ class Velocities {
   }
 
   const RotationKeys& keys_;
-  std::vector<double> steps_, values_;
+  Row steps_[KEPT], velocities_[KEPT];
 };
 
 // What a segment of every curve is made of, for the kind that it has.
 class Segments {
  public:
   // Without velocities where no segment asks for any.
-  Segments(const RotationKeys& keys, const Velocities* velocities)
+  Segments(const RotationKeys& keys, Velocities* velocities)
       : keys_(keys), velocities_(velocities) {}
 
   // Of the keys k and k + 1.
@@ -243,16 +262,15 @@ class Segments {
       for (std::size_t c = 0; c < curves; ++c) arcs_[c].set(keys_.key(k, c), keys_.key(k + 1, c));
     } else if (kind_ != kStep) {
       const double span = keys_.times[k + 1] - keys_.times[k];
+      const double *starts = velocities_->at(k), *ends = velocities_->at(k + 1);
+      const double* steps = velocities_->steps(k);
       squads_.resize(curves), splines_.resize(curves);
       for (std::size_t c = 0; c < curves; ++c) {
         double leaving[3], arriving[3];
-        for (int i = 0; i < 3; ++i) {
-          leaving[i] = span * velocities_->at(k, c)[i];
-          arriving[i] = span * velocities_->at(k + 1, c)[i];
-        }
+        for (int i = 0; i < 3; ++i)
+          leaving[i] = span * starts[3 * c + i], arriving[i] = span * ends[3 * c + i];
         if (kind_ == kSquad)
-          squads_[c].set(keys_.key(k, c), keys_.key(k + 1, c), velocities_->step(k, c), leaving,
-                         arriving);
+          squads_[c].set(keys_.key(k, c), keys_.key(k + 1, c), steps + 3 * c, leaving, arriving);
         else
           splines_[c].set(keys_.key(k, c), keys_.key(k + 1, c), leaving, arriving);
       }
@@ -274,7 +292,7 @@ class Segments {
 
  private:
   const RotationKeys& keys_;
-  const Velocities* velocities_;
+  Velocities* velocities_;
   std::int64_t kind_ = kStep;
   std::vector<Arc> arcs_;
   std::vector<Squad> squads_;
@@ -306,12 +324,12 @@ RotationKeys read_keys(In<double, 1> times, In<double, 3> keys, In<std::int64_t,
 // one ended.
 class Beyond {
  public:
-  Beyond(const RotationKeys& keys, const Velocities& velocities) : curves_(keys.curves) {
+  Beyond(const RotationKeys& keys, Velocities& velocities) : curves_(keys.curves) {
     const std::size_t last = keys.count - 1;
     ends_.resize(6 * curves_), rises_.resize(3 * curves_);
     for (std::size_t c = 0; c < curves_; ++c) {
-      std::copy_n(velocities.at(0, c), 3, &ends_[6 * c]);
-      std::copy_n(velocities.at(last, c), 3, &ends_[6 * c + 3]);
+      std::copy_n(velocities.at(0) + 3 * c, 3, &ends_[6 * c]);
+      std::copy_n(velocities.at(last) + 3 * c, 3, &ends_[6 * c + 3]);
       const double* first = keys.key(0, c);
       const double back[4] = {-first[0], -first[1], -first[2], first[3]};
       double rise[4];

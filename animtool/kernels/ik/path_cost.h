@@ -19,7 +19,7 @@ class TimeBand {
  public:
   TimeBand(int frames, int first, int end, const PathWeights& weights)
       : first_(first), count_(std::max(end - first, 0)), rows_(5 * std::max(frames, 1)),
-        pivots_(count_), below_(2 * count_) {
+        inverses_(count_), below_(2 * count_) {
     for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
     for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
     for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
@@ -35,15 +35,15 @@ class TimeBand {
       double far = i > 1 ? row_i[0] : 0, near = i > 0 ? row_i[1] : 0, pivot = row_i[2];
       if (i > 1) {
         near -= far * below_[2 * (i - 1)];
-        pivot -= far * far / pivots_[i - 2];
-        far /= pivots_[i - 2];
+        pivot -= far * far * inverses_[i - 2];
+        far *= inverses_[i - 2];
       }
       if (i > 0) {
-        pivot -= near * near / pivots_[i - 1];
-        near /= pivots_[i - 1];
+        pivot -= near * near * inverses_[i - 1];
+        near *= inverses_[i - 1];
       }
       below_[2 * i] = near, below_[2 * i + 1] = far;
-      pivots_[i] = pivot;
+      inverses_[i] = 1 / pivot;
     }
   }
 
@@ -56,36 +56,48 @@ class TimeBand {
     for (int i = 0; i < count_; ++i) {
       const int t = first_ + i;
       double* o = out.data() + static_cast<std::size_t>(t) * width;
-      std::fill(o, o + width, 0.0);
-      for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k) {
-        const double factor = rows_[5 * t + 2 + k - t];
-        const double* from = x.data() + static_cast<std::size_t>(k) * width;
-        for (int d = 0; d < width; ++d) o[d] += factor * from[d];
+      const double* near = x.data() + static_cast<std::size_t>(t) * width;
+      const double* factors = &rows_[5 * t];
+      if (t > 1 && t + 2 < frames) {
+        const double *a = near - 2 * width, *b = near - width, *c = near + width;
+        const double* e = near + 2 * width;
+        for (int d = 0; d < width; ++d)
+          o[d] = factors[0] * a[d] + factors[1] * b[d] + factors[2] * near[d] +
+                 factors[3] * c[d] + factors[4] * e[d];
+        continue;
       }
+      std::fill(o, o + width, 0.0);
+      for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k)
+        add(factors[2 + k - t], x.data() + static_cast<std::size_t>(k) * width, width, o);
     }
   }
 
-  // Solves P x = b in place over the frames that may move.
-  void solve(std::vector<double>& x, int width) const {
-    const auto at = [&](int i) { return x.data() + static_cast<std::size_t>(first_ + i) * width; };
-    for (int i = 1; i < count_; ++i)
-      for (int k = 1; k <= std::min(i, 2); ++k) {
-        const double factor = below_[2 * i + k - 1];
-        double *row_i = at(i), *other = at(i - k);
-        for (int d = 0; d < width; ++d) row_i[d] -= factor * other[d];
-      }
-    for (int i = count_; i-- > 0;) {
-      double* row_i = at(i);
-      for (int d = 0; d < width; ++d) row_i[d] /= pivots_[i];
-      for (int k = 1; k <= std::min(count_ - 1 - i, 2); ++k) {
-        const double factor = below_[2 * (i + k) + k - 1];
-        const double* other = at(i + k);
-        for (int d = 0; d < width; ++d) row_i[d] -= factor * other[d];
-      }
-    }
+  // The i-th of the frames that may move, of a vector of all.
+  template <class Number>
+  Number* of(Number* x, int i, int width) const {
+    return x + static_cast<std::size_t>(first_ + i) * width;
+  }
+
+  // Solves P x = b in place over the frames that may move: `forward` for each of these, then
+  // `backward` from the last to the first.
+  void forward(double* x, int i, int width) const {
+    double* row_i = of(x, i, width);
+    const double near = below_[2 * i], far = below_[2 * i + 1];
+    if (i > 0) add(-near, of(x, i - 1, width), width, row_i);
+    if (i > 1) add(-far, of(x, i - 2, width), width, row_i);
+  }
+  void backward(double* x, int i, int width) const {
+    double* row_i = of(x, i, width);
+    for (int d = 0; d < width; ++d) row_i[d] *= inverses_[i];
+    if (i + 1 < count_) add(-below_[2 * i + 2], of(x, i + 1, width), width, row_i);
+    if (i + 2 < count_) add(-below_[2 * i + 5], of(x, i + 2, width), width, row_i);
   }
 
  private:
+  static void add(double factor, const double* from, int width, double* to) {
+    for (int d = 0; d < width; ++d) to[d] += factor * from[d];
+  }
+
   double* row(int t) { return &rows_[5 * t]; }
 
   void add(int t, std::initializer_list<double> stencil, double weight) {
@@ -99,7 +111,8 @@ class TimeBand {
 
   int first_, count_;
   double damping_ = 0;
-  std::vector<double> rows_, pivots_, below_;
+  std::vector<double> rows_;
+  std::vector<double> inverses_, below_;  // one over the pivots, and what is below them
 };
 
 // What a path of poses costs: its distance from another, its speed and its acceleration.

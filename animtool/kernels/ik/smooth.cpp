@@ -81,8 +81,8 @@ class PathSmoother {
   static constexpr int TRIES = 8;
   static constexpr double STIFFER = 4;
   // Passes over the limits, steps of conjugate gradients and where these end.
-  static constexpr int PASSES = 4, MOST_ROUNDS = 60;
-  static constexpr double LOOSE = 1e-2;
+  static constexpr int PASSES = 5, MOST_ROUNDS = 60;
+  static constexpr double LOOSE = 1e-2, ROUGH = 3e-1;
 
   // What goals come to is kept, whoever gave way, and for whatever preference.
   static Task of_goals_alone(Task task) {
@@ -265,9 +265,14 @@ class PathSmoother {
     band_.damp(damping_);
     step_.assign(slope_.size(), 0.0);
     for (int t = first_; t < end_; ++t) open(t);
+    // Limits that are run into show up in rough steps.
+    bool tight = false;
     for (int pass = 0; pass < PASSES; ++pass) {
-      solve();
-      if (!fix_violations()) break;
+      tight = tight || pass + 1 == PASSES;
+      solve(tight ? LOOSE : ROUGH);
+      if (fix_violations()) continue;
+      if (tight) break;
+      tight = true;
     }
     band_.multiply(step_, width_, image_);
     double bend = 0, size = 1e-300;
@@ -294,21 +299,19 @@ class PathSmoother {
     spaces_[t].span(task_.rows, width_, linear_.columns, work_);
   }
 
-  // Takes out of x what goals and limits feel, frame by frame.
-  void project(std::vector<double>& x) {
-    for (int t = first_; t < end_; ++t) {
-      double* values = frame(x, t);
-      if (stuck_[t])
-        std::fill(values, values + width_, 0.0);
-      else
-        spaces_[t].project(values, work_);
-    }
+  // Takes out of a frame of x what goals and limits feel.
+  void project(std::vector<double>& x, int t) {
+    double* values = frame(x, t);
+    if (stuck_[t])
+      std::fill(values, values + width_, 0.0);
+    else
+      spaces_[t].project(values, work_);
   }
 
   // step_ <- the best one that goals and fixed limits leave, from that before.
-  void solve() {
+  void solve(double near) {
     const std::size_t size = slope_.size();
-    project(step_);
+    for (int t = first_; t < end_; ++t) project(step_, t);
     for (int t = first_; t < end_; ++t) {
       if (stuck_[t]) continue;
       double* values = frame(step_, t);
@@ -320,23 +323,19 @@ class PathSmoother {
     conditioned_.assign(size, 0.0);
     // What the slope alone comes to says what is small.
     for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i];
-    project(rest_);
-    const double small = precondition() * LOOSE * LOOSE;
+    const double small = precondition() * near * near;
     for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
-    project(rest_);
     double size_now = precondition();
     along_ = conditioned_;
     for (int round = 0; round < MOST_ROUNDS && size_now > small && size_now > 0; ++round) {
       band_.multiply(along_, width_, image_);
-      double bend = 0;
-      for (std::size_t i = begin(); i < end(); ++i) bend += along_[i] * image_[i];
+      const double bend = product(along_, image_);
       if (!(bend > 0)) return;
       const double amount = size_now / bend;
       for (std::size_t i = begin(); i < end(); ++i) {
         step_[i] += amount * along_[i];
         rest_[i] -= amount * image_[i];
       }
-      project(rest_);
       const double next = precondition();
       for (std::size_t i = begin(); i < end(); ++i)
         along_[i] = conditioned_[i] + next / size_now * along_[i];
@@ -344,12 +343,28 @@ class PathSmoother {
     }
   }
 
+  // Projects rest_, and conditioned_ <- what it comes to; the product of both. Frames are
+  // gone through forth and back, so that those last read are still near.
   double precondition() {
-    conditioned_ = rest_;
-    band_.solve(conditioned_, width_);
-    project(conditioned_);
+    for (int t = first_; t < end_; ++t) {
+      project(rest_, t);
+      std::copy(frame(rest_, t), frame(rest_, t) + width_, frame(conditioned_, t));
+      band_.forward(conditioned_.data(), t - first_, width_);
+    }
     double sum = 0;
-    for (std::size_t i = begin(); i < end(); ++i) sum += conditioned_[i] * rest_[i];
+    // A frame is projected once the two before it are solved.
+    for (int t = end_ + 1; t >= first_; --t) {
+      if (t - 2 >= first_) band_.backward(conditioned_.data(), t - 2 - first_, width_);
+      if (t >= end_) continue;
+      project(conditioned_, t);
+      sum += inner(frame(conditioned_, t), frame(rest_, t), 0, width_);
+    }
+    return sum;
+  }
+
+  double product(std::vector<double>& a, std::vector<double>& b) {
+    double sum = 0;
+    for (int t = first_; t < end_; ++t) sum += inner(frame(a, t), frame(b, t), 0, width_);
     return sum;
   }
 

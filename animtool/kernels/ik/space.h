@@ -1,10 +1,14 @@
 // Null space of the goals and fixed limits of one frame of a path.
+//
+// A goal feels the joints above it alone. So its Jacobian J is kept as blocks that are not
+// zero, and x loses J^T (J J^T)^-1 J x: orthonormal rows would be full.
 #pragma once
 
 #include <cmath>
 #include <vector>
 
 #include "base/cholesky.h"
+#include "ik/linear.h"
 #include "ik/step.h"
 
 namespace animtool::ik {
@@ -24,10 +28,9 @@ class GoalSpace {
   // From the goals' Jacobian by columns (D, M), which is changed.
   void span(int rows_asked, int width, std::vector<double>& jacobian, Work& work) {
     const int m = rows_ = rows_asked;
-    width_ = width;
     work.gram.assign(static_cast<std::size_t>(m) * m, 0.0);
     work.missing.assign(m, 0.0);
-    step.assign(width_, 0.0);
+    step.assign(width, 0.0);
     for (const Fixed& one : fixed) {
       double* columns = jacobian.data() + static_cast<std::size_t>(one.dof) * m;
       for (int i = 0; i < m; ++i) {
@@ -39,17 +42,21 @@ class GoalSpace {
       for (int k = 0; k < one.width; ++k)
         step[one.dof + k] += one.value * one.direction[k];
     }
-    basis_.resize(static_cast<std::size_t>(m) * width_);
-    for (int d = 0; d < width_; ++d) {
-      const double* column = jacobian.data() + static_cast<std::size_t>(d) * m;
-      for (int i = 0; i < m; ++i) {
-        basis_[static_cast<std::size_t>(i) * width_ + d] = column[i];
-        if (column[i] == 0) continue;
-        double* row = &work.gram[static_cast<std::size_t>(i) * m];
-        for (int j = 0; j <= i; ++j) row[j] += column[i] * column[j];
-      }
-    }
-    orthonormalize(work);
+    keep(jacobian, width);
+    for (const Block& block : blocks_)
+      for (int i = 0; i < block.rows; ++i)
+        for (int j = 0; j <= i; ++j)
+          work.gram[static_cast<std::size_t>(block.row + i) * m + block.row + j] +=
+              inner(row_of(block, i), row_of(block, j), 0, block.columns);
+    for (int i = 0; i < m; ++i) work.gram[i * m + i] += DAMPING;
+    work.felt.resize(m);
+    cholesky::factor<cholesky::Inverses, cholesky::Small::COUNTS_FOR_NOTHING>(
+        work.gram.data(), m, m, work.felt.data(), [](std::size_t) { return DAMPING / 2; });
+    factor_.clear();
+    for (int i = 0; i < m; ++i)
+      factor_.insert(factor_.end(), &work.gram[i * m], &work.gram[i * m] + i + 1);
+    solve(work.missing);
+    spread(work.missing, 1, step.data());
   }
 
   // Takes out of x (D,) what goals and limits feel.
@@ -59,45 +66,75 @@ class GoalSpace {
       for (int k = 0; k < one.width; ++k) along += x[one.dof + k] * one.direction[k];
       for (int k = 0; k < one.width; ++k) x[one.dof + k] -= along * one.direction[k];
     }
-    const double* rows = basis_.data();
-    work.felt.resize(rows_);
-    for (int i = 0; i < rows_; ++i) work.felt[i] = inner(rows + i * width_, x, 0, width_);
-    for (int i = 0; i < rows_; ++i) {
-      const double* row = rows + i * width_;
-      const double along = work.felt[i];
-      for (int d = 0; d < width_; ++d) x[d] -= along * row[d];
-    }
+    work.felt.assign(rows_, 0.0);
+    for (const Block& block : blocks_)
+      for (int i = 0; i < block.rows; ++i)
+        work.felt[block.row + i] += inner(row_of(block, i), x + block.dof, 0, block.columns);
+    solve(work.felt);
+    spread(work.felt, -1, x);
   }
 
  private:
   // What the Gram matrix of the goals is damped by: rows of length 1 lose as much.
   static constexpr double DAMPING = 1e-10;
 
-  // basis_ <- L^-1 basis_, where L L^T is the damped Gram matrix.
-  void orthonormalize(Work& work) {
-    using namespace cholesky;
-    const int m = rows_;
-    double* gram = work.gram.data();
-    for (int i = 0; i < m; ++i) gram[i * m + i] += DAMPING;
-    work.felt.resize(m);
-    factor<Inverses, Small::COUNTS_FOR_NOTHING>(gram, m, m, work.felt.data(),
-                                                [](std::size_t) { return DAMPING / 2; });
-    solve_forward<Inverses>(Rows{gram, static_cast<std::size_t>(m)}, m, work.missing.data());
-    for (int i = 0; i < m; ++i) {
-      const double* row_i = gram + static_cast<std::size_t>(i) * m;
-      double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
-      for (int j = 0; j < i; ++j) {
-        const double* done = basis_.data() + static_cast<std::size_t>(j) * width_;
-        for (int d = 0; d < width_; ++d) row[d] -= row_i[j] * done[d];
-      }
-      for (int d = 0; d < width_; ++d) row[d] *= row_i[i];
-      for (int d = 0; d < width_; ++d) step[d] += work.missing[i] * row[d];
-    }
+  // Columns of the Jacobian, from `dof` on, that are 0 outside the same rows.
+  struct Block {
+    int dof, columns, row, rows;
+    std::size_t begin;  // of their values, a row after another
+  };
+
+  const double* row_of(const Block& block, int i) const {
+    return values_.data() + block.begin + static_cast<std::size_t>(i) * block.columns;
   }
 
-  int rows_ = 0, width_ = 0;
-  // Orthonormal, of what the goals feel of the directions that are not fixed (M, D).
-  std::vector<double> basis_;
+  // blocks_ and their values_ <- the Jacobian.
+  void keep(const std::vector<double>& jacobian, int width) {
+    blocks_.clear();
+    std::size_t count = 0;
+    for (int d = 0; d < width; ++d) {
+      const double* column = jacobian.data() + static_cast<std::size_t>(d) * rows_;
+      int row = 0, end = rows_;
+      while (row < end && column[row] == 0) ++row;
+      while (end > row && column[end - 1] == 0) --end;
+      if (row == end) continue;
+      const bool goes_on = !blocks_.empty() && blocks_.back().row == row &&
+                           blocks_.back().rows == end - row &&
+                           blocks_.back().dof + blocks_.back().columns == d;
+      if (!goes_on) blocks_.push_back({d, 0, row, end - row, count});
+      ++blocks_.back().columns;
+      count += end - row;
+    }
+    values_.resize(count);
+    double* value = values_.data();
+    for (const Block& block : blocks_)
+      for (int i = block.row; i < block.row + block.rows; ++i)
+        for (int d = block.dof; d < block.dof + block.columns; ++d)
+          *value++ = jacobian[static_cast<std::size_t>(d) * rows_ + i];
+  }
+
+  // y (M,) <- (L L^T)^-1 y.
+  void solve(std::vector<double>& y) const {
+    const auto row = [&](std::size_t i) { return factor_.data() + i * (i + 1) / 2; };
+    cholesky::solve_forward<cholesky::Inverses>(row, rows_, y.data());
+    cholesky::solve_backward<cholesky::Inverses>(row, rows_, y.data());
+  }
+
+  // x (D,) gains `times` J^T y.
+  void spread(const std::vector<double>& y, double times, double* x) const {
+    for (const Block& block : blocks_)
+      for (int i = 0; i < block.rows; ++i) {
+        const double* row = row_of(block, i);
+        const double factor = times * y[block.row + i];
+        double* to = x + block.dof;
+        for (int d = 0; d < block.columns; ++d) to[d] += factor * row[d];
+      }
+  }
+
+  int rows_ = 0;
+  std::vector<Block> blocks_;
+  std::vector<double> values_;  // of the blocks
+  std::vector<double> factor_;  // L of J J^T, damped, its rows one after another
 };
 
 }  // namespace animtool::ik

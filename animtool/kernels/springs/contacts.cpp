@@ -30,6 +30,8 @@ constexpr std::size_t PUSH = 7;
 constexpr double MIDDLES_NEARER = 0.25;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
+// Of that, where patches begin: what is near on a fine mesh is more than one holds.
+constexpr double FIRST_SLACK = 0.25;
 
 double thickness_of(const Collider& c, double radius) {
   if (c.container) return collide::FAR;
@@ -216,7 +218,8 @@ void SpringContacts::make_patches(std::size_t particles) {
       box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
     patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
-      patches_.emplace_back(particles, std::max(kept, FINE * length(load(box + 3) - load(box))));
+      patches_.emplace_back(
+          particles, FIRST_SLACK * std::max(kept, FINE * length(load(box + 3) - load(box))));
   }
 }
 

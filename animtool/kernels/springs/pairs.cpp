@@ -108,7 +108,7 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const shapes::Segment edge(layers.ends(e), x.data());
     collide::store(edge.at(0.5), &middles[ROW * e]);
-    lengths[e] = length(edge.shift());
+    lengths[e] = middles[ROW * e + 3] = length(edge.shift());
     widths += box(edge, lengths[e]).widest();
   }
   PointGrid grid;
@@ -120,12 +120,12 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
     const Box about = box(edge, lengths[e]), close = box(edge, 0);
     const Vec middle = load(&middles[ROW * e]);
     grid.visit(about.low, about.high, [&](std::int32_t n, const double* location) {
-      const auto f = static_cast<std::size_t>(n);
-      const auto self = std::pair(lengths[e], e), other = std::pair(lengths[f], f);
-      if (!(other < self)) return;
-      const double most = farthest + (lengths[e] + lengths[f]) / 2;
+      // Behind its middle there is its length.
+      const double other = location[3], most = farthest + (lengths[e] + other) / 2;
       const Vec off = load(location) - middle;
       if (dot(off, off) > most * most) return;
+      const auto f = static_cast<std::size_t>(n);
+      if (!(other < lengths[e] || (other == lengths[e] && f < e))) return;
       const auto [first, second] = std::minmax(e, f);
       const std::int32_t *one = layers.ends(first), *two = layers.ends(second);
       if (one[0] == two[0] || one[0] == two[1] || one[1] == two[0] || one[1] == two[1]) return;

@@ -73,7 +73,8 @@ Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& la
                             In<double, 2> before, In<double, 3> after, double h);
 
 // How many edges go through triangles that have neither of their ends, at positions (N, 3).
-std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles);
+std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles,
+                           const std::optional<In<std::int64_t, 2>>& others);
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,

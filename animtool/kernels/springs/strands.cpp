@@ -157,7 +157,7 @@ class Bundles {
  public:
   Bundles(const SpringStrands& strands, const StrandSteps& plan,
           const MovingColliders& colliders, const FrameColliders& frame,
-          const OwnColliders& own, const double* targets, const double* state, double* out)
+          const CarrierColliders& own, const double* targets, const double* state, double* out)
       : strands_(strands),
         plan_(plan),
         colliders_(colliders),
@@ -405,7 +405,7 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads, const OwnColliders& own) {
+                               std::size_t threads, const CarrierColliders& own) {
   const std::size_t count = strands.strands() * strands.points();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});

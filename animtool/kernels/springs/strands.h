@@ -15,8 +15,8 @@ namespace animtool {
 // states (2, N, 3); particles in contact, and left inside colliders, at most; largest stretch
 using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, double>;
 
-// Of rigid colliders those that particles alone collide with: the first, and how many.
-using OwnColliders = std::pair<std::size_t, std::size_t>;
+// Rigid colliders of the carrier, which only particles collide with: the first, and how many.
+using CarrierColliders = std::pair<std::size_t, std::size_t>;
 
 class SpringStrands {
  public:
@@ -52,6 +52,6 @@ class SpringStrands {
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
                                const std::optional<SpringColliders>& colliders,
-                               std::size_t threads, const OwnColliders& own);
+                               std::size_t threads, const CarrierColliders& own);
 
 }  // namespace animtool

@@ -152,7 +152,7 @@ def _span(count: int, size: int, gap: int) -> int:
 def evenly_spaced(count: int, parts: int) -> IntArray:
     """Return evenly spaced samples, including the first and the last.
 
-    >>> spread(100, 4).tolist(), spread(1, 4).tolist()
+    >>> evenly_spaced(100, 4).tolist(), evenly_spaced(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])
     """
     return np.rint(np.linspace(0, count - 1, parts)).astype(np.int64)

@@ -20,7 +20,7 @@ OFFSCREEN = 1e30
 def srgb(color: npt.ArrayLike) -> FloatArray:
     """Return linear colors from 0 to 1 as sRGB, 0 to 255.
 
-    >>> display([0.0, 1.0]).tolist()
+    >>> srgb([0.0, 1.0]).tolist()
     [0.0, 255.0]
     """
     linear: FloatArray = np.maximum(np.asarray(color, np.float64), 0) ** (1 / 2.2) * 255

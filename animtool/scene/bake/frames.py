@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
 from animtool.edit.between import Between
@@ -22,11 +24,11 @@ from animtool.edit.resample import (
     dropped_notice,
     plan_samples,
     sample,
+    single_frame_warning,
 )
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
-from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
@@ -36,7 +38,7 @@ from animtool.scene.sources.away import no_frames
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.props.writer import PropSamples
-    from animtool.usd.rigs.target import RigJointMap
+    from animtool.usd.rigs.joint_map import RigJointMap
 
 TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
@@ -148,6 +150,9 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     if options.fps is not None:
         rate_fault = rate_warning(options.fps)
         notices += [replace(notice, path=str(plan.source)) for notice in rate_fault]
+    if frame_range is None or frame_range.first != frame_range.last:
+        single = single_frame_warning(times, clock, plan.fps)
+        notices += [replace(notice, path=str(plan.source)) for notice in single]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 
@@ -220,8 +225,16 @@ def _sampled(
         source_frames = (times.codes - float(plan.start)) * ratio
         is_outside = (source_frames < 0) | (source_frames > clock.count - 1)
         samples = np.where(is_outside, source_frames, samples)
-    motion = curve(float(first) + samples * float(stream.step))
-    return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
+    at = float(first) + samples * float(stream.step)
+    motions = curve.blocks(at) if isinstance(curve, KeyedCurve) else iter([curve(at)])
+    return TimedTake(_with_codes(times.codes, motions), stream.rig, times)
+
+
+def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
+    done = 0
+    for motion in motions:
+        yield codes[done : done + motion.frames], motion
+        done += motion.frames
 
 
 def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:

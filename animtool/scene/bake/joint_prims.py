@@ -17,13 +17,7 @@ from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks, moving_joints
-from animtool.scene.bake.prims import (
-    BakePlan,
-    BakeState,
-    Save,
-    TakeReport,
-    take_report,
-)
+from animtool.scene.bake.prims import BakePlan, BakeState, Save, TakeReport, take_report
 from animtool.scene.bake.progress import prefetch, timed
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
@@ -196,11 +190,12 @@ class _JointTake:
     def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
         """Return the report of the take."""
         thinned = self._thinned
-        joint = job.names.names[written.rounding.joint] if job.names.names else ""
+        names, index = job.names.names, written.rounding.joint_index
+        joint = names[index] if names else ""
         report = take_report(self._run, written, joint)
         report.thinned = thinned
         if thinned and job.rig.names:
-            report.thinned_joint = job.rig.names[thinned.joint]
+            report.thinned_joint = job.rig.names[thinned.joint_index]
         return report
 
 

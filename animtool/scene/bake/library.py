@@ -121,7 +121,7 @@ def _ordered(
     """Return a take with its joints in the order of a first rig."""
     if names == order:
         return stream
-    from animtool.usd.rigs.target import RigJointMap
+    from animtool.usd.rigs.joint_map import RigJointMap
 
     rig = stream.rig
     source = np.array([names.index(name) for name in order], np.int64)

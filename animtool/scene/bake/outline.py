@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
-from animtool.core.files.output import check_outputs, name_key
+from animtool.core.files.output import STDOUT, check_outputs, name_key
 from animtool.core.files.placing import target
 from animtool.core.readers import PACKAGE
 from animtool.core.record import dataclass
@@ -33,15 +33,12 @@ if TYPE_CHECKING:
     from animtool.scene.file.entries import EntryLocation
     from animtool.scene.scene import Scene
 
-# Output that is not a file.
-STDOUT = Path("-")
-
 
 @dataclass(frozen=True, slots=True)
 class OutputEntry:
     """One requested output of a bake."""
 
-    path: Path | None  # the file to write; None is stdout
+    path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
     # The scene that names it, with only the systems of this output; None without a
     # scene.
@@ -61,12 +58,17 @@ class OutputEntry:
     @property
     def is_stage(self) -> bool:
         """Whether it is written as USD."""
-        return self.path is None or writes_stage(self.path)
+        return self.path == STDOUT or writes_stage(self.path)
+
+    @property
+    def name(self) -> str:
+        """Path of the file, or stdout."""
+        return "stdout" if self.path == STDOUT else str(self.path)
 
     @property
     def files(self) -> list[Path]:
         """Files to write; of chunks, those that may be replaced."""
-        if self.path is None:
+        if self.path == STDOUT:
             return []
         if self.is_stage:
             return output_files(self.path, self.options, simulated=self.simulated)
@@ -116,12 +118,11 @@ def outlined(
     """Return the outline of a bake from sources and options, unchecked.
 
     Args:
-        sources: Sources to read.
-        output: Output file, or ``-`` for stdout; None is what a scene names, else
-            stdout.
-        options: Take precedence over the options of a scene.
-        base: For a clip: base take of an additive take.
-        rig_file: For a clip: file of its rig, to which it refers; None writes one.
+        sources: What is read.
+        output: The file, or `STDOUT`; None is what a scene names, else stdout.
+        options: They come before those of a scene.
+        base: Of a clip: what an additive take is put on.
+        rig_file: Of a clip: the file of its rig, which is named; None writes one.
     """
     is_single = isinstance(sources, str) or not isinstance(sources, Sequence)
     source_list = cast("Sequence[Source]", [sources] if is_single else sources)
@@ -129,8 +130,8 @@ def outlined(
     options = options or BakeOptions()
     scenes = list(reading.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
-    path = None if output is None or str(output) == str(STDOUT) else Path(output)
-    if not scenes and path is not None and _holds_several(path, options):
+    path = STDOUT if output is None else Path(output)
+    if not scenes and path != STDOUT and _holds_several(path, options):
         reading = with_takes(reading, options)
         if (
             reading.names
@@ -184,7 +185,7 @@ def check_outline(outline: Outline) -> None:
     # Errors are not stored, since their tracebacks would keep layers open.
     error_types: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
-        if has_several and entry.path is None:
+        if has_several and entry.path == STDOUT:
             message = "an output has no file"
             fault = Fault("DOC021", message)
             raise OptionError(entry.location.locate(fault) if entry.location else fault)
@@ -233,7 +234,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
     """
     check_settings(entry)
     path, options = entry.path, entry.options
-    if path is None:
+    if path == STDOUT:
         return
     if not entry.is_stage:
         if entry.base is not None:
@@ -255,13 +256,14 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
 def check_settings(entry: OutputEntry) -> None:
     """Refuse unknown formats and options that exclude each other."""
     path, options = entry.path, entry.options
-    if path is not None and not entry.is_stage:
+    if not entry.is_stage:
         writer = take_writer(path)
         if entry.location is None:
             check_file_options(options, writer, path)
         return
-    check_options(options, to_stdout=path is None, simulated=entry.simulated)
-    if path is None:
+    to_stdout = path == STDOUT
+    check_options(options, to_stdout=to_stdout, simulated=entry.simulated)
+    if to_stdout:
         return
     check_path(path)
     if path.suffix.lower() == PACKAGE:

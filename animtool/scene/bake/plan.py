@@ -11,14 +11,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.arguments import argument
 from animtool.core.config import find_config
-from animtool.core.errors import (
-    AnimtoolError,
-    Fault,
-    OptionError,
-    Severity,
-    listed,
-)
-from animtool.core.files.output import protect_inputs
+from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, listed
+from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import distinct
 from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
@@ -32,7 +26,6 @@ from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import (
-    STDOUT,
     Outline,
     OutputEntry,
     check_outline,
@@ -50,7 +43,8 @@ from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
-    from animtool.usd.rigs.target import RigJointMap, RigTarget
+    from animtool.usd.rigs.joint_map import RigJointMap
+    from animtool.usd.rigs.target import RigTarget
     from animtool.usd.takes.over_rig import OverRig
 
 # An output that is ready to be written.
@@ -60,11 +54,11 @@ MAX_NAMED = 6
 
 def plan_stage(
     source: Source | Sequence[Source],
-    output: Path | str | None,
+    output: Path | str,
     options: BakeOptions | None = None,
 ) -> BakePlan:
-    """Return the plan of a bake to one USD file; None is stdout."""
-    outline = outlined(source, STDOUT if output is None else output, options)
+    """Return the plan of a bake to one USD file, or `STDOUT`."""
+    outline = outlined(source, output, options)
     (plan,) = plan_outputs(outline)
     if isinstance(plan, BakePlan):
         return plan
@@ -161,7 +155,6 @@ def _planned(
     """Return the plan of an output from open sources."""
     scene = entry.scene
     if not entry.is_stage:
-        assert entry.path is not None
         writer = take_writer(entry.path)
         file = _planned_file(sources[0], streams[0], entry, writer, notices)
         if len(streams) == 1:
@@ -198,7 +191,6 @@ def _planned_file(
         options = replace(options, shot=replace(options.shot, fps=fps))
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
-    assert entry.path is not None
     stated_name = stream.details.get("take") or stream.details.get("name")
     stated_names: tuple[str, ...] = (str(stated_name),) if stated_name else ()
     return FilePlan(take, entry.path, entry.base, entry.rig_file, names=stated_names)
@@ -241,9 +233,8 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
     assert entry.scene is not None
     if not entry.is_stage:
-        assert entry.path is not None
-        format_name = take_writer(entry.path).name
-        message = f"a {format_name} file cannot hold simulated systems"
+        what = take_writer(entry.path).name
+        message = f"a {what} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
         raise OptionError(
             fault if entry.location is None else entry.location.locate(fault)
@@ -280,51 +271,25 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
 def plan_takes(
     sources: Sequence[Path],
     streams: list[TakeStream],
-    path: Path | None,
+    path: Path,
     options: BakeOptions,
     notices: list[Fault],
     stated_names: tuple[str, ...] = (),
 ) -> BakePlan:
-    """Return the plan of takes in one USD file; None is stdout.
+    """Return the plan of takes in one USD file, or `STDOUT`.
 
-    default_names: what the takes are called; empty is as their files are.
+    stated_names: what the takes are called; empty is as their files are.
     """
     form = form_of(options)
     library = form is LayerForm.LIBRARY
-    extends_library = library and path is not None and path.exists()
-    target = _target(path if extends_library else options.rig_layer, options.prim_path)
-    mappings: list[RigJointMap | None] = [None] * len(streams)
-    if target is not None:
-        from animtool.usd.takes.over_rig import over_rig
-
-        notices += target.notices
-        up = target.skeleton.rig.up
-        layer = str(target.path)
-        mapped_takes = [
-            over_rig(
-                reorient(source_stream, up),
-                target.placement,
-                options.placement,
-                layer,
-                target.skeleton.rig,
-            )
-            for source_stream in streams
-        ]
-        streams = [rig_mapping.stream for rig_mapping in mapped_takes]
-        mappings = [
-            _mapped(rig_mapping, target, options, notices)
-            for rig_mapping in mapped_takes
-        ]
+    added = library and path != STDOUT and path.exists()
+    target = _target(path if added else options.rig_layer, options.prim_path)
+    mappings: Sequence[RigJointMap | None]
+    if target is None:
+        streams = _on_stage(sources, streams, options, notices)
+        mappings = [None] * len(streams)
     else:
-        keeps_placement = options.placement != "drop"
-        for source, source_stream in zip(sources, streams, strict=True):
-            notices += placement_notice(
-                source_stream.rig, str(source), kept=keeps_placement
-            )
-        if not keeps_placement:
-            streams = [at_stage_origin(stream) for stream in streams]
-        up = options.to_up or streams[0].rig.up
-        streams = [reorient(stream, up) for stream in streams]
+        streams, mappings = _on_rig(streams, target, options, notices)
     if options.root_motion and not streams[0].rig.joints:
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
@@ -395,15 +360,53 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
         from animtool.scene.bake.joint_prims import JointPrims
 
         return JointPrims()
-    from animtool.scene.bake.point_prims import PointPrims, open_character
+    from animtool.scene.bake.deformed_character import open_character
+    from animtool.scene.bake.point_prims import PointPrims
 
     return PointPrims(open_character(take, target))
+
+
+def _on_stage(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    options: BakeOptions,
+    notices: list[Fault],
+) -> list[TakeStream]:
+    """Return takes as a stage has them: all with the same up axis, placed or not."""
+    kept = options.placement != "drop"
+    for source, stream in zip(sources, streams, strict=True):
+        notices += placement_notice(stream.rig, str(source), kept=kept)
+    if not kept:
+        streams = [at_stage_origin(stream) for stream in streams]
+    up = options.to_up or streams[0].rig.up
+    return [reorient(stream, up) for stream in streams]
+
+
+def _on_rig(
+    streams: list[TakeStream],
+    target: RigTarget,
+    options: BakeOptions,
+    notices: list[Fault],
+) -> tuple[list[TakeStream], list[RigJointMap]]:
+    """Return takes in the space of a rig layer, with the joints that they move."""
+    from animtool.usd.takes.over_rig import over_rig
+
+    notices += target.notices
+    rig, layer = target.skeleton.rig, str(target.path)
+    over = [
+        over_rig(
+            reorient(stream, rig.up), target.placement, options.placement, layer, rig
+        )
+        for stream in streams
+    ]
+    mappings = [_mapped(one, target, options, notices) for one in over]
+    return [one.stream for one in over], mappings
 
 
 def _mapped(
     over_rig: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> RigJointMap:
-    from animtool.usd.rigs.target import map_joints
+    from animtool.usd.rigs.joint_map import map_joints
 
     mapping = map_joints(
         over_rig.stream.rig,

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import field, replace
+from dataclasses import field
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import size_of
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis, up_from_up
-from animtool.maths import so3
-from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import (
-    WorldTransforms,
-    bind_matrices,
-    rest_size,
-)
-from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks
+from animtool.core.units import UpAxis
+from animtool.motion.motion import Channel
+from animtool.rig.kinematics import WorldTransforms, rest_size
+from animtool.scene.bake.deformed_character import DeformedCharacter, pieces
+from animtool.scene.bake.frames import BakedTake, TimedBlocks
 from animtool.scene.bake.prims import (
     BakePlan,
     BakeState,
@@ -37,12 +29,7 @@ from animtool.scene.bake.prims import (
     take_report,
 )
 from animtool.scene.bake.progress import prefetch
-from animtool.scene.sources.open import is_usd
-from animtool.skin.character import (
-    CharacterMesh,
-    character_meshes,
-    character_strands,
-)
+from animtool.skin.character import CharacterMesh
 from animtool.skin.deform import (
     Deformed,
     block_frames,
@@ -66,132 +53,7 @@ from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.usd.rigs.target import RigJointMap, RigTarget
-
-# Frames per piece of joint motion in memory: 60 joints take 1.5 MB.
-PIECE_FRAMES = 256
-
-
-@dataclass(frozen=True, slots=True)
-class DeformedCharacter:
-    """Meshes and strands that a bake deforms."""
-
-    rig: Rig  # the joints that carry the meshes
-    surfaces: tuple[Surface, ...]
-    strands: tuple[Strands, ...]  # strands on single joints
-    # Maps the take's joints to the rig's; None if they are the same.
-    mapping: RigJointMap | None
-    meshes: tuple[CharacterMesh, ...]  # meshes, then strands, prepared for deformation
-    origin: str  # owner of the meshes, for reports
-
-    def only(
-        self, surfaces: Sequence[str], strands: Sequence[str]
-    ) -> DeformedCharacter:
-        """Return a copy with some of its meshes and strands, in its order."""
-        selected = [part.name in surfaces for part in self.surfaces]
-        selected += [part.name in strands for part in self.strands]
-        return replace(
-            self,
-            surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
-            strands=tuple(part for part in self.strands if part.name in strands),
-            meshes=tuple(itertools.compress(self.meshes, selected)),
-        )
-
-
-def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
-    """Return the meshes and strands that a take deforms.
-
-    They belong to its own rig if that has meshes, else to the rig layer, else to the
-    USD file of the take.
-    """
-    stream, source, mapping = take.stream, take.source, take.mapping
-    options = take.options
-    rig = stream.rig
-    shapes = tuple(shape.name for shape in rig.shapes)
-    if rig.meshes or (target is None and not is_usd(source)):
-        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
-        source_label, mapping = f"rig {rig.name!r} of the take", None
-    else:
-        from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
-
-        if target is not None:
-            assert mapping is not None
-            shapes = mapping.shapes
-            rig, source_label = target.skeleton.rig, str(target.path)
-            targets = target_meshes(target)
-        else:
-            source_label, targets = (
-                str(source),
-                source_meshes(source, options.source.prim_path, options.placement),
-            )
-        take.notices.extend(targets.notices)
-        surfaces = _turned(targets.surfaces, rig.up, targets.up)
-        strands, bind = targets.strands, targets.bind
-    if options.normals is False:
-        surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
-    if not surfaces and not strands:
-        message = "there is no mesh to deform"
-        hint = (
-            f"use a rig with meshes: in the clip, or with {argument('source.rig')} "
-            f"or {argument('rig_layer')}"
-        )
-        raise FormatError(Fault("USD040", message, str(source), (), hint))
-    meshes = character_meshes(surfaces, rig.names, bind, shapes)
-    meshes += character_strands(strands, rig.names, bind)
-    return DeformedCharacter(
-        rig, surfaces, strands, mapping, tuple(meshes), source_label
-    )
-
-
-def _turned(
-    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
-) -> tuple[Surface, ...]:
-    """Rotate meshes without a skin to another up axis; joints rotate the others.
-
-    Rotated joints carry their meshes with them, in whatever pose these were bound.
-    """
-    rotation = up_from_up(up, source_up)
-    if rotation is None:
-        return surfaces
-    transform = np.eye(4)
-    transform[:3, :3] = so3.to_matrix(np.array(rotation))
-    return tuple(
-        surface
-        if surface.skin is not None
-        else replace(surface, geom_bind=transform @ surface.geom_bind)
-        for surface in surfaces
-    )
-
-
-def pieces(
-    blocks: TimedBlocks, *, neighbours: bool
-) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion, each with the slice of frames to count."""
-    previous: tuple[FloatArray, Motion] | None = None
-    piece_iterator = _cut(blocks)
-    piece = next(piece_iterator, None)
-    while piece is not None:
-        following = next(piece_iterator, None)
-        codes, motion = piece
-        padded = [piece]
-        if neighbours and previous is not None:
-            padded.insert(0, previous)
-        if neighbours and following is not None:
-            padded.append((following[0][:1], following[1].select(slice(0, 1))))
-        if len(padded) > 1:
-            codes = np.concatenate([codes for codes, _ in padded])
-            motion = Motion.concatenate([motion for _, motion in padded])
-        lead_frames = 1 if neighbours and previous is not None else 0
-        yield codes, motion, slice(lead_frames, lead_frames + len(piece[0]))
-        previous = piece[0][-1:], piece[1].select(slice(-1, None))
-        piece = following
-
-
-def _cut(blocks: TimedBlocks) -> TimedBlocks:
-    for codes, motion in blocks:
-        for begin in range(0, len(codes), PIECE_FRAMES):
-            frames = slice(begin, begin + PIECE_FRAMES)
-            yield codes[frames], motion.select(frames)
+    pass
 
 
 @dataclass

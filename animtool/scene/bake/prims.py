@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, ToleranceError
+from animtool.core.files.output import STDOUT
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis, unit_name
@@ -269,7 +270,7 @@ def raise_stopped(reports: Sequence[object]) -> None:
 
 
 # Writes a layer to a file, or as text to stdout; returns the number of bytes.
-Save: TypeAlias = Callable[[Any, Path | None], int]
+Save: TypeAlias = Callable[[Any, Path], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +278,7 @@ class BakePlan:
     """A bake that is ready to run."""
 
     takes: tuple[TakePlan, ...]  # one, several of a library, or none for systems alone
-    output: Path | None  # the file to write; None is stdout
+    output: Path  # the file to write, or `STDOUT`
     options: BakeOptions
     form: LayerForm
     reason: str  # reason for the form
@@ -309,7 +310,7 @@ class BakePlan:
         if self.target is not None:
             return self.target.paths
         name, *other_names = {take.stream.rig.name: None for take in self.takes}
-        if other_names and self.output is not None:
+        if other_names and self.output != STDOUT:
             name = self.output.stem
         return RigPaths.below(model_path(self.options.prim_path, name))
 
@@ -353,19 +354,19 @@ class OneFile:
     """A bake whose layer is its only file."""
 
     layer: Any
-    output: Path | None  # None is stdout
+    output: Path  # the file, or `STDOUT`
     result: UsdResult
 
     def write(self, save: Save) -> None:
         """Write the layer."""
         self.result.bytes = save(self.layer, self.output)
-        self.result.outputs += [] if self.output is None else [self.output]
+        self.result.outputs += [] if self.output == STDOUT else [self.output]
 
 
 class Growth(Protocol):
     """Frames that are computed while their layer is written."""
 
-    def save(self, layer: Any, path: Path | None) -> int:
+    def save(self, layer: Any, path: Path) -> int:
         """Write a layer and its frames; return the bytes."""
 
     def complete(self, draft: BakeState) -> None:

@@ -130,7 +130,9 @@ class SourceSet:
         stream = open_source(path, source_options, progress=source_progress)
         from animtool.retarget.standing import with_source_warnings
 
-        return with_source_warnings(path, stream, source_options.up)
+        return with_source_warnings(
+            path, stream, source_options.up, source_options.unit
+        )
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:

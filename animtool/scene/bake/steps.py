@@ -213,11 +213,12 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_written(entry))
-        results = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
-        name = "stdout" if entry.path is None else str(entry.path)
-        omitted = (*results, *_named(entry.files))
+        lines = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
+        lines_out = (*lines, *_named(entry.files))
         steps.append(
-            PlanStep(StepKind.OUTPUT, name, _where(entry), ("systems",), omitted)
+            PlanStep(
+                StepKind.OUTPUT, entry.name, _where(entry), ("systems",), lines_out
+            )
         )
     return steps
 
@@ -296,7 +297,7 @@ def _ordered(parts: frozenset[TakePart]) -> list[str]:
 def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     if not entry.is_stage:
         return _file_step(entry, state)
-    path, options = entry.path, entry.options
+    options = entry.options
     form = form_of(options)
     reads = ["take"]
     if options.rig_layer is not None:
@@ -310,7 +311,7 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
         makes += f" and {counted(state.systems, 'system')}"
     return PlanStep(
         StepKind.OUTPUT,
-        "stdout" if path is None else str(path),
+        entry.name,
         _where(entry),
         tuple(reads),
         (f"{form} with {makes}", *_named(entry.files)),
@@ -320,9 +321,7 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
 
 def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     """Return the step of an output that is not USD."""
-    path = entry.path
-    assert path is not None
-    writer = take_writer(path)
+    writer = take_writer(entry.path)
     noun = "keys have" if writer is CLIP else f"a {writer.name.upper()} has"
     left_out = []
     if state.tracks:
@@ -343,7 +342,7 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
         left_out.append("curves of controls: keys are fitted to the samples again")
     return PlanStep(
         StepKind.OUTPUT,
-        str(path),
+        entry.name,
         _where(entry),
         ("take",),
         (writer.samples, *_named(entry.files)),

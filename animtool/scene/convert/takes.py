@@ -117,7 +117,8 @@ def convert_with_passes(
     contexts: list[PassContext] = []
     with protect_inputs(outline.files):
         stream = open_source(source, reading, progress=progress)
-        stream = with_source_warnings(source, stream, reading.up if reading else None)
+        chosen = (reading.up, reading.unit) if reading else ()
+        stream = with_source_warnings(source, stream, *chosen)
         for pass_, options in passes:
             context = PassContext(_taken, source.parent)
             contexts.append(context)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from animtool.core.errors import Fault, refuse_warnings
+from animtool.core.errors import Fault, faults_in, refuse_warnings
 from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
@@ -15,7 +15,6 @@ from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
-from animtool.scene.solves.ik import naming
 from animtool.scene.sources.open import SourceOptions, open_source
 
 
@@ -64,9 +63,10 @@ def loop_source(
     for check in PASS.checks(options).values():
         check()
     stream = open_source(source, reading, progress=progress)
-    stream = with_source_warnings(source, stream, reading.up if reading else None)
+    chosen = (reading.up, reading.unit) if reading else ()
+    stream = with_source_warnings(source, stream, *chosen)
     take = stream.collect()
-    with naming(source):
+    with faults_in(source):
         if options.find:
             lengths = {"shortest": options.shortest, "longest": options.longest}
             cycle = find_cycle(take, options.first, options.last, **lengths)

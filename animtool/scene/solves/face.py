@@ -16,7 +16,7 @@ from animtool.capture.face.solve import FaceFit, fit_face
 from animtool.capture.options import FaceOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, faults_in
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import multiply, rotate
@@ -147,7 +147,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     landmark_points, point_notices = in_order(capture, model)
     camera, landmark_points = _undistorted(job, capture, landmark_points)
     read_at = time.perf_counter()
-    try:
+    with faults_in(job.capture):
         model = _proportions(job.options, model, landmark_points, camera is not None)
         fit = fit_face(
             model,
@@ -157,9 +157,6 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             camera=camera,
             progress=progress,
         )
-    except OptionError as error:
-        path = str(job.capture)
-        raise OptionError([_at(path, fault) for fault in error.faults]) from error
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
         message = f"{rig.name!r} has no face shape"
@@ -170,7 +167,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         fit = _turned_up(fit)
     motion, more = face_motion(fit, links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *more]
-    notices += [_at(str(job.capture), notice) for notice in capture_notices]
+    notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {
         "read": read_at - started,
@@ -182,10 +179,6 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     return FaceResult(
         job, fit, links, take, camera is not None, notices, seconds, scale
     )
-
-
-def _at(path: str, fault: Fault) -> Fault:
-    return fault if fault.path else replace(fault, path=path)
 
 
 def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:

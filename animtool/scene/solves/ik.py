@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -18,14 +17,14 @@ from animtool.core.clock import Clock, FrameSpan
 from animtool.core.config import project_roots
 from animtool.core.errors import (
     Fault,
-    FormatError,
     OptionError,
     Severity,
     ToleranceError,
+    faults_in,
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import protect_inputs
+from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -51,7 +50,6 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import STDOUT
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import map_names, open_rig
@@ -230,16 +228,6 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     return int(index)
 
 
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Add a file to faults that name none."""
-    try:
-        yield
-    except (FormatError, OptionError) as error:
-        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
-        raise type(error)(faults) from error
-
-
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """Solve a job and write its output.
 
@@ -271,7 +259,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if a clip of the output can refer to its file."""
-    if output is None or output == STDOUT:
+    if output in {None, STDOUT}:
         return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
     return rig if is_named(rig, "rig") and inside else None
@@ -282,7 +270,7 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
-    with naming(job.rig):
+    with faults_in(job.rig):
         solved = solve_take(
             context.take,
             context.tracks,

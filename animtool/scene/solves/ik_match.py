@@ -11,7 +11,7 @@ from typing import ClassVar
 from animtool.clip.channels import ClipUnits
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, OptionError, refuse_warnings
+from animtool.core.errors import Fault, OptionError, faults_in, refuse_warnings
 from animtool.core.files.output import (
     atomic_outputs,
     check_outputs,
@@ -28,7 +28,7 @@ from animtool.motion.take import Take
 from animtool.rig.surfaces import StoredArrays
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
-from animtool.scene.solves.ik import frame_index, naming, open_start
+from animtool.scene.solves.ik import frame_index, open_start
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
@@ -93,7 +93,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     began = time.perf_counter()
     with protect_inputs([job.output, arrays_of(job.output)]):
         rig, notices = open_rig(job.rig)
-        with naming(job.rig):
+        with faults_in(job.rig):
             chains = chains_of(rig, job.chains)
         take = open_start(job.take, rig, job.rig, job.source, progress=progress)
     if job.pose:

@@ -10,15 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve.calibration import Calibration, calibrate
 from animtool.capture.solve.run import MarkerSolve, solve_markers
-from animtool.capture.solve.source import (
-    at_file,
-    named_rig,
-    solve_stream,
-)
+from animtool.capture.solve.source import named_rig, solve_stream
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import template_text
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, faults_in
 from animtool.core.files.output import (
     atomic_outputs,
     check_outputs,
@@ -182,23 +178,18 @@ def _solved(
         markers = open_markers(job.source, **reading)
         seconds["read"] = time.perf_counter() - started
         if job.calibrate:
-            static = job.static
             static_markers = None
-            if static is not None:
-                static_markers = open_markers(static, **reading)
-            calibration = at_file(
-                job.source,
-                lambda: calibrate(
+            if job.static is not None:
+                static_markers = open_markers(job.static, **reading)
+            with faults_in(job.source):
+                calibration = calibrate(
                     markers, rig, template, static=static_markers, options=job.options
-                ),
-            )
-            assert calibration is not None
+                )
             rig, template = calibration.rig, calibration.template
             notices = [*notices, *calibration.notices]
             seconds["calibrate"] = time.perf_counter() - started - seconds["read"]
-        solve = at_file(
-            job.source, lambda: solve_markers(markers, rig, template, job.options)
-        )
+        with faults_in(job.source):
+            solve = solve_markers(markers, rig, template, job.options)
     stream = solve_stream(solve, job.source, progress)
     stream.notices = [*notices, *stream.notices]
     stream = with_source_warnings(job.source, stream, job.reading.up)

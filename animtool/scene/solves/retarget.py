@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, faults_in
 from animtool.core.files.output import (
     atomic_outputs,
     protect_inputs,
@@ -31,7 +31,6 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress, timed
-from animtool.scene.solves.ik import naming
 from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
@@ -167,11 +166,7 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 
             target = open_target(job.bake.rig_layer, job.bake.prim_path)
             start = start if target.start is None else target.start
-    frame_range = job.bake.frame_range
-    range_ends = (
-        (None, None) if frame_range is None else (frame_range.first, frame_range.last)
-    )
-    return FrameNumbers(start, Fraction(fps) / rate, *range_ends)
+    return FrameNumbers(start, Fraction(fps) / rate, job.bake.frame_range)
 
 
 def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
@@ -207,14 +202,15 @@ def _retargeted(
         stream = _without_placement(stream, job)
         seconds["read"] = time.perf_counter() - started
         stream.blocks = timed(stream.blocks, seconds, "read")
-        with naming(job.source):
+        with faults_in(job.source):
             retargeting, mapping, map_notices = onto_rig(stream, rig, job.options)
     seconds["solve"] = time.perf_counter() - started - seconds["read"]
     target_notices = mapping.target.notices
     notices = [*notices, *stream.notices]
     for notice in map_notices:
-        path = job.rig if notice in target_notices else job.source
-        notices.append(replace(notice, path=notice.path or str(path)))
+        notices.append(
+            notice.in_file(job.rig if notice in target_notices else job.source)
+        )
     blocks = checked_blocks(retargeting, job.options, notices, job.source)
     solved_stream = replace(
         stream,

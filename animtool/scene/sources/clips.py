@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.clip.blocks import sample_blocks
 from animtool.clip.channels import curves_of
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
 from animtool.clip.keyed_curve import KeyedCurve
-from animtool.clip.sample import ClipNotice, sample_channels
+from animtool.clip.sample import ClipNotice, SampledMotion, sample_channels
 from animtool.clip.schema import ChannelModel, key_times
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
@@ -61,23 +62,30 @@ def clip_stream(
     count = _frame_count(file, clip)
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
-    reported: set[tuple[str, str]] = set()
+    reported_pairs: set[tuple[str, str]] = set()
+
+    def reported(sampled: SampledMotion) -> Motion:
+        for note in sampled.targeted:
+            # A clip may be sampled again, at other times.
+            if (note.fault.code, note.target) not in reported_pairs:
+                reported_pairs.add((note.fault.code, note.target))
+                stream.notices.append(_located(file, rig, note))
+        return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
         with _named(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
-        for note in sampled.targeted:
-            # A clip may be sampled again, at other times.
-            if (note.fault.code, note.target) not in reported:
-                reported.add((note.fault.code, note.target))
-                stream.notices.append(_located(file, rig, note))
-        return sampled.motion
+        return reported(sampled)
 
-    def blocks() -> Iterator[Motion]:
-        yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
+    def blocks(times: FloatArray) -> Iterator[Motion]:
+        with _named(path):
+            for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
+                yield reported(sampled)
 
-    stream.blocks, stream.count = blocks(), count
-    stream.curve = KeyedCurve(curve, lambda: None if clamp else clip)
+    frames = float(clip.first) + np.arange(count, dtype=np.float64)
+    stream.blocks, stream.count = blocks(frames), count
+    keyed = KeyedCurve(curve, lambda: None if clamp else clip, sample_blocks=blocks)
+    stream.curve = keyed
     return stream
 
 

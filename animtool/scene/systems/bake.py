@@ -149,16 +149,15 @@ class SystemFrames:
     written: list[CachedMesh] = field(default_factory=list)
     ended: Any = None
 
-    def chunk(self, layer: Any, output: Path | None, size: int) -> None:
+    def chunk(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of some samples each, which a layer joins."""
-        assert output is not None
         clips = system_files(output)
         self.files, self.written = chunk_simulated(
             self.job, self.rows, layer, clips, size
         )
         self._end(layer)
 
-    def save(self, layer: Any, path: Path | None) -> int:
+    def save(self, layer: Any, path: Path) -> int:
         """Write a layer; frames that are not in chunks are simulated into it."""
         if self.files:
             return save_layer(layer, path)

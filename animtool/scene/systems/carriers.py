@@ -149,6 +149,6 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     offset = entry_poses.rows[0]
     return Poses(
         times,
-        translated.over(times)[:, :3] + offset[:3],
-        so3.multiply(rotated.over(times)[:, 3:], offset[3:]),
+        translated.at_times(times)[:, :3] + offset[:3],
+        so3.multiply(rotated.at_times(times)[:, 3:], offset[3:]),
     )

@@ -355,6 +355,11 @@ def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     return [*marks, *metadata, *(mark for alternative in inner for mark in alternative)]
 
 
+# Keys of systems whose sizes are looked at, and what these are compared with.
+SIZES = {"stretch", "bodies"}
+OF_SIZES = {"radius", "self_contact", "springs", "mass", "start", "end", "across", "up"}
+
+
 def read_spec(
     document: Document,
     at: Location,
@@ -377,9 +382,8 @@ def read_spec(
     collider_parts |= collider_reader.parts(at, spec, AROUND[1:])
     parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
     reader.note_ranges(at, spec)
-    if "stretch" in type(spec).model_fields:
-        sizes = {"radius", "stretch", "self_contact"}
-        warn_of_sizes(document, at, spec.model_dump(include=sizes))
+    if not SIZES.isdisjoint(type(spec).model_fields):
+        warn_of_sizes(document, at, spec.model_dump(include=SIZES | OF_SIZES))
     record, faults = spec.build_record(parts)
     for fault in faults:
         at_key = (*at, *location_of(fault.where or ""))

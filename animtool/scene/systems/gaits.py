@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import OptionError
+from animtool.core.errors import faults_in
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.motion.reorient import reorient, rotated_rig
@@ -57,13 +57,8 @@ def _on_rig(path: Path, rig: Rig) -> Take:
     names = map_names(rig, take.rig)
     if _is_same(rig, take.rig, names):
         return replace(take, rig=rig, motion=names.apply(take.motion), tracks=())
-    try:
+    with faults_in(path):
         return retarget_take(take, rig, map_joints(take.rig, rig)).take
-    except OptionError as error:
-        faults = [
-            replace(fault, path=fault.path or str(path)) for fault in error.faults
-        ]
-        raise OptionError(faults) from error
 
 
 def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:

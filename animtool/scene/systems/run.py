@@ -27,7 +27,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
-from animtool.systems.framework.run import ON_STEP, EntryRun, Reached
+from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, Reached
 from animtool.systems.framework.saved import Clocked, write_states
 from animtool.systems.framework.simulation import NeedsFinalState
 from animtool.usd.caches.writer import CachedMesh
@@ -197,12 +197,15 @@ class SystemRun:
         for system, opened in zip(self.systems, self._open, strict=True):
             run = opened.run
             reached = run.time(run.state.steps)
-            if run.state.steps and times[0] < reached - ON_STEP * run.step_length:
+            if (
+                run.state.steps
+                and times[0] < reached - STEP_TOLERANCE * run.step_length
+            ):
                 frame = float(codes[0]) + (reached - times[0]) * float(fps)
                 message = f"its state is from frame {frame:g}, but "
                 message += _step_end(frame, run.step_length, fps) + "and frame "
                 message += f"{float(codes[0]):g} is requested"
-                frames = f"{math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
+                frames = f"{math.ceil(frame - STEP_TOLERANCE)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)
                 faults.append(system.location.fault("SIM035", message, hint))
         if faults:

@@ -101,7 +101,7 @@ def build_entries(
         return [run]
     views = run.simulation.views
     return [
-        EntryRun(member.name, run, view, speaks=not k)
+        EntryRun(member.name, run, view, reports_steps=not k)
         for k, (member, view) in enumerate(zip(members, views, strict=True))
     ]
 

@@ -1,7 +1,8 @@
-"""Warnings about cloth and springs whose numbers look like another unit."""
+"""Warnings about systems whose numbers look like another unit."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,10 +13,29 @@ from animtool.documents.document import Document, Location
 MAX_THICKNESS = 0.5
 # Only rubber stretches to twice its length [1].
 MAX_STRETCH = 1.0
+# Critical damping is 1; a percentage of it is rarely below 4 [1].
+MAX_RATIO = 3.0
+# A rope is hardly longer, unless it is a cable: a cord of 5 mm weighs as much [m],
+# [kg/m].
+MAX_ROPE, CABLE = 20.0, 0.02
+# Longer than any rope [m], and heavier than a chain of 5 cm [kg/m].
+MAX_LENGTH, MAX_LINE = 200.0, 50.0
+# Cloth heavier than a sheet of rubber of 2 cm [kg/m²].
+MAX_SHEET = 25.0
+# Denser than the densest metal, 22 600 [kg/m³].
+MAX_DENSITY = 30000.0
+GRAMS = 1000.0
 
 
 def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -> None:
-    """Warn of a thickness in millimetres and a stretch in percent (SIM200)."""
+    """Warn of lengths in mm or cm, masses in grams, and percentages (SIM200)."""
+    _warn_of_ratio(document, at, values)
+    for i, body in enumerate(values.get("bodies") or ()):
+        _warn_of_body(document, (*at, "bodies", i), body)
+    if values.get("start") and values.get("end"):
+        _warn_of_rope(document, at, values)
+    if values.get("across") and values.get("up"):
+        _warn_of_sheet(document, at, values)
     contact = values.get("self_contact")
     if isinstance(contact, Mapping):
         _warn_of_length(document, (*at, "self_contact"), "thickness", contact)
@@ -43,3 +63,66 @@ def _metres(value: object) -> Iterator[float]:
     """Yield a length without a unit, if it is implausible [m]."""
     if isinstance(value, int | float) and value >= MAX_THICKNESS:
         yield float(value)
+
+
+def _warn_of_ratio(document: Document, at: Location, values: Mapping[str, Any]) -> None:
+    families = {k: v for k, v in (values.get("springs") or {}).items() if v}
+    for key, family in {"": values, **families}.items():
+        ratio = family.get("ratio")
+        if isinstance(ratio, int | float) and ratio > MAX_RATIO:
+            message = f"ratio {ratio:g} is {ratio:g} times critical damping"
+            hint = f"for {ratio:g}% write {ratio / 100:g}"
+            inner = ("springs", key) if key else ()
+            document.warn("SIM200", (*at, *inner, "ratio"), message, hint)
+            return
+
+
+def _warn_of_rope(document: Document, at: Location, values: Mapping[str, Any]) -> None:
+    """Warn of a rope that is too long, or too heavy for its length."""
+    length, mass = math.dist(values["start"], values["end"]), values.get("mass") or 0.0
+    if not length > 0:
+        return
+    if length > MAX_LENGTH or (length > MAX_ROPE and mass < CABLE * length):
+        message = f"the rope is {length_text(length)} long"
+        message += f" and weighs {mass:g} kg" if length <= MAX_LENGTH else ""
+        hint = "lengths are in metres; for centimetres write "
+        hint += "'units: {length: cm}' in the scene"
+        document.warn("SIM200", (*at, "to"), message, hint)
+    elif mass > MAX_LINE * length:
+        _warn_of_grams(document, at, mass, f"the rope is {length_text(length)} long")
+
+
+def _warn_of_sheet(document: Document, at: Location, values: Mapping[str, Any]) -> None:
+    """Warn of cloth that is too heavy for its area."""
+    area = math.hypot(*values["across"]) * math.hypot(*values["up"])
+    mass = values.get("mass") or 0.0
+    if area > 0 and mass > MAX_SHEET * area:
+        what = f"the cloth has {area:.3g} m², {mass / area:.3g} kg/m²"
+        _warn_of_grams(document, at, mass, what)
+
+
+def _warn_of_body(document: Document, at: Location, body: Mapping[str, Any]) -> None:
+    """Warn of a body that is denser than any metal."""
+    volume, mass = _volume(body.get("shape") or {}), body.get("mass")
+    if mass and volume > 0 and mass > MAX_DENSITY * volume:
+        what = f"its density is {mass / volume:.3g} kg/m³"
+        _warn_of_grams(document, at, mass, what)
+
+
+def _warn_of_grams(document: Document, at: Location, mass: float, what: str) -> None:
+    message = f"mass {mass:g} is {mass:g} kg; {what}"
+    hint = f"for {mass:g} g write {mass / GRAMS:g}"
+    document.warn("SIM200", (*at, "mass"), message, hint)
+
+
+def _volume(shape: Mapping[str, Any]) -> float:
+    """Return the volume of a box, sphere or capsule; 0 for others [m³]."""
+    for name, values in shape.items():
+        sizes = values if isinstance(values, Mapping) else {}
+        radius = sizes.get("radius") or 0.0
+        length = sizes.get("length") or 0.0
+        if name == "box" and isinstance(sizes.get("size"), list):
+            return float(math.prod(sizes["size"]))
+        if name in {"sphere", "capsule"} and isinstance(radius, int | float):
+            return math.pi * radius**2 * (4 / 3 * radius + length)
+    return 0.0

@@ -27,14 +27,14 @@ from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
-    FINER,
+    REFERENCE_FACTORS,
     Figure,
     Setting,
     Snapshot,
     Trial,
     TrialOutcome,
-    ladder,
-    stepwise,
+    multiples,
+    step_settings,
 )
 from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
@@ -108,7 +108,9 @@ def _trial(
         )
         begun = run_entries(members, rebuild(), trials.changes(setting), budget)
         outcome = _outcome(begun, times)
-        max_points = max([max_points, *(len(shot.points) for shot in outcome.shots)])
+        max_points = max(
+            [max_points, *(len(shot.points) for shot in outcome.snapshots)]
+        )
         return outcome
 
     return Trial(
@@ -147,12 +149,14 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
         ):
             if _is_fixed(method):
-                seen += stepwise(method, spec.step)
+                seen += step_settings(method, spec.step)
                 continue
             max_steps = (
                 spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
             )
-            values = ladder(default if method == spec_method else TOLERANCE, TOLERANCES)
+            values = multiples(
+                default if method == spec_method else TOLERANCE, TOLERANCES
+            )
             seen += [
                 Setting.of(method, step=max_steps, tolerance=value) for value in values
             ]
@@ -170,7 +174,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         if spec.exact:
             step_ratios.append((exact_method, FINE_STEP_RATIO))
         return [
-            stepwise(method, fraction * spec.step, FINER)
+            step_settings(method, fraction * spec.step, REFERENCE_FACTORS)
             for method, fraction in step_ratios
         ]
 
@@ -212,11 +216,11 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Return the result of a simulation at times ``(F,)`` [s]."""
     started = time.perf_counter()
-    shots: list[Snapshot] = []
+    snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
         for t in times.tolist():
-            shots.append(_shot(run.at(t)))
+            snapshots.append(_shot(run.at(t)))
             energies.append(run.diagnostics.energy)
     except ToleranceError as error:
         status, reason = Status.UNSTABLE, error.faults[0].message
@@ -228,11 +232,11 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         run.state.state, run.time(run.state.steps)
     )
     known_energies = [energy for energy in energies if energy is not None]
-    complete = len(known_energies) == len(shots) and _same(shots)
+    complete = len(known_energies) == len(snapshots) and _same(snapshots)
     return TrialOutcome(
         seconds,
-        run.taken if last_diagnostics.steps is None else last_diagnostics.steps,
-        shots,
+        run.steps_taken if last_diagnostics.steps is None else last_diagnostics.steps,
+        snapshots,
         status,
         reason,
         last_diagnostics.stable_step() if stable is None else stable,
@@ -249,9 +253,9 @@ def _is_fixed(method: str) -> bool:
     return not known or find_integrator(method).control is StepControl.FIXED
 
 
-def _same(shots: Sequence[Snapshot]) -> bool:
+def _same(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether the number of points is constant."""
-    ids = [shot.ids for shot in shots if shot.ids is not None]
+    ids = [shot.ids for shot in snapshots if shot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
+from animtool.core.files.output import STDOUT
 from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
@@ -31,8 +32,8 @@ from animtool.scene.systems.trial import system_trials
 from animtool.scene.tables.ik import pass_trial
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
-    COARSER,
-    FINER,
+    REFERENCE_FACTORS,
+    STEP_FACTORS,
     Figure,
     Setting,
     Snapshot,
@@ -134,7 +135,7 @@ def _times(
     # Nothing is written, and chunks would need a file.
     first = scene.outputs[0]
     without_chunks = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(replace(scene, outputs=(without_chunks,)), None, options)
+    plan = plan_stage(replace(scene, outputs=(without_chunks,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(character.times, plan), character
@@ -247,8 +248,8 @@ def _attach_trial(
         str(body.kind),
         float(clock.duration),
         Setting.of(ATTACH_METHOD, rate=rate),
-        lambda: settings((MAX_STEP_RATIO, *COARSER)),
-        lambda: [settings(FINER)],
+        lambda: settings((MAX_STEP_RATIO, *STEP_FACTORS)),
+        lambda: [settings(REFERENCE_FACTORS)],
         run,
         lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
     )

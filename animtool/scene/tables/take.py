@@ -18,6 +18,7 @@ from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.files.output import STDOUT
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
@@ -73,7 +74,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         OptionError: It is simulated or written as points (SCN062, CLI002).
     """
     options = options or BakeOptions()
-    plan = plan_stage(source, None, options)
+    plan = plan_stage(source, STDOUT, options)
     if plan.options.deform:
         message = (
             f"{argument('table')} measures joints, but the scene writes deformed points"
@@ -93,7 +94,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
     outside_notices = tuple(
-        replace(notice, path=notice.path or str(path))
+        notice.in_file(path)
         for notice in take.notices
         if notice not in full_take.notices
     )
@@ -138,7 +139,7 @@ class _Known:
 
     rig: Rig
     seconds: FloatArray
-    shots: list[Snapshot]
+    snapshots: list[Snapshot]
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, is_curved: bool) -> _Known:
@@ -157,12 +158,14 @@ class _Known:
             motion = take.motion.select(frame_indices)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
-        shots = _shots(take.rig, motion.world(take.rig))
-        return _Known(take.rig, frames / float(clock.rate), shots)
+        snapshots = _shots(take.rig, motion.world(take.rig))
+        return _Known(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
         """Return the joint of a point, and the time."""
-        points_per_joint = len(self.shots[shot].points) // max(1, len(self.rig.joints))
+        points_per_joint = len(self.snapshots[shot].points) // max(
+            1, len(self.rig.joints)
+        )
         return (
             f"{self.rig.names[point // points_per_joint]} at {self.seconds[shot]:.2f} s"
         )
@@ -212,7 +215,7 @@ def _samples(
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return TrialOutcome(0.0, take.clock.count, reference.shots)
+            return TrialOutcome(0.0, take.clock.count, reference.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
             started = time.perf_counter()
@@ -220,8 +223,8 @@ def _samples(
             seconds = time.perf_counter() - started
             codes = float(report.start) + reference.seconds * float(report.fps)
             world = played_world(output, codes)
-        shots = _shots(reference.rig, world)
-        return TrialOutcome(seconds, report.samples, shots, bytes=report.bytes)
+        snapshots = _shots(reference.rig, world)
+        return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
         _bake(open_source_stream(), output, options_of(setting))
@@ -248,7 +251,7 @@ def _samples(
         where=reference.where,
         lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
-        size=extent_of(reference.shots[:1]),
+        size=extent_of(reference.snapshots[:1]),
     )
 
 

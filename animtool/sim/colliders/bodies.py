@@ -24,25 +24,25 @@ class MovingBodies(Protocol):
     """Bodies of another simulation, as colliders."""
 
     colliders: Sequence[Collider]
-    """Their C shapes, each in its own frame."""
+    """C colliders of the bodies, each shape in its local frame."""
     owners: IntArray
-    """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
+    """Index of the body of each collider ``(C,)``; -1 if it cannot be pushed."""
     count: int
-    """How many bodies can be pushed."""
+    """Number of bodies that can be pushed."""
     masses: FloatArray
-    """Their masses ``(count,)`` [kg]."""
+    """Masses of the bodies ``(count,)`` [kg]."""
     fastest: float
-    """Speed of the fastest so far [m/s]."""
+    """Largest speed of a body so far [m/s]."""
 
     def ends(self, t0: float, t1: float) -> FloatArray:
-        """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
+        """Return poses of the colliders ``(C, 2, 7)`` at both ends of a step [s]."""
 
     def inverse_masses(
         self, t: float, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
-        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        For bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
         """
 
     def inertias(
@@ -50,10 +50,11 @@ class MovingBodies(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
-        At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
+        At a time [s], the beginning or the end of a step; inertias in world space
+        [1/(kg m²)].
         """
 
-    def pushed_by(self, pusher: Pusher) -> None:
+    def register_pusher(self, pusher: Pusher) -> None:
         """Register a system that applies impulses to the bodies."""
 
     def push(self, t: float, wrenches: Wrenches) -> None:
@@ -68,12 +69,12 @@ class Wrenches:
     """Impulses on bodies ``(count, 6)``: [N s], then angular, about the origin [N m s].
 
     Attributes:
-        now: Their sum.
-        moved: Each times how long ago it was, by which bodies have come on [s].
+        impulses: Sum of the impulses.
+        delayed: Sum of the impulses times the time since they were applied.
     """
 
-    now: FloatArray
-    moved: FloatArray
+    impulses: FloatArray
+    delayed: FloatArray
 
     @staticmethod
     def none(count: int) -> Wrenches:
@@ -81,31 +82,33 @@ class Wrenches:
         return Wrenches(np.zeros((count, 6)), np.zeros((count, 6)))
 
     @staticmethod
-    def sum(several: Sequence[Wrenches]) -> Wrenches:
-        """Return the sum of several."""
+    def sum(wrenches: Sequence[Wrenches]) -> Wrenches:
+        """Return the sum of impulses."""
         return Wrenches(
-            np.sum([one.now for one in several], axis=0),
-            np.sum([one.moved for one in several], axis=0),
+            np.sum([each.impulses for each in wrenches], axis=0),
+            np.sum([each.delayed for each in wrenches], axis=0),
         )
 
     def after(self, span: float) -> Wrenches:
-        """Return them as applied some time later [s]."""
-        return Wrenches(self.now, self.moved + span * self.now)
+        """Return the impulses as seen a time ``span`` [s] later."""
+        return Wrenches(self.impulses, self.delayed + span * self.impulses)
 
 
-def owners_of(bodies: Sequence[MovingBodies], others: int) -> npt.NDArray[np.int32]:
-    """Return the body of each collider ``(C,)``, -1 for none, after ``first`` others.
+def body_owners(
+    bodies: Sequence[MovingBodies], static_count: int
+) -> npt.NDArray[np.int32]:
+    """Return the body index of each collider ``(C,)``; -1 without a body.
 
-    Bodies of all systems are counted through.
+    The first ``others`` colliders have no body. Bodies are numbered across all systems.
     """
-    owners, first = [np.full(others, -1)], 0
+    owners, first = [np.full(static_count, -1)], 0
     for system in bodies:
         owners.append(np.where(system.owners >= 0, system.owners + first, -1))
         first += system.count
     return np.concatenate(owners).astype(np.int32)
 
 
-def pushed_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
+def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
     """Return the kernel's table of bodies that a step [s] can push ``(B, 13)``.
 
     Inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and centres of
@@ -114,11 +117,11 @@ def pushed_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatAr
     rows = [np.zeros((0, 13))]
     for system in bodies:
         if system.count:
-            centres, eases = system.inertias(t0, begins=True)
+            centres, inverse_inertias = system.inertias(t0, begins=True)
             ends, _ = system.inertias(t1)
-            six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             masses = 1 / system.masses[:, None]
-            rows.append(np.concatenate([masses, six, centres, ends], axis=1))
+            rows.append(np.concatenate([masses, inertia_rows, centres, ends], axis=1))
     return np.concatenate(rows)
 
 
@@ -132,48 +135,57 @@ def exchange_impulses(
     bodies: MovingBodies,
     t: float,
     shapes: IntArray,
-    free: FloatArray,
-    met: FloatArray,
+    without_contacts: FloatArray,
+    with_contacts: FloatArray,
     masses: FloatArray,
 ) -> tuple[FloatArray, Wrenches]:
     """Transfer the momentum that points lose in contacts to the bodies.
 
     A contact with an immovable body changes a point's velocity by d. With a movable
-    body both change so that they separate at the same speed: the point by a fraction
-    of d, and of the displacement since the contact. Simultaneous contacts with a body
-    share its mass, so that no energy is gained (Tonge, Benevolenski and Voroshilov
-    2012, "Mass splitting for jitter-free parallel rigid body simulation").
+    body both velocities change so that they separate at the same speed: that of the
+    point by a fraction of d; its displacement since the contact changes likewise.
+    Simultaneous contacts share the mass of a body, so that no energy is gained (Tonge,
+    Benevolenski and Voroshilov 2012, "Mass splitting for jitter-free parallel rigid
+    body simulation").
 
     Args:
         bodies: The bodies.
-        t: When [s].
-        shapes: Number of the shape that each point met, below 0 for none ``(N,)``.
-        free: Positions, then velocities without contacts ``(2, N, 3)``.
-        met: Likewise with contacts.
+        t: Time at the end of the step [s].
+        shapes: Index of the collider that each point touched, negative for none
+            ``(N,)``.
+        without_contacts: Positions, then velocities without contacts ``(2, N, 3)``.
+        with_contacts: Likewise with contacts.
         masses: Of the points ``(N,)`` [kg].
 
     Returns:
-        Positions and velocities of the points, and what the bodies take.
+        Positions and velocities of the points, and the impulses on the bodies.
     """
     owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
-    change = met[1] - free[1]
-    size = np.linalg.norm(change, axis=1)
-    (rows,) = np.nonzero((owners >= 0) & (size > 0))
+    change = with_contacts[1] - without_contacts[1]
+    speed_change = np.linalg.norm(change, axis=1)
+    (rows,) = np.nonzero((owners >= 0) & (speed_change > 0))
     wrenches = Wrenches.none(bodies.count)
     if not len(rows):
-        return met, wrenches
-    owners, change, size = owners[rows], change[rows], size[rows]
-    directions, displacement = change / size[:, None], met[0, rows] - free[0, rows]
-    since = np.maximum((displacement * directions).sum(axis=1) / size, 0.0)
-    points = met[0, rows] - since[:, None] * met[1, rows]
-    several = np.bincount(owners, minlength=bodies.count)[owners]
+        return with_contacts, wrenches
+    owners, change, speed_change = owners[rows], change[rows], speed_change[rows]
+    directions, displacement = (
+        change / speed_change[:, None],
+        with_contacts[0, rows] - without_contacts[0, rows],
+    )
+    elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
+    points = with_contacts[0, rows] - elapsed[:, None] * with_contacts[1, rows]
+    contact_counts = np.bincount(owners, minlength=bodies.count)[owners]
     inverse_masses = 1.0 / masses[rows]
-    inverse = bodies.inverse_masses(t, owners, points, directions)
-    fraction = (inverse_masses / (inverse_masses + several * inverse))[:, None]
-    ended = met.copy()
-    ended[:, rows] = free[:, rows] + fraction * np.stack([displacement, change])
+    body_inverse_masses = bodies.inverse_masses(t, owners, points, directions)
+    fraction = (
+        inverse_masses / (inverse_masses + contact_counts * body_inverse_masses)
+    )[:, None]
+    result = with_contacts.copy()
+    result[:, rows] = without_contacts[:, rows] + fraction * np.stack(
+        [displacement, change]
+    )
     impulses = -masses[rows, None] * fraction * change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
-    np.add.at(wrenches.now, owners, pushes)
-    np.add.at(wrenches.moved, owners, since[:, None] * pushes)
-    return ended, wrenches
+    np.add.at(wrenches.impulses, owners, pushes)
+    np.add.at(wrenches.delayed, owners, elapsed[:, None] * pushes)
+    return result, wrenches

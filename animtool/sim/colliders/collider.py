@@ -18,10 +18,10 @@ from animtool.sim.contact import Contact
 
 @dataclass(frozen=True)
 class Poses:
-    """World poses at sample times, linear in between and constant outside.
+    """World poses at sample times, interpolated between and held outside.
 
     Attributes:
-        times: Ascending ``(T,)`` [s]; of a fixed collider one.
+        times: Ascending ``(T,)`` [s]; a single one for a fixed collider.
         origins: ``(T, 3)`` [m].
         rotations: Quaternions ``(T, 4)``, x y z w, of any length above 0.
 
@@ -54,39 +54,39 @@ class Poses:
 
     def at(self, t: float) -> FloatArray:
         """Return the origin and quaternion ``(7,)`` at a time [s]."""
-        row: FloatArray = self.over(np.array([t]))[0]
+        row: FloatArray = self.at_times(np.array([t]))[0]
         return row
 
-    def over(self, times: FloatArray) -> FloatArray:
+    def at_times(self, times: FloatArray) -> FloatArray:
         """Return origins and quaternions ``(F, 7)`` at times ``(F,)`` [s].
 
-        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).over(np.array([0.5, 9]))
+        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).at_times(np.array([0.5, 9]))
         array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
                [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
         """
         keys, rows = self.sample_times, self.rows
-        last = np.searchsorted(keys, times, side="right") - 1
-        latest: FloatArray = rows[np.maximum(last, 0)]
-        within = (last >= 0) & (last + 1 < len(keys))
-        i = last[within]
+        key_indices = np.searchsorted(keys, times, side="right") - 1
+        poses: FloatArray = rows[np.maximum(key_indices, 0)]
+        between = (key_indices >= 0) & (key_indices + 1 < len(keys))
+        i = key_indices[between]
         if len(i):
             before, after = rows[i], rows[i + 1]
-            fraction = (times[within] - keys[i]) / (keys[i + 1] - keys[i])
+            fraction = (times[between] - keys[i]) / (keys[i + 1] - keys[i])
             displacement = (after[:, :3] - before[:, :3]) * fraction[:, None]
-            latest[within, :3] = before[:, :3] + displacement
-            latest[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
-        return latest
+            poses[between, :3] = before[:, :3] + displacement
+            poses[between, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
+        return poses
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Return A local points in the world at the sample times ``(T, A, 3)`` [m]."""
-        turned = so3.rotate(self.rows[:, None, 3:], points)
-        return np.asarray(self.rows[:, None, :3] + turned, np.float64)
+        """Return A local points in world space at sample times ``(T, A, 3)`` [m]."""
+        rotated = so3.rotate(self.rows[:, None, 3:], points)
+        return np.asarray(self.rows[:, None, :3] + rotated, np.float64)
 
-    def jumps(self, points: FloatArray, limit: float) -> BoolArray:
-        """Return the intervals in which points exceed a speed limit ``(T - 1,)``."""
-        travelled = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
+    def teleports(self, points: FloatArray, limit: float) -> BoolArray:
+        """Return a mask of intervals in which points exceed a speed ``(T - 1,)``."""
+        distances = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
         return np.asarray(
-            travelled.max(axis=1) > limit * np.diff(self.sample_times), np.bool_
+            distances.max(axis=1) > limit * np.diff(self.sample_times), np.bool_
         )
 
     def faults(self) -> list[str]:
@@ -114,9 +114,9 @@ class Collider(Contact, Checked):
     """A shape, its pose over time, and its contact material.
 
     Attributes:
-        shape: In its own frame.
-        poses: Of that frame in the world.
-        speed_limit: A collider that goes faster has no velocity then [m/s].
+        shape: Shape in its local frame.
+        poses: Poses of that frame in the world.
+        speed_limit: Faster motion is a teleport, without velocity [m/s].
     """
 
     code: ClassVar[str] = "SIM020"
@@ -130,44 +130,44 @@ class Collider(Contact, Checked):
         return self.restitution, self.friction, self.margin, self.depenetration
 
     @cached_property
-    def jumps(self) -> BoolArray:
-        """The intervals between samples in which it teleports ``(T - 1,)``."""
-        return self.poses.jumps(self.shape.anchors(), self.speed_limit)
+    def teleports(self) -> BoolArray:
+        """Mask of the intervals between samples in which it teleports ``(T - 1,)``."""
+        return self.poses.teleports(self.shape.anchors(), self.speed_limit)
 
     @property
     def speed(self) -> float:
         """Its highest speed, teleports excluded [m/s]."""
         positions = self.poses.to_world(self.shape.anchors())
-        travelled = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(
+        distances = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(
             axis=1, initial=0.0
         )
-        speeds = travelled / np.diff(self.poses.sample_times)
-        return float(speeds[~self.jumps].max(initial=0.0))
+        speeds = distances / np.diff(self.poses.sample_times)
+        return float(speeds[~self.teleports].max(initial=0.0))
 
     def volume(self) -> Collider:
-        """Return it as a solid: a mesh is then closed."""
+        """Return the collider as a solid, whose mesh is closed."""
         if not isinstance(self.shape, Mesh) or self.shape.closed:
             return self
         return replace(self, shape=replace(self.shape, closed=True))
 
     def pose(self, t: float) -> FloatArray:
-        """Return its pose ``(7,)`` at a time [s]; during a teleport, the one before."""
+        """Return its pose ``(7,)`` at a time [s]; during a teleport, that before it."""
         keys = self.poses.sample_times
         i = int(np.searchsorted(keys, t, side="right")) - 1
-        if 0 <= i < len(self.jumps) and self.jumps[i]:
+        if 0 <= i < len(self.teleports) and self.teleports[i]:
             row: FloatArray = self.poses.rows[i]
             return row
         return self.poses.at(t)
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return its poses ``(2, 7)`` at both ends of a step."""
-        if self.jumps.any() and self._jumped(t0, t1):
+        if self.teleports.any() and self._teleported(t0, t1):
             return np.stack([self.pose(t1)] * 2)
         return np.stack([self.pose(t0), self.pose(t1)])
 
-    def _jumped(self, t0: float, t1: float) -> bool:
-        arrivals = self.poses.sample_times[1:][self.jumps]
-        return bool(((arrivals > t0) & (arrivals <= t1)).any())
+    def _teleported(self, t0: float, t1: float) -> bool:
+        end_times = self.poses.sample_times[1:][self.teleports]
+        return bool(((end_times > t0) & (end_times <= t1)).any())
 
     def problems(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""

@@ -25,8 +25,8 @@ from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
 from animtool.sim.colliders.sheets import Sheet, collide_with_sheet
 from animtool.sim.colliders.surfaces import Surfaces
 
-_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
-_SIZES = 7
+_SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
+_SIZE_COUNT = 7
 _NO_MESH: tuple[Any, ...] = (
     np.zeros((0, 3)),
     np.zeros((0, 3), np.int32),
@@ -41,10 +41,10 @@ class Touch(IntEnum):
     """The kind of contact a particle had in a step.
 
     Attributes:
-        NONE: Not at all.
-        BOUNCED: It hit one and left it.
-        RESTS: It is on one, and slides there if it moves.
-        UNRESOLVED: It is still inside one, on its way out or held by several.
+        NONE: No contact.
+        BOUNCED: It hit a collider and left it.
+        RESTS: It is on the surface of a collider, at rest or sliding.
+        UNRESOLVED: It is still inside a collider, moving out or blocked by others.
     """
 
     NONE = 0
@@ -58,10 +58,10 @@ class Contacts:
     """The last contact of each particle in a step.
 
     Attributes:
-        colliders: Index of the collider ``(N,)``, those of bodies behind the others and
-            those of sheets behind these, -1 where there was none.
-        touches: How, as of `Touch` ``(N,)``.
-        normals: The way out of it ``(N, 3)``.
+        colliders: Index of the collider ``(N,)``, -1 without contact; colliders of
+            bodies come after the others, sheets after them.
+        touches: Kind of contact, a `Touch` ``(N,)``.
+        normals: Unit normals out of the collider ``(N, 3)``.
     """
 
     colliders: IntArray
@@ -70,7 +70,7 @@ class Contacts:
 
     @property
     def any(self) -> BoolArray:
-        """Whether each particle touched a collider ``(N,)``."""
+        """Mask of the particles that touched a collider ``(N,)``."""
         return self.colliders >= 0
 
 
@@ -81,7 +81,7 @@ class Collided:
     Attributes:
         points: ``(N, 3)`` [m].
         velocities: ``(N, 3)`` [m/s].
-        contacts: What they met.
+        contacts: The last contact of each particle.
     """
 
     points: FloatArray
@@ -94,9 +94,10 @@ class Samples:
     """Distances, normals and velocities of C colliders at N points.
 
     Attributes:
-        distances: From the surfaces less the margins, negative inside ``(C, N)`` [m].
-        normals: Ways out ``(C, N, 3)``.
-        velocities: Of the surfaces ``(C, N, 3)`` [m/s].
+        distances: Distances from the surfaces minus the margins, negative inside
+            ``(C, N)`` [m].
+        normals: Unit normals out of the colliders ``(C, N, 3)``.
+        velocities: Velocities of the surfaces ``(C, N, 3)`` [m/s].
     """
 
     distances: FloatArray
@@ -108,12 +109,12 @@ class Colliders(Sequence[Collider]):
     """A set of colliders, prepared for repeated queries.
 
     Attributes:
-        sheets: Surfaces that change their shape, which are no members.
-        surfaces: These, ready for many steps at once.
-        bodies: What other simulations move, which are no members.
+        sheets: Deforming surfaces; not members of the sequence.
+        surfaces: The sheets, prepared for many substeps at once.
+        bodies: Bodies of other simulations; not members of the sequence.
 
     Raises:
-        OptionError: Something of them makes no sense (SIM020).
+        OptionError: A collider is invalid (SIM020).
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class Colliders(Sequence[Collider]):
         # All rigid colliders, in the kernels' numbering.
         rigid = [
             *self._colliders,
-            *(one for system in bodies for one in system.colliders),
+            *(collider for system in bodies for collider in system.colliders),
         ]
         self.rigid = len(rigid)
         self.surfaces = Surfaces(self.sheets)
@@ -144,12 +145,12 @@ class Colliders(Sequence[Collider]):
         self._meshes, roots = _meshes([c.shape for c in rigid])
         self._kinds = np.array(
             [
-                (_KINDS[type(c.shape)], _side(c), root)
+                (_SHAPE_KINDS[type(c.shape)], _side(c), root)
                 for c, root in zip(rigid, roots, strict=True)
             ],
             np.int64,
         ).reshape(-1, 3)
-        self._sizes = np.zeros((len(rigid), _SIZES))
+        self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
         for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes
@@ -167,11 +168,11 @@ class Colliders(Sequence[Collider]):
 
     @property
     def active(self) -> bool:
-        """Whether there are any."""
+        """Whether there is anything to collide with."""
         return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
-        """Return one, or a subset."""
+        """Return a collider, or a slice of them."""
         return self._colliders[index]
 
     def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
@@ -190,7 +191,7 @@ class Colliders(Sequence[Collider]):
     def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
         """Sample signed distances at points ``(N, 3)`` and a time [s].
 
-        Velocities are those of the step that begins then.
+        Velocities are those of the step that begins at ``t0``.
         """
         positions = as_floats(points, ("N", 3), "points")
         end = t0 if t1 is None else t1
@@ -202,10 +203,10 @@ class Colliders(Sequence[Collider]):
     def volumes(self) -> Colliders:
         """The same colliders, with watertight meshes as solids."""
         volumes = [
-            one.volume()
-            if isinstance(one.shape, Mesh) and one.shape.watertight
-            else one
-            for one in self
+            collider.volume()
+            if isinstance(collider.shape, Mesh) and collider.shape.watertight
+            else collider
+            for collider in self
         ]
         if all(a is b for a, b in zip(volumes, self, strict=True)):
             return self
@@ -213,9 +214,9 @@ class Colliders(Sequence[Collider]):
 
     @property
     def fastest(self) -> float:
-        """The highest collider speed [m/s]; teleports do not count.
+        """The highest speed of a collider [m/s]; teleports do not count.
 
-        Of surfaces and bodies so far.
+        For surfaces and bodies, the highest so far.
         """
         moving = (system.fastest for system in self.bodies)
         return max(self._fastest, self.surfaces.fastest, *moving)
@@ -225,28 +226,25 @@ class Colliders(Sequence[Collider]):
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each teleport (SIM120).
+        """Return a warning for each teleport (SIM120), of surfaces those so far."""
+        return [*self._teleport_warnings(), *self.surfaces.notices()]
 
-        Of surfaces, so far.
-        """
-        return [*self._jumps(), *self.surfaces.notices()]
-
-    def _jumps(self) -> list[Fault]:
+    def _teleport_warnings(self) -> list[Fault]:
         return [
-            _jump(collider, collider.name or f"colliders[{i}]", k)
+            _teleport_warning(collider, collider.name or f"colliders[{i}]", k)
             for i, collider in enumerate(self._colliders)
-            for k in np.flatnonzero(collider.jumps).tolist()
+            for k in np.flatnonzero(collider.teleports).tolist()
         ]
 
 
 def _side(collider: Collider) -> int:
-    """Return the side it collides on: 0 outside, 1 inside, 2 both."""
+    """Return the side on which a collider acts: 0 outside, 1 inside, 2 both."""
     if collider.container:
         return 1
     return 2 if isinstance(collider.shape, Mesh) and not collider.shape.closed else 0
 
 
-def _jump(collider: Collider, where: str, k: int) -> Fault:
+def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
     speed, when = collider.speed_limit, collider.poses.sample_times[k + 1]
     message = f"it moves faster than {speed:g} m/s until {when:g} s: it collides with "
     message += "nothing"
@@ -266,62 +264,71 @@ def collide(
 ) -> Collided:
     """Return particles after contact at the end of a step.
 
-    Paths are parabolas from the step's start to its end, so that nothing is passed
-    through however long the step is. A particle bounces at the moment of contact and
-    goes on from there; where it would be back on the surface within the step, it stays
-    there and slides against friction. What meets nothing is returned bit for bit.
+    Paths are parabolas from the step's start to its end, so that particles do not
+    tunnel, however long the step is. A particle bounces at the time of contact and
+    continues from there; if it would return to the surface within the step, it stays
+    there and slides with friction. Particles without contact are returned bit for bit.
 
     Args:
-        points: Where the step led ``(N, 3)`` [m].
-        velocities: There ``(N, 3)`` [m/s].
-        before: Positions, then velocities at the start of the step ``(2, N, 3)``.
-        colliders: What they may run into.
+        points: Positions at the end of the step without contacts ``(N, 3)`` [m].
+        velocities: Velocities at the end of the step ``(N, 3)`` [m/s].
+        before: Positions and velocities at the start of the step ``(2, N, 3)``.
+        colliders: Colliders to test against.
         t0: Start of the step [s].
-        t1: Its end [s].
-        radii: Of the particles ``(N,)``, or one [m].
-        begins: From when on particles are there that come within the step ``(N,)``
-            [s]; `before` is then. None is from its start.
+        t1: End of the step [s].
+        radii: Particle radii ``(N,)``, or one for all [m].
+        begins: Spawn times of particles that spawn within the step ``(N,)`` [s], at
+            which they have the state `before`; None for the start of the step.
 
     Raises:
-        OptionError: Something of the colliders makes no sense (SIM020).
+        OptionError: A collider is invalid (SIM020).
 
     >>> from animtool.sim.colliders import Collider, Plane
     >>> floor = Collider(Plane(), restitution=0.5)
     >>> above = [[[0, 1, 0]], [[0, -2, 0]]]
-    >>> done = collide([[0, -1, 0]], [[0, -2, 0]], above, [floor], 0, 1)
-    >>> done.points.tolist(), done.velocities.tolist()
+    >>> result = collide([[0, -1, 0]], [[0, -2, 0]], above, [floor], 0, 1)
+    >>> result.points.tolist(), result.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
-    ready = colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+    prepared = colliders if isinstance(colliders, Colliders) else Colliders(colliders)
     positions = as_floats(points, ("N", 3), "points")
     after = np.stack(
         [positions, as_floats(velocities, (len(positions), 3), "velocities")]
     )
     start = as_floats(before, (2, len(positions), 3), "before")
-    sizes = np.ascontiguousarray(np.broadcast_to(radii, len(positions)), np.float64)
-    late = np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
-    at_sheets = _hold_at_sheets(ready, start, after, (t0, t1), sizes, late)
-    state, touches, normals = _kernels.collide_particles(
-        ready.arrays(t0, t1), start, after, sizes, late, t1 - t0
+    radius_array = np.ascontiguousarray(
+        np.broadcast_to(radii, len(positions)), np.float64
     )
-    for rows, touched, directions in at_sheets:
-        only = touches[rows, 0] < 0
-        touches[rows[only]], normals[rows[only]] = touched[only], directions[only]
-    contacts, touched = touches.T.copy()
-    return Collided(state[0], state[1], Contacts(contacts, touched, normals))
+    spawn_times = (
+        np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
+    )
+    sheet_contacts = _stop_at_sheets(
+        prepared, start, after, (t0, t1), radius_array, spawn_times
+    )
+    state, touches, normals = _kernels.collide_particles(
+        prepared.arrays(t0, t1), start, after, radius_array, spawn_times, t1 - t0
+    )
+    for rows, kinds, sheet_normals in sheet_contacts:
+        untouched = touches[rows, 0] < 0
+        touches[rows[untouched]], normals[rows[untouched]] = (
+            kinds[untouched],
+            sheet_normals[untouched],
+        )
+    contacts, kinds = touches.T.copy()
+    return Collided(state[0], state[1], Contacts(contacts, kinds, normals))
 
 
-def _hold_at_sheets(
-    ready: Colliders,
+def _stop_at_sheets(
+    prepared: Colliders,
     start: FloatArray,
     after: FloatArray,
     span: tuple[float, float],
-    sizes: FloatArray,
-    late: FloatArray,
+    radii: FloatArray,
+    spawn_times: FloatArray,
 ) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Stop particles at sheets in place; return which ones touched them.
+    """Stop particles at sheets, changing ``after``; return the contacts of each sheet.
 
-    What is rigid comes after them: particles between both are held by that.
+    Rigid colliders are applied afterwards, so that they win over sheets.
     """
     step, contacts = span[1] - span[0], []
 
@@ -335,36 +342,42 @@ def _hold_at_sheets(
         arrays = Colliders([collider]).arrays(*span)
         return _kernels.collide_particles(arrays, begin, end, radii, begins, step)
 
-    for i, sheet in enumerate(ready.sheets if step > 0 else ()):
-        met = collide_with_sheet(sheet, start, after, span, sizes, late, settle)
-        if met is None:
+    for i, sheet in enumerate(prepared.sheets if step > 0 else ()):
+        result = collide_with_sheet(
+            sheet, start, after, span, radii, spawn_times, settle
+        )
+        if result is None:
             continue
-        near, (state, touches, normals) = met
-        hit = touches[:, 0] >= 0
-        rows = near[hit]
-        after[:, rows] = state[:, hit]
-        touches[hit, 0] = ready.rigid + i
-        contacts.append((rows, touches[hit], normals[hit]))
+        nearby, (state, touches, normals) = result
+        touching = touches[:, 0] >= 0
+        rows = nearby[touching]
+        after[:, rows] = state[:, touching]
+        touches[touching, 0] = prepared.rigid + i
+        contacts.append((rows, touches[touching], normals[touching]))
     return contacts
 
 
 def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
-    """Return the arrays of all meshes joined, and the tree node of each shape."""
-    parts = [_NO_MESH]
-    roots, shift = [], np.zeros(3, np.int32)
+    """Return concatenated arrays of all meshes, and the root node of each shape."""
+    meshes = [_NO_MESH]
+    roots, offsets = [], np.zeros(3, np.int32)
     for shape in shapes:
-        roots.append(int(shift[2]))
+        roots.append(int(offsets[2]))
         if isinstance(shape, Mesh):
-            part = _mesh(shape, *shift.tolist())
-            parts.append(part)
-            shift += [len(part[0]), len(part[1]), len(part[5])]
-    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), roots
+            arrays = _mesh(shape, *offsets.tolist())
+            meshes.append(arrays)
+            offsets += [len(arrays[0]), len(arrays[1]), len(arrays[5])]
+    return tuple(np.concatenate(arrays) for arrays in zip(*meshes, strict=True)), roots
 
 
-def _mesh(shape: Mesh, points: int, triangles: int, nodes: int) -> tuple[Any, ...]:
-    """Return a mesh's arrays, numbered after those of the meshes before it."""
-    welded, corners = shape.welded()
-    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(welded, corners)
-    leaf = tree[:, :1] < 0
-    tree = np.where(leaf, tree - [triangles, 0], tree + nodes).astype(np.int32)
-    return welded, order + np.int32(points), by_corner, by_edge, bounds, tree
+def _mesh(
+    shape: Mesh, point_offset: int, triangle_offset: int, node_offset: int
+) -> tuple[Any, ...]:
+    """Return a mesh's arrays, with indices offset by those of earlier meshes."""
+    points, corners = shape.weld()
+    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(points, corners)
+    is_leaf = tree[:, :1] < 0
+    tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset).astype(
+        np.int32
+    )
+    return points, order + np.int32(point_offset), by_corner, by_edge, bounds, tree

@@ -20,8 +20,8 @@ class Capsules:
     """C capsules attached to joints.
 
     Attributes:
-        joints: What carries each ``(C,)``.
-        ends: Both ends of their axes, in the frames of the joints ``(C, 2, 3)`` [m].
+        joints: Index of the joint of each capsule ``(C,)``.
+        ends: Both ends of the axes, in the frames of the joints ``(C, 2, 3)`` [m].
         radii: ``(C,)`` [m].
     """
 
@@ -38,9 +38,13 @@ class Capsules:
             half = np.array(capsule.axis) * (capsule.length / 2)
             ends.append([np.array(capsule.offset) + side * half for side in (-1, 1)])
         return Capsules(
-            np.array([rig.index(one.joint) for one in rig.colliders], np.int64),
+            np.array(
+                [rig.index(collider.joint) for collider in rig.colliders], np.int64
+            ),
             np.array(ends, np.float64).reshape(-1, 2, 3),
-            np.array([one.capsule.radius for one in rig.colliders], np.float64),
+            np.array(
+                [collider.capsule.radius for collider in rig.colliders], np.float64
+            ),
         )
 
     @staticmethod
@@ -48,22 +52,24 @@ class Capsules:
         """Return an empty set."""
         return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
 
-    def select(self, kept: BoolArray) -> Capsules:
-        """Return the selected ones ``(C,)``."""
-        return Capsules(self.joints[kept], self.ends[kept], self.radii[kept])
+    def select(self, mask: BoolArray) -> Capsules:
+        """Return the capsules of a mask ``(C,)``."""
+        return Capsules(self.joints[mask], self.ends[mask], self.radii[mask])
 
     def __len__(self) -> int:
         """Return the number of capsules."""
         return len(self.joints)
 
-    def placed(self, world: WorldTransforms) -> FloatArray:
-        """Return both ends in the world ``(K, C, 2, 3)`` [m]."""
+    def world_ends(self, world: WorldTransforms) -> FloatArray:
+        """Return both ends in world space ``(K, C, 2, 3)`` [m]."""
         linear = world.linear[:, self.joints]
-        turned = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
-        return np.asarray(turned + world.positions[:, self.joints, None])
+        rotated = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
+        return np.asarray(rotated + world.positions[:, self.joints, None])
 
-    def turned(self, world: WorldTransforms) -> tuple[FloatArray, FloatArray]:
-        """Return poses of the joints, and ends scaled as in the first pose.
+    def joint_poses_and_ends(
+        self, world: WorldTransforms
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return poses of the joints, and ends with the scale of the first frame.
 
         Returns:
             Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
@@ -74,8 +80,8 @@ class Capsules:
         ends = (linear[0, :, None] * self.ends[:, :, None]).sum(axis=-1)
         return poses, so3.rotate(so3.conjugate(rotations[0])[:, None], ends)
 
-    def sizes(self, world: WorldTransforms) -> FloatArray:
-        """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
+    def world_radii(self, world: WorldTransforms) -> FloatArray:
+        """Return the radii in world space, at the scale of the first frame ``(C,)``."""
         volumes = np.abs(np.linalg.det(world.linear[0, self.joints]))
         return np.asarray(self.radii * np.cbrt(volumes))
 
@@ -84,35 +90,35 @@ def joint_poses(world: WorldTransforms, joint: int, times: ArrayLike) -> Poses:
     """Return the poses of a joint over time.
 
     Args:
-        world: Of all joints of a rig over F frames.
-        joint: Its index.
-        times: Of the frames ``(F,)`` [s].
+        world: World transforms of a rig's joints over F frames.
+        joint: Index of the joint.
+        times: Times of the frames ``(F,)`` [s].
     """
     return Poses(times, world.positions[:, joint], world.rotations[:, joint])
 
 
 def rig_colliders(
-    rig: Rig, world: WorldTransforms, times: ArrayLike, like: Collider | None = None
+    rig: Rig, world: WorldTransforms, times: ArrayLike, template: Collider | None = None
 ) -> list[Collider]:
     """Return the colliders of a moving rig, named after their joints.
 
-    They have the size that the first frame gives them.
+    Their size is that of the first frame.
 
     Args:
-        rig: Its capsules.
-        world: Of its joints over F frames.
-        times: Of the frames ``(F,)`` [s].
-        like: What touching them does; the usual where None.
+        rig: Rig with capsules.
+        world: World transforms of its joints over F frames.
+        times: Times of the frames ``(F,)`` [s].
+        template: Collider whose contact material they have; None for the default one.
     """
     capsules = Capsules.of(rig)
-    rows, ends = capsules.turned(world)
+    rows, ends = capsules.joint_poses_and_ends(world)
     colliders = []
-    for c, radius in enumerate(capsules.sizes(world).tolist()):
-        entry, (a, b) = rig.colliders[c], ends[c]
+    for c, radius in enumerate(capsules.world_radii(world).tolist()):
+        source, (a, b) = rig.colliders[c], ends[c]
         length = float(np.linalg.norm(b - a))
-        axis = (b - a) / length if length else entry.capsule.axis
+        axis = (b - a) / length if length else source.capsule.axis
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
         poses = Poses(times, rows[:, c, :3], rows[:, c, 3:])
-        one = Collider(shape) if like is None else like
-        colliders.append(replace(one, shape=shape, poses=poses, name=entry.joint))
+        base = Collider(shape) if template is None else template
+        colliders.append(replace(base, shape=shape, poses=poses, name=source.joint))
     return colliders

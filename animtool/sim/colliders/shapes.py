@@ -23,8 +23,8 @@ class Plane:
     """A half-space below a plane.
 
     Attributes:
-        normal: Out of it, of any length above 0.
-        offset: Of the plane from the origin, along the normal [m].
+        normal: Normal out of the half-space, of any length above 0.
+        offset: Distance of the plane from the origin, along the normal [m].
     """
 
     normal: Vector = (0.0, 1.0, 0.0)
@@ -46,11 +46,11 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball.
+    """A sphere.
 
     Attributes:
-        radius: [m].
-        centre: In its frame [m].
+        radius: Radius [m].
+        centre: Centre, local space [m].
     """
 
     radius: Radius
@@ -74,10 +74,10 @@ class Capsule:
     """All points within a radius of a segment.
 
     Attributes:
-        radius: [m].
-        length: Of the segment [m]; 0 is a ball.
+        radius: Radius [m].
+        length: Length of the segment [m]; 0 is a sphere.
         axis: Direction of the segment, of any length above 0.
-        centre: Of the segment, in its frame [m].
+        centre: Centre of the segment, local space [m].
     """
 
     radius: Radius
@@ -106,7 +106,7 @@ class Box:
     """A box centred at the origin of its frame.
 
     Attributes:
-        size: Its three sides, whole [m].
+        size: Full edge lengths along x, y and z [m].
     """
 
     size: Vector
@@ -129,16 +129,17 @@ class Box:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles with two sides, or the surface of a solid.
+    """Two-sided triangles, or the surface of a solid.
 
-    Coincident points are merged, and triangles without area dropped.
+    Coincident points are merged, and triangles without area removed.
 
     Attributes:
         points: ``(P, 3)`` [m].
-        triangles: Corners of each ``(T, 3)``; of a skin counter-clockwise as seen from
-            outside.
-        closed: Whether it is the skin of a volume, which is met from outside only:
-            behind a face is inside; an open mesh has no inside beyond its rim.
+        triangles: Corners of each ``(T, 3)``; of a solid, counter-clockwise as seen
+            from outside.
+        closed: Whether it is the surface of a solid, so that collisions are from
+            outside
+            only: behind a face is inside. An open mesh has no inside beyond its rim.
     """
 
     points: ArrayLike
@@ -146,7 +147,7 @@ class Mesh:
     closed: bool = False
 
     def sizes(self) -> FloatArray:
-        """Return an empty array; meshes have arrays of their triangles instead."""
+        """Return an empty array; kernels use arrays of triangles instead."""
         return np.zeros(0)
 
     def anchors(self) -> FloatArray:
@@ -156,23 +157,23 @@ class Mesh:
         corners = np.array(list(product((0.0, 1.0), repeat=3)))
         return np.asarray(low + corners * (high - low), np.float64)
 
-    def welded(self) -> tuple[FloatArray, npt.NDArray[np.int32]]:
-        """Return merged points and triangles, without degenerate ones."""
-        points, same = np.unique(
+    def weld(self) -> tuple[FloatArray, npt.NDArray[np.int32]]:
+        """Return merged points, and triangles without degenerate ones."""
+        points, inverse = np.unique(
             np.asarray(self.points, np.float64), axis=0, return_inverse=True
         )
-        triangles = same.reshape(-1)[np.asarray(self.triangles, np.int64)]
-        kept = triangles[_have_area(points, triangles)]
-        return points, np.ascontiguousarray(kept, np.int32)
+        triangles = inverse.reshape(-1)[np.asarray(self.triangles, np.int64)]
+        faces = triangles[_have_area(points, triangles)]
+        return points, np.ascontiguousarray(faces, np.int32)
 
     @property
     def watertight(self) -> bool:
-        """Whether each edge has two triangles of consistent winding."""
-        corners = self.welded()[1].astype(np.int64)
-        sides = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
-        size = np.array([corners.max(initial=0) + 1, 1])
-        there, back = np.sort(sides @ size), np.sort(sides[:, ::-1] @ size)
-        return bool((there == back).all() and (np.diff(there) > 0).all())
+        """Whether every edge has two triangles of consistent winding."""
+        corners = self.weld()[1].astype(np.int64)
+        edges = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
+        strides = np.array([corners.max(initial=0) + 1, 1])
+        forward, backward = np.sort(edges @ strides), np.sort(edges[:, ::-1] @ strides)
+        return bool((forward == backward).all() and (np.diff(forward) > 0).all())
 
     def faults(self) -> list[str]:
         """Return messages about invalid values."""
@@ -190,17 +191,17 @@ class Mesh:
 
 
 def _have_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Return which triangles ``(T, 3)`` are not degenerate ``(T,)``."""
+    """Return a mask of the triangles ``(T, 3)`` that have an area ``(T,)``."""
     a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
     return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
 class HeightField:
-    """Heights over a rectangle at the origin, a mesh with one side: the top.
+    """Heights over a rectangle at the origin; a one-sided mesh that faces up.
 
     Attributes:
-        size: Both sides of the rectangle, along x and z [m].
+        size: Edge lengths of the rectangle along x and z [m].
     """
 
     size: Vector
@@ -213,9 +214,9 @@ class HeightField:
             for side, count in zip(self.size, y.shape[::-1], strict=True)
         )
         points = np.stack(np.broadcast_arrays(x, y, z[:, None]), axis=-1)
-        number = np.arange(y.size).reshape(y.shape)
-        a, b = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
-        c, d = number[1:, :-1].ravel(), number[1:, 1:].ravel()
+        indices = np.arange(y.size).reshape(y.shape)
+        a, b = indices[:-1, :-1].ravel(), indices[:-1, 1:].ravel()
+        c, d = indices[1:, :-1].ravel(), indices[1:, 1:].ravel()
         triangles = np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 3)
         return Mesh(points.reshape(-1, 3), triangles, closed=True)
 
@@ -237,7 +238,7 @@ class HeightField:
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
-# By their names in files; a height field becomes a mesh.
+# Shapes by name in files; a height field becomes a mesh.
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
     "capsule": Capsule,
@@ -249,9 +250,9 @@ SHAPES: dict[str, type[Any]] = {
 
 
 def bounds(shape: Any) -> FloatArray:
-    """Return a shape's lower and upper bounds in its frame ``(2, 3)`` [m].
+    """Return a shape's lower and upper bounds, local space ``(2, 3)`` [m].
 
-    Of a shape that ends: no plane.
+    The shape must be finite: not a plane.
     """
     sizes = np.asarray(shape.sizes(), np.float64)
     if isinstance(shape, Box):
@@ -280,11 +281,11 @@ def _size_faults(values: Sequence[float]) -> list[str]:
 
 
 def _point_faults(point: Vector) -> list[str]:
-    fits = len(point) == 3 and np.isfinite(point).all()
-    return [] if fits else ["its centre must be three finite numbers"]
+    valid = len(point) == 3 and np.isfinite(point).all()
+    return [] if valid else ["its centre must be three finite numbers"]
 
 
 def _direction_faults(name: str, direction: Vector) -> list[str]:
     vector = np.asarray(direction, np.float64)
-    fits = vector.shape == (3,) and np.isfinite(vector).all() and vector.any()
-    return [] if fits else [f"its {name} must be three finite numbers, not all 0"]
+    valid = vector.shape == (3,) and np.isfinite(vector).all() and vector.any()
+    return [] if valid else [f"its {name} must be three finite numbers, not all 0"]

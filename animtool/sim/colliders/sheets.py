@@ -19,9 +19,9 @@ class SheetMotion(Protocol):
     """A surface over time; particles do not push it."""
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m].
+        """Return its points ``(N, 3)`` [m] at a time [s].
 
-        Times may go back as far as the last one that `forget` was given.
+        Times before the last call of `forget` are not available.
         """
 
     def triangles(self, t: float) -> IntArray:
@@ -36,14 +36,14 @@ class SheetMotion(Protocol):
 class Sheet(Material, Checked):
     """A deforming surface and its contact material.
 
-    Particles meet it from both sides of its thickness.
+    Unless closed, particles collide with both sides of it.
 
     Attributes:
-        motion: Where it is.
+        motion: Points over time.
         radius: Half its thickness, above 0 [m].
-        closed: Whether it is the skin of a volume, which is met from outside only.
-        name: For messages.
-        depenetration: How fast particles that start inside are moved out [m/s].
+        closed: Whether it is the surface of a solid: collisions are from outside only.
+        name: Name for messages.
+        depenetration: Speed at which particles that start inside are moved out [m/s].
     """
 
     code: ClassVar[str] = "SIM020"
@@ -57,7 +57,7 @@ class Sheet(Material, Checked):
     def problems(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""
         faults = Checked.problems(self)
-        return [one for one in faults if one[0] == "radius"] or faults
+        return [fault for fault in faults if fault[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
         """Return its shape at a time as a static collider.
@@ -88,8 +88,8 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
         radius: Half the thickness [m].
 
     >>> flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    >>> made = hull(flat, np.array([[0, 1, 2]]), 0.1)
-    >>> len(made.points), len(made.triangles)
+    >>> mesh = hull(flat, np.array([[0, 1, 2]]), 0.1)
+    >>> len(mesh.points), len(mesh.triangles)
     (6, 8)
     """
     return Mesh(
@@ -100,34 +100,34 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
 
 
 def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
-    """Return a hull's points: the front's, then the back's ``(2 N, 3)`` [m]."""
+    """Return a hull's points: those of the front, then of the back ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
-    across = np.cross(b - a, c - a)
-    corners, weights = triangles.T.ravel(), np.tile(across, (3, 1)).T
-    sums = [np.bincount(corners, each, len(points)) for each in weights]
+    area_normals = np.cross(b - a, c - a)
+    corners, weights = triangles.T.ravel(), np.tile(area_normals, (3, 1)).T
+    sums = [np.bincount(corners, component, len(points)) for component in weights]
     normals: FloatArray = np.stack(sums, axis=1)
-    sizes = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(sizes > 0, sizes, 1.0) * radius
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0, lengths, 1.0) * radius
     return np.concatenate([points + normals, points - normals])
 
 
 def hull_faces(triangles: IntArray, count: int) -> IntArray:
     """Return the triangles of a hull around a surface of N points ``(M, 3)``."""
-    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    size = [count, 1]
-    alone = ~np.isin(sides @ size, sides[:, ::-1] @ size)
-    first, second = sides[alone].T
+    edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    strides = [count, 1]
+    is_rim = ~np.isin(edges @ strides, edges[:, ::-1] @ strides)
+    first, second = edges[is_rim].T
     rim = [
         np.stack([second, first, first + count], axis=1),
         np.stack([second, first + count, second + count], axis=1),
     ]
-    back = triangles[:, ::-1] + count
-    return np.concatenate([triangles, back, *rim])
+    back_faces = triangles[:, ::-1] + count
+    return np.concatenate([triangles, back_faces, *rim])
 
 
 # Maps static colliders, start and end states ``(2, N, 3)``, radii and spawn times
 # within the step to end states, contact kinds ``(N,)`` and normals ``(N, 3)``.
-Settle: TypeAlias = Callable[
+StaticCollision: TypeAlias = Callable[
     [Collider, FloatArray, FloatArray, FloatArray, FloatArray], Any
 ]
 
@@ -138,60 +138,66 @@ def collide_with_sheet(
     after: FloatArray,
     span: tuple[float, float],
     radii: FloatArray,
-    late: FloatArray,
-    settle: Settle,
+    spawn_times: FloatArray,
+    collide_static: StaticCollision,
 ) -> tuple[IntArray, Any] | None:
     """Return the particles near a sheet and their end states, or None without any.
 
-    Each particle is seen from what of the sheet is nearest to it, which goes straight
-    through the step: the sheet is then as it is at the end, and at rest.
+    Each particle is simulated in the moving frame of the nearest point of the sheet,
+    whose path in the step is straight: in this frame the sheet is at rest in its final
+    shape.
 
-    Limits of the method: where a sheet turns by much in one step, what is on it may be
-    off by that turn times its distance from the nearest point.
+    Limits of the method: if a sheet rotates by a large angle in one step, positions of
+    particles have an error of this angle times their distance from the nearest point.
 
     Args:
         sheet: The surface.
-        before: Positions, then velocities at the start of the step ``(2, N, 3)``.
-        after: Likewise at the end, without contacts.
+        before: Positions and velocities at the start of the step ``(2, N, 3)``.
+        after: Positions and velocities at its end, without contacts ``(2, N, 3)``.
         span: Start and end of the step [s].
-        radii: Of the particles ``(N,)`` [m].
-        late: From when on in the step particles are there ``(N,)`` [s].
-        settle: Ends a step among colliders at rest.
+        radii: Radii of the particles ``(N,)`` [m].
+        spawn_times: Times at which particles spawn, from the start of the step ``(N,)``
+            [s].
+        collide_static: Function that ends a step with contacts of static colliders.
     """
     t0, t1 = span
     sheet.motion.forget(t0)
-    begin, end = sheet.motion.points(t0), sheet.motion.points(t1)
+    begin_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
     triangles = sheet.motion.triangles(t1)
-    near = np.flatnonzero(
-        _within(begin, end, before[0], after[0], radii + sheet.radius)
+    nearby = np.flatnonzero(
+        _near_sheet(begin_points, end_points, before[0], after[0], radii + sheet.radius)
     )
-    if not len(near) or not len(triangles):
+    if not len(nearby) or not len(triangles):
         return None
-    velocity = _displacement(before[0, near], begin, end - begin, triangles) / (t1 - t0)
-    start, goal = before[:, near].copy(), after[:, near].copy()
-    start[0] += velocity * (t1 - t0 - late[near])[:, None]
-    start[1] -= velocity
-    goal[1] -= velocity
-    collider = sheet.collider(end, triangles)
-    state, touches, normals = settle(collider, start, goal, radii[near], late[near])
+    velocity = _displacement(
+        before[0, nearby], begin_points, end_points - begin_points, triangles
+    ) / (t1 - t0)
+    start_state, end_state = before[:, nearby].copy(), after[:, nearby].copy()
+    start_state[0] += velocity * (t1 - t0 - spawn_times[nearby])[:, None]
+    start_state[1] -= velocity
+    end_state[1] -= velocity
+    collider = sheet.collider(end_points, triangles)
+    state, touches, normals = collide_static(
+        collider, start_state, end_state, radii[nearby], spawn_times[nearby]
+    )
     state[1] += velocity
-    return near, (state, touches, normals)
+    return nearby, (state, touches, normals)
 
 
-def _within(
+def _near_sheet(
     begin: FloatArray,
     end: FloatArray,
     start: FloatArray,
     goal: FloatArray,
-    reach: FloatArray,
+    radius: FloatArray,
 ) -> BoolArray:
-    """Return which paths enter the bounding box of a sheet ``(N,)``."""
+    """Return a mask of paths that enter the bounding box of a sheet ``(N,)``."""
     low = np.minimum(begin.min(axis=0), end.min(axis=0))
     high = np.maximum(begin.max(axis=0), end.max(axis=0))
-    # A path is a parabola: it leaves its end points' box by at most its length.
-    slack = reach[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
-    above = np.maximum(start, goal) + slack >= low
-    below = np.minimum(start, goal) - slack <= high
+    # A path is a parabola: it leaves the box of its end points by at most its length.
+    margin = radius[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
+    above = np.maximum(start, goal) + margin >= low
+    below = np.minimum(start, goal) - margin <= high
     return np.asarray((above & below).all(axis=1))
 
 
@@ -206,37 +212,37 @@ def _displacement(
 
     used = np.unique(triangles)
     nearest = used[cKDTree(positions[used]).query(points)[1]]
-    around = _around(triangles, len(positions))[nearest]
-    corners = triangles[around]
+    neighbours = _triangles_of_points(triangles, len(positions))[nearest]
+    corners = triangles[neighbours]
     a, b, c = (positions[corners[..., k]] for k in range(3))
-    shares = _shares(points[:, None], a, b, c)
-    displaced = np.einsum("ndk,ndkx->ndx", shares, positions[corners])
-    off = np.linalg.norm(displaced - points[:, None], axis=2)
-    off[around < 0] = np.inf
-    best = off.argmin(axis=1)[:, None, None]
-    candidates = np.einsum("ndk,ndkx->ndx", shares, displacements[corners])
+    weights = _barycentric_weights(points[:, None], a, b, c)
+    nearest_points = np.einsum("ndk,ndkx->ndx", weights, positions[corners])
+    distances = np.linalg.norm(nearest_points - points[:, None], axis=2)
+    distances[neighbours < 0] = np.inf
+    best = distances.argmin(axis=1)[:, None, None]
+    candidates = np.einsum("ndk,ndkx->ndx", weights, displacements[corners])
     return np.asarray(np.take_along_axis(candidates, best, axis=1)[:, 0])
 
 
-def _around(triangles: IntArray, count: int) -> IntArray:
-    """Return the triangles around each point ``(N, most)``, padded with -1."""
+def _triangles_of_points(triangles: IntArray, count: int) -> IntArray:
+    """Return the triangles of each point, padded with -1 ``(N, max_triangles)``."""
     order = np.argsort(triangles.ravel(), kind="stable")
     corner, face = triangles.ravel()[order], order // 3
-    firsts = np.searchsorted(corner, np.arange(count + 1))
-    neighbours = np.full((count, max(int(np.diff(firsts).max()), 1)), -1)
-    neighbours[corner, np.arange(len(corner)) - firsts[corner]] = face
+    starts = np.searchsorted(corner, np.arange(count + 1))
+    neighbours = np.full((count, max(int(np.diff(starts).max()), 1)), -1)
+    neighbours[corner, np.arange(len(corner)) - starts[corner]] = face
     return neighbours
 
 
-def _shares(
+def _barycentric_weights(
     points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray
 ) -> FloatArray:
-    """Return barycentric weights of the nearest points of triangles."""
+    """Return barycentric weights of the points of triangles nearest to ``points``."""
     ab, ac, ap = b - a, c - a, points - a
     d00, d01, d11 = ((u * v).sum(axis=-1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
     d20, d21 = (ap * ab).sum(axis=-1), (ap * ac).sum(axis=-1)
-    area = d00 * d11 - d01 * d01
-    safe = np.where(area > 0, area, 1.0)
-    v, w = (d11 * d20 - d01 * d21) / safe, (d00 * d21 - d01 * d20) / safe
-    shares = np.clip(np.stack([1 - v - w, v, w], axis=-1), 0.0, None)
-    return np.asarray(shares / shares.sum(axis=-1, keepdims=True))
+    determinant = d00 * d11 - d01 * d01
+    divisor = np.where(determinant > 0, determinant, 1.0)
+    v, w = (d11 * d20 - d01 * d21) / divisor, (d00 * d21 - d01 * d20) / divisor
+    weights = np.clip(np.stack([1 - v - w, v, w], axis=-1), 0.0, None)
+    return np.asarray(weights / weights.sum(axis=-1, keepdims=True))

@@ -15,94 +15,96 @@ from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 from animtool.sim.contact import SPEED_LIMIT
 
 # Points are sampled at most this often [s], and interpolated in between.
-KNOT = 1 / 240
+KNOT_INTERVAL = 1 / 240
 # Rounding tolerance of the cell count, as a fraction of a cell.
-ON_GRID = 1e-9
+ROUNDING = 1e-9
 
 
 class Surfaces:
     """Sheets in the layout of kernels that take many substeps at once.
 
-    Points at one place at the beginning are one; triangles stay as they are then.
+    Points that coincide at the beginning are merged; triangles do not change.
 
     Attributes:
         fastest: Highest speed so far [m/s]; teleports do not count.
 
     Args:
-        sheets: Surfaces whose motion may be asked for at any time.
+        sheets: Surfaces whose points are available at any time.
     """
 
     def __init__(self, sheets: Sequence[Sheet]) -> None:
         self._sheets = tuple(sheets)
         self._origin: float | None = None
-        self._ready: list[_Ready] = []
-        self._jumps: dict[tuple[int, float], Fault] = {}
+        self._prepared: list[_PreparedSheet] = []
+        self._teleports: dict[tuple[int, float], Fault] = {}
         self.fastest = 0.0
 
-    def over(
+    def kernel_arrays(
         self, origin: float, cell: float, index: int, cells: int
     ) -> list[tuple[Any, ...]]:
         """Return the kernel's arrays for an interval split into equal cells.
 
         Args:
-            origin: Where the first of all cells begins [s].
-            cell: Length of each [s].
-            index: Of the first of these.
-            cells: How many.
+            origin: Time at which cell 0 begins [s].
+            cell: Length of a cell [s].
+            index: Index of the first cell of the interval.
+            cells: Number of cells.
         """
         if self._origin != origin:
             self._origin = origin
-            ready = [_Ready(sheet, origin) for sheet in self._sheets]
-            self._ready = [one for one in ready if len(one.faces)]
-        lasts = max(1, math.floor(KNOT / cell * (1 + ON_GRID)))
-        first, over = divmod(index, lasts)
-        last = -(-(index + cells) // lasts)
-        steps = np.arange(first, last + 1)
-        knots = np.asarray(origin + steps * (lasts * cell), np.float64)
-        rows = []
-        for i, one in enumerate(self._ready):
-            points = np.stack([one.points(t) for t in knots.tolist()])
-            self._look(i, one.sheet, points, knots)
-            rows.append((one.kernel, points, one.numbers, lasts, over))
-        return rows
+            prepared = [_PreparedSheet(sheet, origin) for sheet in self._sheets]
+            self._prepared = [sheet for sheet in prepared if len(sheet.faces)]
+        cells_per_knot = max(1, math.floor(KNOT_INTERVAL / cell * (1 + ROUNDING)))
+        first_knot, offset = divmod(index, cells_per_knot)
+        last_knot = -(-(index + cells) // cells_per_knot)
+        indices = np.arange(first_knot, last_knot + 1)
+        knots = np.asarray(origin + indices * (cells_per_knot * cell), np.float64)
+        arrays = []
+        for i, sheet in enumerate(self._prepared):
+            points = np.stack([sheet.points(t) for t in knots.tolist()])
+            self._record_speed(i, sheet.sheet, points, knots)
+            arrays.append(
+                (sheet.kernel, points, sheet.material, cells_per_knot, offset)
+            )
+        return arrays
 
-    def _look(
+    def _record_speed(
         self, i: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
         """Record a sheet's speed, and its teleports."""
-        travelled = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-        speeds = travelled / np.diff(knots)
-        jumps = speeds > SPEED_LIMIT
-        self.fastest = max(self.fastest, float(speeds[~jumps].max(initial=0.0)))
-        for when in knots[1:][jumps].tolist():
+        distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
+        speeds = distances / np.diff(knots)
+        is_teleport = speeds > SPEED_LIMIT
+        self.fastest = max(self.fastest, float(speeds[~is_teleport].max(initial=0.0)))
+        for when in knots[1:][is_teleport].tolist():
             message = f"it moves faster than {SPEED_LIMIT:g} m/s until {when:g} s: it "
             message += "collides with nothing"
             where = sheet.name or f"sheets[{i}]"
             fault = warning("SIM120", message, where=where)
-            self._jumps[i, when] = fault
+            self._teleports[i, when] = fault
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport so far (SIM120)."""
-        return list(self._jumps.values())
+        return list(self._teleports.values())
 
 
-class _Ready:
+class _PreparedSheet:
     """A sheet with its tree, built once at the start.
 
     Attributes:
-        sheet: What it is made of.
-        faces: Its triangles, of a hull where it is met from both sides ``(T, 3)``.
-        kernel: Their tree.
-        numbers: Restitution, friction, margin, depenetration and the speed limit.
+        sheet: The sheet.
+        faces: Its triangles; for two-sided sheets, those of their hull ``(T, 3)``.
+        kernel: Kernel object with the tree of the triangles.
+        material: Restitution, friction, margin, depenetration and the speed limit.
     """
 
     def __init__(self, sheet: Sheet, origin: float) -> None:
         self.sheet = sheet
         points = sheet.motion.points(origin)
-        self._rows, self._triangles = _welded(points, sheet.motion.triangles(origin))
-        self._displaced: tuple[FloatArray, FloatArray] | None = None
+        self._rows, self._triangles = _weld(points, sheet.motion.triangles(origin))
+        self._cached_points: tuple[FloatArray, FloatArray] | None = None
         margin = sheet.radius if sheet.closed else 0.0
-        self.numbers = (
+        self.material = (
             sheet.restitution, sheet.friction, margin, sheet.depenetration, SPEED_LIMIT,
         )  # fmt: skip
         self.faces = self._triangles
@@ -113,30 +115,35 @@ class _Ready:
             self.kernel = _kernels.MeshSurface(self.points(origin), corners)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points at a time [s] [m]."""
+        """Return the points of `faces` ``(P, 3)`` [m] at a time [s]."""
         points = self.sheet.motion.points(t)
-        if self._displaced is None or self._displaced[0] is not points:
-            displaced = np.ascontiguousarray(points[self._rows], np.float64)
+        if self._cached_points is None or self._cached_points[0] is not points:
+            welded = np.ascontiguousarray(points[self._rows], np.float64)
             if not self.sheet.closed:
-                displaced = hull_points(displaced, self._triangles, self.sheet.radius)
-            self._displaced = points, displaced
-        return self._displaced[1]
+                welded = hull_points(welded, self._triangles, self.sheet.radius)
+            self._cached_points = points, welded
+        return self._cached_points[1]
 
 
-def _welded(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the used points, and triangles without degenerate ones.
+def _weld(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return indices of the used points, and triangles without degenerate ones.
 
-    Points of a triangle that would lose its area by that stay: it may yet gain it.
+    Coincident points are merged, except in triangles that would become degenerate:
+    they may gain an area later.
     """
-    _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    one = first[same.reshape(-1)]
-    loose = triangles[_pinched(one[triangles])]
-    one[loose] = loose
-    corners = one[triangles]
-    used, kept = np.unique(corners[~_pinched(corners)], return_inverse=True)
-    return used, kept.reshape(-1, 3)
+    _, first_indices, inverse = np.unique(
+        points, axis=0, return_index=True, return_inverse=True
+    )
+    representatives = first_indices[inverse.reshape(-1)]
+    degenerate = triangles[_is_degenerate(representatives[triangles])]
+    representatives[degenerate] = degenerate
+    corners = representatives[triangles]
+    used, corner_indices = np.unique(
+        corners[~_is_degenerate(corners)], return_inverse=True
+    )
+    return used, corner_indices.reshape(-1, 3)
 
 
-def _pinched(triangles: IntArray) -> Any:
-    """Return which triangles have two equal corners ``(T,)``."""
+def _is_degenerate(triangles: IntArray) -> Any:
+    """Return a mask of the triangles with two equal corners ``(T,)``."""
     return (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)

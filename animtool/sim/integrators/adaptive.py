@@ -19,15 +19,14 @@ from animtool.sim.integrators.integrator import Integrator, Step, StepControl
 from animtool.sim.stability import rate_limit
 
 
-def doubled(base: Integrator) -> Integrator:
-    """Return step doubling of a fixed-step method.
+def step_doubling(base: Integrator) -> Integrator:
+    """Return the adaptive method that doubles the steps of a fixed-step method.
 
-    What the two half steps miss is taken from how far the whole one is off, and added:
-    so the order is one more than that of the other method.
+    The error of the two half steps is estimated from their difference to the full step,
+    and added to the state: so the order is one more than that of the base.
 
     Raises:
-        OptionError: The other method's steps need those before, or are not fixed
-            (SIM006).
+        OptionError: The base is a multistep method or its steps are not fixed (SIM006).
     """
     step = base.step
     if step is None or base.control is not StepControl.FIXED or base.multistep:
@@ -37,7 +36,7 @@ def doubled(base: Integrator) -> Integrator:
     gain = 1 / (2**base.order - 1)
     growth = _growth(base.growth, gain)
 
-    def both(
+    def doubled_step(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step | None:
         full = step(equations, t, y, h, None)
@@ -56,7 +55,7 @@ def doubled(base: Integrator) -> Integrator:
         summary="one step and two half steps, until they agree",
         order=base.order + 1,
         control=StepControl.ADAPTIVE,
-        step=both,
+        step=doubled_step,
         limit=rate_limit(growth) if growth else None,
         growth=growth,
         drag_order=None,
@@ -72,12 +71,12 @@ def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
     if not base:
         return ()
     half = [c / 2**i for i, c in enumerate(base)]
-    twice = poly.polymul(half, half)
-    growth = poly.polyadd(twice * (1 + gain), poly.polymul(base, [-gain]))
+    squared = poly.polymul(half, half)
+    growth = poly.polyadd(squared * (1 + gain), poly.polymul(base, [-gain]))
     return tuple(growth.tolist())
 
 
-ADAPTIVE_DOUBLING = doubled(RK4)
+ADAPTIVE_DOUBLING = step_doubling(RK4)
 
 _FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
 _FOURTH = (

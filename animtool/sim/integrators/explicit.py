@@ -1,6 +1,6 @@
 """Explicit methods: Euler, its variants, and Runge-Kutta tableaus.
 
-The velocity at the end is ``v + h a``, so positions move by ``h v + h² a / 2``.
+The modified Euler method sets ``v + h a``, and positions move by ``h v + h² a / 2``.
 
 References:
     J. C. Butcher, Numerical Methods for Ordinary Differential Equations, 2016, 23.
@@ -23,28 +23,28 @@ class Tableau:
 
     # Stage times within the step ``(S,)`` [1]; the first is 0.
     nodes: tuple[float, ...]
-    rows: tuple[tuple[float, ...], ...]  # weights of the stages before each, S tuples
-    weights: tuple[float, ...]  # of the stages ``(S,)``
+    rows: tuple[tuple[float, ...], ...]  # weights of the previous stages, S tuples
+    weights: tuple[float, ...]  # weights of the stages ``(S,)``
     # Error weights ``(S,)``; empty without an embedded estimate.
     errors: tuple[float, ...] = ()
 
     def step(
         self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step:
-        """Return the state after a step; each product starts with step times weight.
+        """Return the state after a step.
 
-        A last stage at the step's end is the state itself; its rate is reused by the
-        next step.
+        If the last stage is at the step's end, it is the new state; its rate is reused
+        by the next step.
         """
         rates: list[FloatArray] = []
-        at = y
+        stage = y
         for node, row in zip(self.nodes, self.rows, strict=True):
-            at = _moved(y, h, row, rates)
-            rates.append(equations.rate(t + node * h, at))
-        state = at if self.first_as_last else _moved(y, h, self.weights, rates)
+            stage = _add_rates(y, h, row, rates)
+            rates.append(equations.rate(t + node * h, stage))
+        state = stage if self.first_as_last else _add_rates(y, h, self.weights, rates)
         if not self.errors:
             return Step(state)
-        return Step(state, error=_moved(np.zeros_like(y), h, self.errors, rates))
+        return Step(state, error=_add_rates(np.zeros_like(y), h, self.errors, rates))
 
     @property
     def first_as_last(self) -> bool:
@@ -67,7 +67,7 @@ class Tableau:
         )
 
     def growth(self) -> tuple[float, ...]:
-        """Return the stability polynomial R: ``y' = λ y`` grows by R(h λ) a step.
+        """Return the stability polynomial R: a step multiplies ``y' = λ y`` by R(h λ).
 
         >>> Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).growth()
         (1.0, 1.0, 0.5)
@@ -76,14 +76,14 @@ class Tableau:
         matrix = np.zeros((stages, stages))
         for i, row in enumerate(self.rows):
             matrix[i, : len(row)] = row
-        reached, coefficients = np.ones(stages), [1.0]
+        powers, coefficients = np.ones(stages), [1.0]
         for _ in range(stages):
-            coefficients.append(float(np.dot(self.weights, reached)))
-            reached = matrix @ reached
+            coefficients.append(float(np.dot(self.weights, powers)))
+            powers = matrix @ powers
         return tuple(coefficients)
 
 
-def _moved(
+def _add_rates(
     y: FloatArray, h: float, weights: tuple[float, ...], rates: list[FloatArray]
 ) -> FloatArray:
     for weight, rate in zip(weights, rates, strict=False):
@@ -115,8 +115,8 @@ def modified_euler(
 ) -> Step:
     """Return the state after a step along the mean of both velocities."""
     x, v = y
-    after = v + h * equations.acceleration(t, x, v)
-    return Step(np.array((x + (0.5 * h) * (v + after), after)))
+    v_end = v + h * equations.acceleration(t, x, v)
+    return Step(np.array((x + (0.5 * h) * (v + v_end), v_end)))
 
 
 MODIFIED_EULER = Integrator(

@@ -13,12 +13,12 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-# Above this ratio BDF2 with variable steps is unstable; the limit is 1 + √2.
-LARGEST_RATIO = 2.4
+# BDF2 with variable steps is unstable above the ratio 1 + √2 of successive steps.
+MAX_STEP_RATIO = 2.4
 
 
 @dataclass(frozen=True, slots=True)
-class Before:
+class PreviousStep:
     """The previous step: its start and its length [s]."""
 
     state: FloatArray
@@ -68,14 +68,18 @@ def bdf2(
 ) -> Step | None:
     """Return the state after a BDF2 step; the first step is implicit Euler."""
     base, scale = y, h
-    known = memory if isinstance(memory, Before) else Before(y, 0.0)
-    if known.h > 0 and known.state.shape == y.shape and h / known.h <= LARGEST_RATIO:
-        ratio = h / known.h
+    previous = memory if isinstance(memory, PreviousStep) else PreviousStep(y, 0.0)
+    if (
+        previous.h > 0
+        and previous.state.shape == y.shape
+        and h / previous.h <= MAX_STEP_RATIO
+    ):
+        ratio = h / previous.h
         weight = 1 / (1 + 2 * ratio)
-        base = (weight * (1 + ratio) ** 2) * y - (weight * ratio**2) * known.state
+        base = (weight * (1 + ratio) ** 2) * y - (weight * ratio**2) * previous.state
         scale = h * (1 + ratio) * weight
     state = solve_stage(equations, t + h, base, y, scale)
-    return None if state is None else Step(state, Before(y, h))
+    return None if state is None else Step(state, PreviousStep(y, h))
 
 
 BDF2 = Integrator(

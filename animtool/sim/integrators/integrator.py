@@ -16,8 +16,8 @@ class Form(StrEnum):
     """The form of equations that a method needs.
 
     Attributes:
-        RATES: Rates of the whole state; any system has them.
-        ACCELERATIONS: Positions, velocities and accelerations apart.
+        RATES: Rates of the full state, which every system has.
+        ACCELERATIONS: Separate positions, velocities and accelerations.
     """
 
     RATES = "rates"
@@ -28,9 +28,9 @@ class StepControl(StrEnum):
     """How the step size is chosen.
 
     Attributes:
-        FIXED: The caller.
-        ADAPTIVE: The method, from its estimate of the error of each.
-        SCIPY: A solver of scipy's, behind its own interface.
+        FIXED: By the caller.
+        ADAPTIVE: By the method, from its error estimates.
+        SCIPY: By a solver of SciPy.
     """
 
     FIXED = "fixed"
@@ -48,9 +48,9 @@ class Step:
     error: FloatArray | None = None
 
 
-# Maps equations, time [s], state, step [s] and memory to the result. Memory is None at
-# the start and after the state was changed from outside; the result is None if an
-# implicit step did not converge.
+# Function of equations, time [s], state, step [s] and memory that returns the result.
+# Memory is None at the start and after the state was changed from outside; the result
+# is None if an implicit step did not converge.
 StepFunction: TypeAlias = Callable[
     [Equations, float, FloatArray, float, object], Step | None
 ]
@@ -61,27 +61,25 @@ class Integrator:
     """An entry of the table of integrators.
 
     Attributes:
-        name: As options write it.
-        summary: What it does, one line.
-        order: Halving the step divides the error by 2 to this power.
-        form: What of a system it uses.
-        control: Who chooses the steps.
-        step: One step; None of solvers of scipy's.
-        limit: Largest stable step; None where a method that chooses its steps keeps
-            to it by itself.
-        growth: Polynomial R, coefficients in ascending order: of ``y' = λ y`` a step
-            makes R(h λ) y. Empty of methods that are not explicit ones for rates.
-        drag_order: Order where accelerations depend on velocities; None is `order`.
-        evaluations: Of rates or accelerations in a step; None of methods for which
-            that varies.
-        error_order: A step's estimate of its error goes with the step to this power;
-            0 of methods that have none.
-        multistep: Whether a step needs those before it.
+        name: Name in options.
+        summary: Description of one line.
+        order: Order of accuracy: halving the step divides the error by 2 to this power.
+        form: Form of equations that it needs.
+        control: How the step size is chosen.
+        step: Function of one step; None for SciPy's solvers.
+        limit: Largest stable step; None if the method controls its steps itself.
+        growth: Coefficients of the stability polynomial R, ascending: a step multiplies
+            ``y' = λ y`` by R(h λ). Empty unless the method is explicit and uses rates.
+        drag_order: Order if accelerations depend on velocities; None is `order`.
+        evaluations: Evaluations of rates or accelerations in a step; None if it varies.
+        error_order: Power of the step size to which the error estimate is proportional;
+            0 without an estimate.
+        multistep: Whether a step uses previous steps.
         implicit: Whether a step solves equations.
-        symplectic: Whether areas of position and velocity stay: energy of systems
-            without drag then swings, and does not drift.
-        reversible: Whether a step back undoes a step, but for rounding.
-        solver: Class of scipy's that does it, ``module:object``.
+        symplectic: Whether it preserves phase-space area: the energy of systems without
+            drag then oscillates, but does not drift.
+        reversible: Whether a backward step undoes a step, up to rounding.
+        solver: Class of the SciPy solver, ``module:object``.
     """
 
     name: str
@@ -108,7 +106,7 @@ class Integrator:
             omega: Angular frequency ω [rad/s], above 0.
             damping_ratio: ζ [1], 0 or more.
 
-        0 where none is stable, infinite where all are, None where the method keeps
-        to its limit by itself.
+        0 if no step is stable, infinite if all are, None if the method controls its
+        steps itself.
         """
         return None if self.limit is None else self.limit(omega, damping_ratio)

@@ -1,8 +1,8 @@
 """Symplectic methods: semi-implicit Euler and both forms of Verlet.
 
-The positions halfway are Verlet's: three in a row have the second difference h² a.
-Constraints and contacts that move positions at the end of a step are the system's
-(`System.settle`).
+The midpoint positions are those of Verlet: three consecutive ones have the second
+difference h² a. The system applies constraints and contacts after each step, see
+`System.settle`.
 
 References:
     W. C. Swope et al., Journal of Chemical Physics 76, 1982, 637.
@@ -25,8 +25,8 @@ def symplectic_euler(
 ) -> Step:
     """Return the state after a step: velocity first, then position."""
     x, v = y
-    after = v + h * equations.acceleration(t, x, v)
-    return Step(np.array((x + h * after, after)))
+    v_end = v + h * equations.acceleration(t, x, v)
+    return Step(np.array((x + h * v_end, v_end)))
 
 
 SYMPLECTIC_EULER = Integrator(
@@ -46,18 +46,21 @@ def velocity_verlet(
 ) -> Step:
     """Return the state after a step: half a kick, a drift, half a kick.
 
-    The second kick's force is the next step's first one, unless it depends on the
-    velocity, which that kick changes.
+    The force of the second kick is reused by the next step, unless forces depend on the
+    velocity, which the kick changes.
     """
     x, v = y
-    kept = memory if isinstance(memory, np.ndarray) else None
-    first = equations.acceleration(t, x, v) if kept is None else kept
+    cached = memory if isinstance(memory, np.ndarray) else None
+    first = equations.acceleration(t, x, v) if cached is None else cached
     halfway = v + (0.5 * h) * first
-    moved = x + h * halfway
-    second = equations.acceleration(t + h, moved, halfway)
-    state = np.array((moved, halfway + (0.5 * h) * second))
-    lasts = equations.second is not None and not equations.second.velocity_dependent
-    return Step(state, second if lasts else None)
+    x_end = x + h * halfway
+    second = equations.acceleration(t + h, x_end, halfway)
+    state = np.array((x_end, halfway + (0.5 * h) * second))
+    reusable = (
+        equations.second_order is not None
+        and not equations.second_order.velocity_dependent
+    )
+    return Step(state, second if reusable else None)
 
 
 VELOCITY_VERLET = Integrator(
@@ -81,8 +84,8 @@ def position_verlet(
     """Return the state after a step: half a drift, a kick, half a drift."""
     x, v = y
     halfway = x + (0.5 * h) * v
-    after = v + h * equations.acceleration(t + 0.5 * h, halfway, v)
-    return Step(np.array((halfway + (0.5 * h) * after, after)))
+    v_end = v + h * equations.acceleration(t + 0.5 * h, halfway, v)
+    return Step(np.array((halfway + (0.5 * h) * v_end, v_end)))
 
 
 POSITION_VERLET = Integrator(

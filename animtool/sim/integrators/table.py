@@ -11,7 +11,7 @@ from animtool.sim.integrators.integrator import Integrator
 __all__ = ["INTEGRATORS", "find_integrator"]
 
 _FOLDER = "animtool.sim.integrators"
-# The module of each, listed from simple to complex.
+# Modules of the integrators, sorted from simple to complex.
 _FAMILIES = {
     "euler": "explicit",
     "modified_euler": "explicit",
@@ -39,7 +39,7 @@ def find_integrator(name: str) -> Integrator:
     """Return an integrator by name.
 
     Raises:
-        OptionError: There is none of that name (SIM001).
+        OptionError: The integrator is unknown (SIM001).
 
     >>> find_integrator("rk4").order
     4

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from animtool.core.record import dataclass
 
-# Errors within this factor are equal; a cost lower by this factor is worth it.
-AS_GOOD, WORTH_IT = 1.05, 0.8
-# Timings within this fraction are equal; the counted work decides.
-NOISE = 0.25
+# Errors within this factor count as equal; only costs below this fraction of the chosen
+# setting's cost are worth a recommendation.
+EQUAL_ERROR, WORTHWHILE_COST = 1.05, 0.8
+# Timings within this fraction count as equal; then the counted work decides.
+TIMING_NOISE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,64 +19,76 @@ class Cost:
 
     value: float  # time [s], or another cost
     error: float  # [m]
-    work: int = 0  # what is counted
+    work: int = 0  # counted work, such as steps
 
 
-def best_of(costs: Sequence[Cost | None]) -> list[int]:
-    """Return the Pareto-optimal settings; failed runs are None.
+def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
+    """Return the indices of Pareto-optimal settings; costs of failed runs are None.
 
-    >>> best_of([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
+    >>> pareto_optimal([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
     """
     order = sorted((cost.value, cost.error, i) for i, cost in enumerate(costs) if cost)
-    best, least = [], float("inf")
+    optimal, least_error = [], float("inf")
     for _, error, i in order:
-        if error < least:
-            best.append(i)
-            least = error
-    return sorted(best)
+        if error < least_error:
+            optimal.append(i)
+            least_error = error
+    return sorted(optimal)
 
 
-def recommended_of(
+def recommended_index(
     costs: Sequence[Cost | None], chosen: int, accepted_error: float
 ) -> int | None:
-    """Return the setting to use instead of the chosen; None if that is best.
+    """Return the index of the setting to use instead of the chosen one.
 
-    Costs are None of what did not work; where the chosen one did not, an error that is
-    enough [m] will do.
+    None if the chosen one is best. Costs of failed runs are None; if the chosen setting
+    failed, settings with up to the accepted error [m] are candidates.
 
-    >>> recommended_of([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
+    >>> recommended_index([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
     1
     """
-    now = costs[chosen]
+    chosen_cost = costs[chosen]
     # Equal error after equal work is the same run; the timing is noise.
-    same = None if now is None else (now.error, now.work)
-    within = accepted_error if now is None else now.error * AS_GOOD
-    most = float("inf") if now is None else now.value * WORTH_IT
-    fit = [
+    chosen_run = None if chosen_cost is None else (chosen_cost.error, chosen_cost.work)
+    max_error = (
+        accepted_error if chosen_cost is None else chosen_cost.error * EQUAL_ERROR
+    )
+    max_cost = (
+        float("inf") if chosen_cost is None else chosen_cost.value * WORTHWHILE_COST
+    )
+    candidates = [
         (cost.value, i)
         for i, cost in enumerate(costs)
         if cost is not None
-        and cost.error <= within
-        and cost.value <= most
-        and (not cost.work or (cost.error, cost.work) != same)
+        and cost.error <= max_error
+        and cost.value <= max_cost
+        and (not cost.work or (cost.error, cost.work) != chosen_run)
     ]
-    if not fit and now is None:
-        fit = [(cost.error, i) for i, cost in enumerate(costs) if cost is not None]
-    return min(fit)[1] if fit else None
+    if not candidates and chosen_cost is None:
+        candidates = [
+            (cost.error, i) for i, cost in enumerate(costs) if cost is not None
+        ]
+    return min(candidates)[1] if candidates else None
 
 
-def cheapest_of(costs: Sequence[Cost | None], budget: float) -> int | None:
-    """Return the cheapest setting within an error budget [m]; None if none is.
+def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
+    """Return the index of the cheapest setting within an error budget [m], or None.
 
-    Among equal costs, the one with the least work.
+    Of nearly equal costs, that with the least work.
 
-    >>> cheapest_of([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
+    >>> cheapest_index([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0
     """
-    fit = [(c, i) for i, c in enumerate(costs) if c is not None and c.error <= budget]
-    if not fit:
+    candidates = [
+        (c, i) for i, c in enumerate(costs) if c is not None and c.error <= budget
+    ]
+    if not candidates:
         return None
-    least = min(cost.value for cost, _ in fit)
-    equals = [(c.work, c.value, i) for c, i in fit if c.value <= least * (1 + NOISE)]
-    return min(equals)[-1]
+    least = min(cost.value for cost, _ in candidates)
+    nearly_cheapest = [
+        (c.work, c.value, i)
+        for c, i in candidates
+        if c.value <= least * (1 + TIMING_NOISE)
+    ]
+    return min(nearly_cheapest)[-1]

@@ -14,7 +14,12 @@ from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.costs import Cost, best_of, cheapest_of, recommended_of
+from animtool.sim.trials.costs import (
+    Cost,
+    cheapest_index,
+    pareto_optimal,
+    recommended_index,
+)
 from animtool.sim.trials.trial import (
     CostMeasure,
     ErrorMeasure,
@@ -29,32 +34,30 @@ from animtool.sim.trials.trial import (
     reach_of,
 )
 
-# If halving the step reduces the difference by less than this power, the run is
-# chaotic.
+# A run with an observed order of convergence below this is chaotic.
 MIN_ORDER = 0.5
-# Differences below these, relative to the extent, are rounding or invisible, and do not
-# make a run chaotic.
-ROUNDING, UNSEEN = 1e-13, 1e-6
+# Differences relative to the extent that are rounding, or invisible: they do not make a
+# run chaotic.
+ROUNDING, INVISIBLE_ERROR = 1e-13, 1e-6
 # Larger errors, relative to the extent, mean that the run has diverged.
-FAR = 10.0
-# Likewise for the fraction of points that only one of two runs has.
-MAX_UNMATCHED = 0.5
+DIVERGED_ERROR = 10.0
+# A run has also diverged if this fraction of points exists in only one of two runs.
+MAX_UNMATCHED_FRACTION = 0.5
 # The accepted error if the chosen setting diverges, relative to the extent.
 FALLBACK_TOLERANCE = 0.01
-# Short runs are repeated within this time, up to this often, and the shortest counts
-# [s].
-SHORT, REPEATS = 0.3, 3
+# Short runs are repeated within this time [s], at most this often; the fastest counts.
+REPEAT_TIME, MAX_REPEATS = 0.3, 3
 # Finer settings of a method are skipped once it took this many times as long as the
 # reference.
-TOO_SLOW = 10.0
-# Smaller differences of figures do not count: fractions, metres and pairs.
+SLOW_FACTOR = 10.0
+# Differences of figures that do not count [1], [m], [pairs].
 FIGURE_TOLERANCES = {Figure.STRETCH: 1e-3, Figure.DEPTH: 1e-4, Figure.PIERCED: 1.0}
 ENERGY_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The run that others are compared with."""
+    """The run that all others are compared with."""
 
     setting: Setting  # the setting of the reference run
     error: PointDistances  # error estimate of the reference, from the two finest runs
@@ -69,19 +72,19 @@ class Reference:
 class TrialRow:
     """A setting and its results."""
 
-    setting: Setting  # the tried setting
+    setting: Setting  # the setting
     # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
     steps: int = 0  # number of steps
     status: Status | None = None  # how it ended; None if the method does not apply
     # Why it stopped or does not apply; empty on success.
     reason: str = ""
-    stable_step: float | None = None  # as in `Outcome`
+    stable_step: float | None = None  # as in `TrialOutcome`
     # Distances from the reference; None if it stopped early or there is no reference.
     error: PointDistances | None = None
     # Largest energy change, relative to the largest energy [1]; None if not conserved.
     energy_drift: float | None = None
-    bytes: int = 0  # as in `Outcome`
+    bytes: int = 0  # as in `TrialOutcome`
     # As in `TrialOutcome`; empty if it stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     worst: str = ""  # where the largest distance is; may be empty
@@ -106,9 +109,9 @@ class TrialRow:
 class TrialTable:
     """The results of all settings of a trial."""
 
-    name: str  # what it is called
-    kind: str  # what it is
-    span: float  # how long it was simulated [s]
+    name: str  # name of the simulation
+    kind: str  # kind of simulation
+    span: float  # simulated time [s]
     instants: int  # number of compared times
     points: int  # largest number of points
     extent: float  # diagonal of the bounding box [m]
@@ -139,12 +142,12 @@ class TrialTable:
 
     @property
     def recommended(self) -> TrialRow | None:
-        """The recommended row; None if the chosen one is best, or unknown."""
+        """The recommended row; None if the chosen one is best or nothing is known."""
         return next((row for row in self.rows if row.recommended), None)
 
     @property
-    def tried(self) -> list[TrialRow]:
-        """The rows of settings that the trial offers."""
+    def applicable(self) -> list[TrialRow]:
+        """The rows of settings whose method applies."""
         return [row for row in self.rows if row.status is not None]
 
     @property
@@ -153,9 +156,11 @@ class TrialTable:
         return self.error is ErrorMeasure.RMS
 
     @property
-    def has_lone(self) -> bool:
+    def has_unmatched(self) -> bool:
         """Whether some compared runs have unmatched points."""
-        return any(row.error is not None and row.error.unmatched for row in self.tried)
+        return any(
+            row.error is not None and row.error.unmatched for row in self.applicable
+        )
 
 
 def measure(
@@ -167,34 +172,38 @@ def measure(
     """Run all settings of a trial, and measure each.
 
     Args:
-        trial: What, and which ways there are.
-        budget: The largest error that will do [m]: then the cheapest within is
-            recommended. None recommends what is as exact as the chosen one, and
-            cheaper.
-        progress: Called with the share done, 0 to 1.
+        trial: The simulation and its settings.
+        budget: Largest acceptable error [m]: the cheapest setting within it is
+            recommended. None recommends a cheaper setting as accurate as the chosen
+            one.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        OptionError: Something makes no sense, whatever the setting.
+        OptionError: The simulation is invalid with every setting.
     """
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
     count = len({*settings, *trial.references()[0]})
     runs = _Runs(trial, count, progress)
-    reference, truth = _reference(trial, runs)
-    rows = _rows(trial, runs, settings, truth)
-    extent = 0.0 if truth is None else extent_of(truth.shots)
-    reach = 0.0 if truth is None else reach_of(truth.shots)
+    reference, reference_outcome = _reference(trial, runs)
+    rows = _rows(trial, runs, settings, reference_outcome)
+    extent = (
+        0.0 if reference_outcome is None else extent_of(reference_outcome.snapshots)
+    )
+    reach = 0.0 if reference_outcome is None else reach_of(reference_outcome.snapshots)
     notices = [*trial.notices, *_notices(trial, reference)]
-    if truth is not None and reference is not None:
+    if reference_outcome is not None and reference is not None:
         if reference.sensitive:
-            rows = _marked_by_figures(rows, truth, trial.cost)
+            rows = _ranked_by_figures(rows, reference_outcome, trial.cost)
         else:
-            rows = _marked(rows, trial, reference, extent, reach, budget)
+            rows = _with_recommendation(rows, trial, reference, extent, reach, budget)
     table = TrialTable(
         trial.name,
         trial.kind,
         trial.span,
-        0 if truth is None else len(truth.shots),
-        0 if truth is None else max(len(shot.points) for shot in truth.shots),
+        0 if reference_outcome is None else len(reference_outcome.snapshots),
+        0
+        if reference_outcome is None
+        else max(len(shot.points) for shot in reference_outcome.snapshots),
         extent,
         reference,
         rows,
@@ -218,28 +227,28 @@ class _Runs:
         self, trial: Trial, count: int, progress: Callable[[float], None] | None
     ) -> None:
         self._trial, self._count, self._progress = trial, count, progress
-        self._done: dict[Setting, TrialOutcome] = {}
+        self._outcomes: dict[Setting, TrialOutcome] = {}
 
-    def has(self, setting: Setting) -> bool:
+    def is_done(self, setting: Setting) -> bool:
         """Return whether a setting has been run."""
-        return setting in self._done
+        return setting in self._outcomes
 
-    def of(self, setting: Setting) -> TrialOutcome:
+    def outcome(self, setting: Setting) -> TrialOutcome:
         """Return the result of a setting."""
-        if setting not in self._done:
-            self._done[setting] = self._run(setting)
+        if setting not in self._outcomes:
+            self._outcomes[setting] = self._run(setting)
             if self._progress is not None:
-                self._progress(min(1.0, len(self._done) / self._count))
-        return self._done[setting]
+                self._progress(min(1.0, len(self._outcomes) / self._count))
+        return self._outcomes[setting]
 
     def _run(self, setting: Setting) -> TrialOutcome:
         with np.errstate(all="ignore"):
-            done = self._trial.run(setting)
-            spent = [done.seconds]
+            outcome = self._trial.run(setting)
+            timings = [outcome.seconds]
             timed = self._trial.cost is CostMeasure.SECONDS
-            while timed and len(spent) < REPEATS and sum(spent) < SHORT:
-                spent.append(self._trial.run(setting).seconds)
-        return replace(done, seconds=min(spent))
+            while timed and len(timings) < MAX_REPEATS and sum(timings) < REPEAT_TIME:
+                timings.append(self._trial.run(setting).seconds)
+        return replace(outcome, seconds=min(timings))
 
 
 def _reference(
@@ -249,47 +258,66 @@ def _reference(
         outcomes: list[TrialOutcome] = []
         for setting in settings:
             try:
-                outcomes.append(runs.of(setting))
+                outcomes.append(runs.outcome(setting))
             except OptionError:
                 break  # the method does not apply; another may
             if outcomes[-1].status is not Status.OK:
                 break
         else:
-            return _judged(settings[-1], outcomes, trial.error), outcomes[-1]
+            return _reference_of(settings[-1], outcomes, trial.error), outcomes[-1]
     return None, None
 
 
-def _judged(
+def _reference_of(
     setting: Setting, outcomes: list[TrialOutcome], measure: ErrorMeasure
 ) -> Reference:
     """Return the reference and its error estimate, from runs of halved steps."""
     if len(outcomes) == 1:
         return Reference(setting, PointDistances(0.0, 0.0, 0.0), None, False)
-    gaps = [distances(fine.shots, rough.shots) for rough, fine in pairwise(outcomes)]
-    reach = reach_of(outcomes[-1].shots)
-    coarse, fine = (gap.error(measure, reach) for gap in (gaps[0], gaps[-1]))
-    extent = extent_of(outcomes[-1].shots) + reach
-    order = observed_order(coarse, fine) if fine > ROUNDING * extent else None
-    sensitive = order is not None and order < MIN_ORDER and fine > UNSEEN * extent
-    gain = 1.0 if order is None else max(2**order - 1, 1.0)
-    return Reference(setting, gaps[-1].scaled(1 / gain), order, sensitive)
+    differences = [
+        distances(fine_run.snapshots, coarse_run.snapshots)
+        for coarse_run, fine_run in pairwise(outcomes)
+    ]
+    reach = reach_of(outcomes[-1].snapshots)
+    coarse_error, fine_run = (
+        gap.error(measure, reach) for gap in (differences[0], differences[-1])
+    )
+    extent = extent_of(outcomes[-1].snapshots) + reach
+    order = (
+        observed_order(coarse_error, fine_run) if fine_run > ROUNDING * extent else None
+    )
+    sensitive = (
+        order is not None and order < MIN_ORDER and fine_run > INVISIBLE_ERROR * extent
+    )
+    factor = 1.0 if order is None else max(2**order - 1, 1.0)
+    return Reference(setting, differences[-1].scaled(1 / factor), order, sensitive)
 
 
 def _rows(
-    trial: Trial, runs: _Runs, settings: Sequence[Setting], truth: TrialOutcome | None
+    trial: Trial,
+    runs: _Runs,
+    settings: Sequence[Setting],
+    reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
     slow: dict[str, TrialRow] = {}
-    # Rows depend on time only where time is what they cost.
-    timed = truth is not None and trial.cost is CostMeasure.SECONDS
-    limit = TOO_SLOW * max(truth.seconds, SHORT) if truth and timed else None
+    # Rows depend on timings only if time is the cost.
+    timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
+    limit = (
+        SLOW_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
+        if reference_outcome and timed
+        else None
+    )
     for setting in settings:
         row = slow.get(setting.method)
-        if row is not None and setting != trial.chosen and not runs.has(setting):
+        if row is not None and setting != trial.chosen and not runs.is_done(setting):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
-        row = replace(_row(trial, runs, setting, truth), chosen=setting == trial.chosen)
+        row = replace(
+            _row(trial, runs, setting, reference_outcome),
+            chosen=setting == trial.chosen,
+        )
         if limit is not None and row.seconds > limit:
             slow[setting.method] = row
         rows.append(row)
@@ -297,43 +325,45 @@ def _rows(
 
 
 def _row(
-    trial: Trial, runs: _Runs, setting: Setting, truth: TrialOutcome | None
+    trial: Trial, runs: _Runs, setting: Setting, reference_outcome: TrialOutcome | None
 ) -> TrialRow:
     try:
-        done = runs.of(setting)
+        outcome = runs.outcome(setting)
     except OptionError as refusal:
         return TrialRow(setting, reason=refusal.faults[0].message)
     row = TrialRow(
         setting,
-        done.seconds,
-        done.steps,
-        done.status,
-        done.reason,
-        None if done.status is Status.OK else done.stable_step,
-        bytes=done.bytes,
+        outcome.seconds,
+        outcome.steps,
+        outcome.status,
+        outcome.reason,
+        None if outcome.status is Status.OK else outcome.stable_step,
+        bytes=outcome.bytes,
     )
-    if done.status is not Status.OK:
+    if outcome.status is not Status.OK:
         return row
-    complete = replace(row, energy_drift=_drift(done.energies), figures=done.figures)
-    if done.error is not None:
-        return replace(complete, error=done.error, worst=done.worst)
-    if truth is None:
+    complete = replace(
+        row, energy_drift=_drift(outcome.energies), figures=outcome.figures
+    )
+    if outcome.error is not None:
+        return replace(complete, error=outcome.error, worst=outcome.worst)
+    if reference_outcome is None:
         return complete
-    error = distances(truth.shots, done.shots)
-    sign = _sign(error, extent_of(truth.shots))
-    if sign:
+    error = distances(reference_outcome.snapshots, outcome.snapshots)
+    reason = _failure_reason(error, extent_of(reference_outcome.snapshots))
+    if reason:
         return replace(
-            row, status=Status.UNSTABLE, reason=sign, stable_step=done.stable_step
+            row, status=Status.UNSTABLE, reason=reason, stable_step=outcome.stable_step
         )
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
     return replace(complete, error=error, worst=worst)
 
 
-def _sign(error: PointDistances, extent: float) -> str:
+def _failure_reason(error: PointDistances, extent: float) -> str:
     """Return why a completed run is unusable; empty if it is fine."""
-    if error.unmatched > MAX_UNMATCHED:
+    if error.unmatched > MAX_UNMATCHED_FRACTION:
         return f"{error.unmatched:.0%} of its points differ"
-    if not error.largest <= FAR * extent:
+    if not error.largest <= DIVERGED_ERROR * extent:
         return f"its error is {length_text(error.largest)}"
     return ""
 
@@ -344,8 +374,8 @@ def _drift(energies: Sequence[Energy] | None) -> float | None:
         return None
     totals = np.array([energy.total for energy in energies])
     kinetic = max(energy.kinetic for energy in energies)
-    most = max(kinetic, abs(float(totals[0])))
-    return float(np.abs(totals - totals[0]).max()) / most if most > 0 else None
+    largest = max(kinetic, abs(float(totals[0])))
+    return float(np.abs(totals - totals[0]).max()) / largest if largest > 0 else None
 
 
 def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
@@ -356,14 +386,14 @@ def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
         return [warning("SIM056", message, hint)]
     if not reference.sensitive:
         return []
-    off = reference.error.rms
-    message = f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
+    rms = reference.error.rms
+    message = f"{trial.name}: half the step changes the motion by {1000 * rms:.3g} mm "
     message += "(rms): it is sensitive, and no setting has a small error"
     hint = "compare settings by eye; a shorter range may still separate them"
     return [warning("SIM055", message, hint)]
 
 
-def _marked(
+def _with_recommendation(
     rows: list[TrialRow],
     trial: Trial,
     reference: Reference,
@@ -371,13 +401,13 @@ def _marked(
     reach: float,
     budget: float | None,
 ) -> list[TrialRow]:
-    """Return rows with the best marked, and the recommended one."""
+    """Return rows with the best settings and the recommended one marked."""
     if not any(row.error is not None and row.error.largest for row in rows):
-        # Nothing moves: all settings are equal, and times are noise.
+        # Nothing moves: all settings are equal, and timings are noise.
         if budget is None:
             return rows
         return [replace(row, recommended=row.chosen) for row in rows]
-    # Closer to the reference than its own error estimate is as good.
+    # Errors below the error estimate of the reference count as equal.
     extent += reach
     floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)
     costs = [
@@ -386,49 +416,54 @@ def _marked(
         else _cost(row, trial.cost, max(row.error.error(trial.error, reach), floor))
         for row in rows
     ]
-    best = best_of(costs)
+    optimal = pareto_optimal(costs)
     chosen = next(i for i, row in enumerate(rows) if row.chosen)
     if budget is None:
-        taken = recommended_of(costs, chosen, FALLBACK_TOLERANCE * extent)
+        recommended = recommended_index(costs, chosen, FALLBACK_TOLERANCE * extent)
     else:
-        taken = cheapest_of(costs, budget)
+        recommended = cheapest_index(costs, budget)
     return [
-        replace(row, best=i in best, recommended=i == taken)
+        replace(row, best=i in optimal, recommended=i == recommended)
         for i, row in enumerate(rows)
     ]
 
 
-def _marked_by_figures(
-    rows: list[TrialRow], truth: TrialOutcome, measure: CostMeasure
+def _ranked_by_figures(
+    rows: list[TrialRow], reference_outcome: TrialOutcome, measure: CostMeasure
 ) -> list[TrialRow]:
-    """Return rows of a chaotic motion, marked by energy, strain, depth.
+    """Return rows of a chaotic motion, with the best marked by energy, strain, depth.
 
-    The error of a row is the most that one of its figures is above that of the
-    reference, over what makes no difference. Rows with less than one are as good.
+    The error of a row is the largest excess of one of its figures over that of the
+    reference, relative to the figure's tolerance. Errors below 1 count as equal.
     """
-    true_figures = _figures(_drift(truth.energies), truth.figures)
-    if not true_figures:
+    reference_figures = _figures(
+        _drift(reference_outcome.energies), reference_outcome.figures
+    )
+    if not reference_figures:
         return rows
     costs: list[Cost | None] = []
     for row in rows:
-        metrics = _figures(row.energy_drift, row.figures)
-        if row.status is not Status.OK or metrics.keys() != true_figures.keys():
+        figures = _figures(row.energy_drift, row.figures)
+        if row.status is not Status.OK or figures.keys() != reference_figures.keys():
             costs.append(None)
             continue
-        above = [max(0.0, metrics[name] - true_figures[name]) for name in true_figures]
-        costs.append(_cost(row, measure, max(1.0, *above)))
-    best = best_of(costs)
-    return [replace(row, best=i in best) for i, row in enumerate(rows)]
+        excesses = [
+            max(0.0, figures[name] - reference_figures[name])
+            for name in reference_figures
+        ]
+        costs.append(_cost(row, measure, max(1.0, *excesses)))
+    optimal = pareto_optimal(costs)
+    return [replace(row, best=i in optimal) for i, row in enumerate(rows)]
 
 
 def _figures(drift: float | None, figures: Mapping[Figure, float]) -> dict[str, float]:
     """Return figures relative to their tolerances."""
-    shares = {
+    ratios = {
         str(k): x / FIGURE_TOLERANCES[k]
         for k, x in figures.items()
         if k in FIGURE_TOLERANCES
     }
-    return shares if drift is None else {**shares, "energy": drift / ENERGY_TOLERANCE}
+    return ratios if drift is None else {**ratios, "energy": drift / ENERGY_TOLERANCE}
 
 
 def _cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:

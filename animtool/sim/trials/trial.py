@@ -18,10 +18,9 @@ from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
-# Step factors over the chosen step: of settings to try, and of reference runs, each
-# half of the previous one.
-COARSER = (4.0, 2.0, 1.0, 0.5)
-FINER = (0.5, 0.25, 0.125)
+# Factors of the chosen step: for settings to try, and for reference runs.
+STEP_FACTORS = (4.0, 2.0, 1.0, 0.5)
+REFERENCE_FACTORS = (0.5, 0.25, 0.125)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +51,7 @@ class Setting:
         return dict(self.options)[name]
 
     def __str__(self) -> str:
-        """Return it in the notation of scene files.
+        """Return the setting in the notation of scene files.
 
         >>> str(Setting.of("rk4", step=0.01))
         'rk4, step 0.01'
@@ -104,18 +103,18 @@ class TrialOutcome:
 
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps
-    shots: Sequence[Snapshot]  # at the times reached
+    snapshots: Sequence[Snapshot]  # at the times reached
     status: Status = Status.OK  # how it ended
     reason: str = ""  # why it stopped, empty on success
     # The largest stable step at the end [s]: 0 if none, infinite if all, None if
     # unknown.
     stable_step: float | None = None
-    # At these times; None if energy is not conserved.
+    # Energies at these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
     bytes: int = 0  # size of the output; 0 without one
     # Other figures of the setting.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    # Its error, if measured directly and not from snapshots.
+    # Its error, if measured directly instead of from snapshots.
     error: PointDistances | None = None
     worst: str = ""  # location of that error
 
@@ -130,8 +129,8 @@ class Trial:
     chosen: Setting  # of the file
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
-    # Candidates for the reference, the first that works is taken: one method each, with
-    # steps halved each time.
+    # Candidates for the reference: each a method with successively halved steps. The
+    # first one that works is used.
     references: Callable[[], list[list[Setting]]]
     # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]
@@ -150,22 +149,22 @@ class Trial:
     notices: tuple[Fault, ...] = ()  # warnings
 
 
-def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
-    """Return multiples of a value, rounded for a file.
+def multiples(value: float, factors: Sequence[float] = STEP_FACTORS) -> list[float]:
+    """Return multiples of a value, rounded to 12 digits.
 
-    >>> ladder(0.03)
+    >>> multiples(0.03)
     [0.12, 0.06, 0.03, 0.015]
     """
     return [
-        value if factor == 1 else float(f"{value * factor:.12g}") for factor in shares
+        value if factor == 1 else float(f"{value * factor:.12g}") for factor in factors
     ]
 
 
-def stepwise(
-    method: str, step: float, shares: Sequence[float] = COARSER
+def step_settings(
+    method: str, step: float, factors: Sequence[float] = STEP_FACTORS
 ) -> list[Setting]:
-    """Return a method with several multiples of a step [s]."""
-    return [Setting.of(method, step=each) for each in ladder(step, shares)]
+    """Return settings of a method with multiples of a step [s]."""
+    return [Setting.of(method, step=multiple) for multiple in multiples(step, factors)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,16 +177,16 @@ class PointDistances:
     unmatched: float = 0.0  # fraction of points that only one of the two has [1]
     # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
-    at: tuple[int, int] | None = None  # its snapshot and point; None if empty
+    at: tuple[int, int] | None = None  # snapshot and point of the largest distance
     json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the distance at a given reach from the points [m]."""
+        """Return the error [m] with rotations, ``reach`` away from the points."""
         distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
         return distance + (0.0 if self.angle is None else self.angle * reach)
 
     def scaled(self, factor: float) -> PointDistances:
-        """Return them multiplied by a factor."""
+        """Return the distances multiplied by a factor."""
         return PointDistances(
             self.largest * factor,
             self.rms * factor,
@@ -198,47 +197,54 @@ class PointDistances:
         )
 
 
-def distances(truth: Sequence[Snapshot], shots: Sequence[Snapshot]) -> PointDistances:
+def distances(
+    truth: Sequence[Snapshot], snapshots: Sequence[Snapshot]
+) -> PointDistances:
     """Return distances between snapshots at the same times.
 
     Points are compared by their ids.
 
-    >>> here = Snapshot(np.zeros((2, 3)))
-    >>> there = Snapshot(np.array([[0, 0, 3.0], [0, 4, 0]]))
-    >>> distances([here], [there]).largest
+    >>> true_rotations = Snapshot(np.zeros((2, 3)))
+    >>> rotations = Snapshot(np.array([[0, 0, 3.0], [0, 4, 0]]))
+    >>> distances([true_rotations], [rotations]).largest
     4.0
     """
-    parts, lone, count = [np.zeros(0)], 0, 0
+    distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
-    most, at = -1.0, None
-    for k, (one, other) in enumerate(zip(truth, shots, strict=True)):
-        a, b = one.points, other.points
-        here, there = one.orientations, other.orientations
-        if one.ids is not None and other.ids is not None:
+    largest_gap, at = -1.0, None
+    for k, (true, compared) in enumerate(zip(truth, snapshots, strict=True)):
+        a, b = true.points, compared.points
+        true_rotations, rotations = true.orientations, compared.orientations
+        if true.ids is not None and compared.ids is not None:
             _, i, j = np.intersect1d(
-                one.ids, other.ids, assume_unique=True, return_indices=True
+                true.ids, compared.ids, assume_unique=True, return_indices=True
             )
-            lone += len(a) + len(b) - 2 * len(i)
+            unmatched += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
             a, b, points = a[i], b[j], i
-            here = None if here is None else here[i]
-            there = None if there is None else there[j]
+            true_rotations = None if true_rotations is None else true_rotations[i]
+            rotations = None if rotations is None else rotations[j]
         else:
             count += len(a)
             points = np.arange(len(a))
-        gaps = np.linalg.norm(b - a, axis=1)
-        if len(gaps) and gaps.max() > most:
-            farthest = int(gaps.argmax())
-            most, at = float(gaps[farthest]), (k, int(points[farthest]))
-        parts.append(gaps)
-        if here is not None and there is not None:
-            angles.append(so3.angle_between(here, there))
-    every: FloatArray = np.concatenate(parts)
+        point_distances = np.linalg.norm(b - a, axis=1)
+        if len(point_distances) and point_distances.max() > largest_gap:
+            farthest = int(point_distances.argmax())
+            largest_gap, at = (
+                float(point_distances[farthest]),
+                (k, int(points[farthest])),
+            )
+        distance_arrays.append(point_distances)
+        if true_rotations is not None and rotations is not None:
+            angles.append(so3.angle_between(true_rotations, rotations))
+    all_distances: FloatArray = np.concatenate(distance_arrays)
     angle = _rms(np.concatenate(angles)) if angles else None
-    if not len(every):
-        return PointDistances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
-    largest, median = float(every.max()), float(np.median(every))
-    return PointDistances(largest, _rms(every), median, lone / count, angle, at)
+    if not len(all_distances):
+        return PointDistances(0.0, 0.0, 0.0, unmatched / max(count, 1), angle)
+    largest, median = float(all_distances.max()), float(np.median(all_distances))
+    return PointDistances(
+        largest, _rms(all_distances), median, unmatched / count, angle, at
+    )
 
 
 def _rms(values: FloatArray) -> float:
@@ -248,26 +254,26 @@ def _rms(values: FloatArray) -> float:
         return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def extent_of(shots: Sequence[Snapshot]) -> float:
+def extent_of(snapshots: Sequence[Snapshot]) -> float:
     """Return the diagonal of the bounding box of all points [m]."""
-    every = [shot.points for shot in shots if len(shot.points)]
-    if not every:
+    point_arrays = [shot.points for shot in snapshots if len(shot.points)]
+    if not point_arrays:
         return 0.0
-    low = np.min([points.min(axis=0) for points in every], axis=0)
-    high = np.max([points.max(axis=0) for points in every], axis=0)
+    low = np.min([points.min(axis=0) for points in point_arrays], axis=0)
+    high = np.max([points.max(axis=0) for points in point_arrays], axis=0)
     return float(np.linalg.norm(high - low))
 
 
-def reach_of(shots: Sequence[Snapshot]) -> float:
+def reach_of(snapshots: Sequence[Snapshot]) -> float:
     """Return the largest extent of instances from their points, at any time [m]."""
-    return max((shot.reach for shot in shots), default=0.0)
+    return max((shot.reach for shot in snapshots), default=0.0)
 
 
 def observed_order(coarse: float, fine: float) -> float | None:
     """Return the observed order of convergence; None if undefined.
 
-    A motion moves by the coarse distance from steps to half of them, by the fine one
-    from these to half of them again [m].
+    ``coarse`` is the change of the motion when steps are halved, ``fine`` the change
+    when they are halved again [m].
 
     >>> observed_order(0.4, 0.1)
     2.0

@@ -29,7 +29,11 @@ from animtool.systems.attach.strands import (
     CharacterColliders,
     depth_at_bind,
 )
-from animtool.systems.framework.meter import ClosedSurface, ContactMeter, Sides
+from animtool.systems.framework.meter import (
+    ClosedSurface,
+    ContactMeter,
+    MeasuredSurface,
+)
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.contacts import Cells
 
@@ -116,7 +120,7 @@ class Actor:
         below = self._skins.depths(first, self.target, settings.radius, inside=is_chain)
         self._contacts = CharacterColliders(
             capsules,
-            capsules.sizes(first.world),
+            capsules.world_radii(first.world),
             (depths, below),
             settings.radius,
             settings.options.friction,
@@ -202,7 +206,7 @@ class Actor:
             ClosedSurface(one.points(self._time), one.triangles(self._time))
             for one in self._layers
         ]
-        self.meter.look(frame, points, self._sides, solids, depths, layers)
+        self.meter.measure(frame, points, self._sides, solids, depths, layers)
 
     def follow(self, paths: PosePaths) -> None:
         """Follow the animation for a frame without simulation."""
@@ -233,14 +237,14 @@ class Actor:
         return float(np.linalg.norm(positions[1] - positions[0])) / self._span
 
 
-def _sides(network: Network) -> Sides:
+def _sides(network: Network) -> MeasuredSurface:
     """Return the sides to measure: structural springs of cloth."""
     pinned = np.zeros(network.count, np.bool_)
     pinned[network.pinned] = True
     ends, rests = network.sides, network.rests
     kept = (rests > 0) & ~pinned[ends].all(axis=1)
     kept &= len(network.triangles) > 0
-    return Sides(network.free, network.triangles, ends[kept], rests[kept])
+    return MeasuredSurface(network.free, network.triangles, ends[kept], rests[kept])
 
 
 def rigidly_moved(

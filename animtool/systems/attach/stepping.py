@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
 from animtool.systems.attach.settings import AttachSettings
-from animtool.systems.framework.bounds import BOUND
+from animtool.systems.framework.bounds import MAX_VALUE
 from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
@@ -62,7 +62,7 @@ def steps_per_second(network: Network, settings: AttachSettings) -> float:
 
 def check_motion(motion: FloatArray) -> None:
     """Raise SIM102 if a state ``(2, N, 3)`` is not finite or out of bounds."""
-    if np.abs(motion).max(initial=0.0) <= BOUND:
+    if np.abs(motion).max(initial=0.0) <= MAX_VALUE:
         return
     far = np.abs(motion[0])
     number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))

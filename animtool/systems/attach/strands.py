@@ -147,7 +147,7 @@ def depth_at_bind(
     Capsules may be thicker than the body, so that points on the body start inside; they
     may stay that deep.
     """
-    placed = capsules.placed(bind_world(rig))[0]
+    placed = capsules.world_ends(bind_world(rig))[0]
     depths = np.zeros((len(capsules), len(points)))
     for c, radius in enumerate((capsules.radii + margin).tolist()):
         depths[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
@@ -198,7 +198,7 @@ class CharacterColliders:
         """
         deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
-        for c, ends in enumerate(self._capsules.placed(world)[-1]):
+        for c, ends in enumerate(self._capsules.world_ends(world)[-1]):
             inside = np.minimum(allowed[c], 0.0) - depth(points, ends, radii[c])[0]
             np.maximum(deepest, inside, out=deepest)
         return deepest
@@ -214,7 +214,7 @@ class CharacterColliders:
 
         Skins are kernel surfaces in motion.
         """
-        rows, ends = self._capsules.turned(world)
+        rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)

@@ -27,23 +27,23 @@ from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.particles.emitter import Emitter, uniforms
 
-# Slowest preferred speed over the mean, and most standard deviations from it.
-SLOWEST = 1 / 3
-DEVIATIONS = 2.0
+# Minimum preferred speed over the mean, and maximum standard deviations from the mean.
+MIN_SPEED_RATIO = 1 / 3
+MAX_DEVIATIONS = 2.0
 # Default maximum speed over the mean.
-FASTEST = 1.3
-# Least over largest readiness to yield: with equal agents, arches before doors would
-# lock.
-FIRMEST = 0.2
-# Agents aim at random points within this fraction of a goal's radius; group members
-# share theirs.
-SPREAD = 0.8
+MAX_SPEED_RATIO = 1.3
+# Ratio of the least to the largest yielding: if agents yielded equally, they would form
+# stable arches in front of doors.
+MIN_YIELDING = 0.2
+# Agents aim at random points within this fraction of a goal's radius; the members of a
+# group aim at the same point.
+GOAL_SPREAD = 0.8
 # Spacing within a group, over the sum of radii.
-ABREAST = 1.3
-# Passes that separate agents at the start, and how often neighbours are rebuilt.
-ROUNDS, SPREADS = 100, 100
+GROUP_SPACING = 1.3
+# Iterations that separate agents at the start, and number of neighbour rebuilds.
+SEPARATION_ITERATIONS, SEPARATION_ROUNDS = 100, 100
 # Remaining overlap over a radius; less is invisible.
-ENOUGH = 0.004
+OVERLAP_TOLERANCE = 0.004
 
 
 @dataclass(frozen=True)
@@ -51,29 +51,29 @@ class Agents(Groups):
     """N agents of several populations, in the frame of the ground.
 
     Attributes:
-        starts: x and z that they begin at ``(N, 2)`` [m].
-        speeds: That they like ``(N,)`` [m/s].
-        most: None is faster ``(N,)`` [m/s].
-        gives: How much each gives way to another that it touches ``(N,)``.
-        delays: When they set out, after the beginning ``(N,)`` [s].
-        groups: Which one they are of, -1 for none ``(N,)``.
-        sides: Where they walk in it, left of its middle ``(N,)`` [m].
-        offsets: Where in its goals each goes, over their radius ``(N, 2)``.
-        sizes: Of the body of each, over its rig ``(N,)``.
-        chances: Where in its clips each begins, from 0 to 1 ``(N,)``.
+        starts: Start positions, x and z ``(N, 2)`` [m].
+        speeds: Preferred speeds ``(N,)`` [m/s].
+        max_speeds: Maximum speeds ``(N,)`` [m/s].
+        yielding: How much each gives way to agents that it touches ``(N,)`` [1].
+        delays: Time from the start until they set out ``(N,)`` [s].
+        groups: Group of each, -1 for none ``(N,)``.
+        lateral_offsets: Position in the group, left of its middle ``(N,)`` [m].
+        goal_offsets: Position in goals, relative to their radius ``(N, 2)``.
+        sizes: Size of the body relative to the rig ``(N,)``.
+        clip_phases: Phase at which each starts its clips, 0 to 1 ``(N,)``.
     """
 
     noun: ClassVar[str] = "agent"
     starts: FloatArray
     speeds: FloatArray
-    most: FloatArray
-    gives: FloatArray
+    max_speeds: FloatArray
+    yielding: FloatArray
     delays: FloatArray
     groups: npt.NDArray[np.int32]
-    sides: FloatArray
-    offsets: FloatArray
+    lateral_offsets: FloatArray
+    goal_offsets: FloatArray
     sizes: FloatArray
-    chances: FloatArray
+    clip_phases: FloatArray
 
     @cached_property
     def heights(self) -> FloatArray:
@@ -95,63 +95,89 @@ def agents_of(
 ) -> tuple[Agents, list[Fault]]:
     """Return the agents of a spec; overlapping ones are separated (SIM147)."""
     _check(spec)
-    drawn = [
-        _drawn(one, part, begin, frame)
-        for one, part in zip(spec.populations, parts, strict=True)
+    samples = [
+        _sample_population(population, groups_of_population, begin, frame)
+        for population, groups_of_population in zip(
+            spec.populations, parts, strict=True
+        )
     ]
-    counts = [len(each[0]) for each in drawn]
-    starts, speeds, gives, delays, sides, offsets, sizes, chances = (
-        np.concatenate(each) for each in zip(*(one[:8] for one in drawn), strict=True)
+    counts = [len(each[0]) for each in samples]
+    (
+        starts,
+        speeds,
+        yielding,
+        delays,
+        lateral_offsets,
+        goal_offsets,
+        sizes,
+        clip_phases,
+    ) = (
+        np.concatenate(each)
+        for each in zip(*(population[:8] for population in samples), strict=True)
     )
-    groups, number = [], 0
-    for *_, part in drawn:
-        groups.append(np.where(part >= 0, part + number, -1))
-        number += int(part.max(initial=-1)) + 1
-    most = [
-        one.speed.most if one.speed.most is not None else FASTEST * one.speed.mean
-        for one in spec.populations
+    groups, group_count = [], 0
+    for *_, groups_of_population in samples:
+        groups.append(
+            np.where(groups_of_population >= 0, groups_of_population + group_count, -1)
+        )
+        group_count += int(groups_of_population.max(initial=-1)) + 1
+    max_speeds = [
+        population.speed.most
+        if population.speed.most is not None
+        else MAX_SPEED_RATIO * population.speed.mean
+        for population in spec.populations
     ]
     agents = Agents(
         spec.populations,
         np.cumsum(counts).tolist(),
         starts,
         speeds,
-        np.maximum(np.repeat(most, counts), speeds),
-        gives,
+        np.maximum(np.repeat(max_speeds, counts), speeds),
+        yielding,
         delays,
         np.concatenate(groups).astype(np.int32),
-        sides,
-        offsets,
+        lateral_offsets,
+        goal_offsets,
         sizes,
-        chances,
+        clip_phases,
     )
-    return _separated(agents, [part.get("points") is not None for part in parts])
+    return _without_overlaps(
+        agents,
+        [
+            groups_of_population.get("points") is not None
+            for groups_of_population in parts
+        ],
+    )
 
 
-def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
+def _without_overlaps(
+    agents: Agents, from_points: Sequence[bool]
+) -> tuple[Agents, list[Fault]]:
     """Return agents moved until none overlap at the start.
 
     Agents with positions from a file are reported.
     """
     count, starts, overlap = len(agents), agents.starts, np.inf
     radius = float(agents.radii.max(initial=1.0))
-    for _ in range(SPREADS):
-        if overlap <= ENOUGH * radius:
+    for _ in range(SEPARATION_ROUNDS):
+        if overlap <= OVERLAP_TOLERANCE * radius:
             break
-        before = starts
-        nothing = np.zeros(count + 1, np.int32), np.zeros((0, 4))
-        starts, overlap = separated(agents, before, *nothing)
+        previous = starts
+        no_walls = np.zeros(count + 1, np.int32), np.zeros((0, 4))
+        starts, overlap = separate_agents(agents, previous, *no_walls)
         # Separated agents may now be inside another.
-        overlap = overlap if (starts == before).all() else np.inf
+        overlap = overlap if (starts == previous).all() else np.inf
     moved = np.linalg.norm(starts - agents.starts, axis=1)
-    moved_far = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
+    moved_far = (moved > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
+        from_points, bool
+    )[agents.kinds]
     faults = []
     if moved_far.any():
         message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
-        message += f"other, {agents.named(int(np.argmax(moved_far)))} first: moved "
+        message += f"other, {agents.label(int(np.argmax(moved_far)))} first: moved "
         message += f"apart by up to {moved.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
-    if overlap > ENOUGH * radius:
+    if overlap > OVERLAP_TOLERANCE * radius:
         message = "agents start inside each other: too many for their region"
         faults.append(
             warning("SIM147", message, "use a larger region, or fewer agents")
@@ -159,27 +185,28 @@ def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fau
     return replace(agents, starts=starts), faults
 
 
-def separated(
+def separate_agents(
     agents: Agents, x: FloatArray, starts: npt.NDArray[np.int32], walls: FloatArray
 ) -> tuple[FloatArray, float]:
     """Return x and z ``(N, 2)`` without overlaps, and the overlap that remains [m].
 
-    ``walls`` are as the kernel has them, those of each agent behind its start.
+    ``walls`` are rows of `Walls`; ``starts`` has the first wall of each agent.
     """
     velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
     moved, _, overlap, _ = _kernels.crowd_step(
         points=x, velocities=velocities, preferred=velocities,
-        radii=agents.radii, most=np.zeros(count), gives=agents.gives,
+        radii=agents.radii, most=np.zeros(count), gives=agents.yielding,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
         does=np.zeros(count, np.uint8), starts=starts, walls=walls,
         sight=radius, nearest=0, horizon=1.0, space=0.0, push=0.0, headway=0.0,
-        side=0.0, step=1.0, rounds=ROUNDS, enough=ENOUGH * radius,
+        side=0.0, step=1.0, rounds=SEPARATION_ITERATIONS,
+        enough=OVERLAP_TOLERANCE * radius,
     )  # fmt: skip
     return moved, overlap
 
 
-def _drawn(
+def _sample_population(
     population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
 ) -> tuple[Any, ...]:
     """Return start positions and other sampled fields of a population, groups last."""
@@ -191,7 +218,7 @@ def _drawn(
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     keys = np.arange(count)
-    chances, more = np.split(uniforms(population.seed, keys, 10), [6], axis=1)
+    randoms, more_randoms = np.split(uniforms(population.seed, keys, 10), [6], axis=1)
     group = population.group
     if points is None:
         emitter = Emitter(
@@ -201,39 +228,43 @@ def _drawn(
             inherit=0.0,
             seed=population.seed,
         )
-        points = emitter.drawn_at(begin, count)[0]
+        points = emitter.sample_at(begin, count)[0]
     starts = frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
-    sides = np.zeros(count)
+    lateral_offsets = np.zeros(count)
     if group > 1:
-        groups, rank = np.divmod(keys, group)
+        groups, index = np.divmod(keys, group)
         sizes = np.bincount(groups)[groups]
-        sides = (rank - (sizes - 1) / 2) * 2 * ABREAST * population.radius
+        lateral_offsets = (
+            (index - (sizes - 1) / 2) * 2 * GROUP_SPACING * population.radius
+        )
         if parts.get("points") is None:
             # The others stand around the first, at a random angle.
-            along = _circle(2 * np.pi * chances[groups * group, 0])
-            starts = starts[groups * group] + along * sides[:, None]
-        more[:, 2:] = more[groups * group, 2:]
-        chances = np.concatenate([chances[groups * group, :5], chances[:, 5:]], axis=1)
+            directions = _unit_vectors(2 * np.pi * randoms[groups * group, 0])
+            starts = starts[groups * group] + directions * lateral_offsets[:, None]
+        more_randoms[:, 2:] = more_randoms[groups * group, 2:]
+        randoms = np.concatenate([randoms[groups * group, :5], randoms[:, 5:]], axis=1)
     speed = population.speed
     # Box-Muller transform.
-    normal = np.sqrt(-2 * np.log1p(-chances[:, 1])) * np.cos(2 * np.pi * chances[:, 2])
-    off = np.clip(normal, -DEVIATIONS, DEVIATIONS) * speed.spread
-    speeds = np.maximum(speed.mean + off, SLOWEST * speed.mean)
+    normal = np.sqrt(-2 * np.log1p(-randoms[:, 1])) * np.cos(2 * np.pi * randoms[:, 2])
+    deviations = np.clip(normal, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
+    speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
     return (
         starts,
         speeds,
-        FIRMEST + (1 - FIRMEST) * chances[:, 5],
-        population.delay * chances[:, 3],
-        sides,
-        SPREAD * np.sqrt(more[:, 2:3]) * _circle(2 * np.pi * more[:, 3]),
-        (1 + population.size) ** (2 * more[:, 0] - 1),
-        more[:, 1],
+        MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
+        population.delay * randoms[:, 3],
+        lateral_offsets,
+        GOAL_SPREAD
+        * np.sqrt(more_randoms[:, 2:3])
+        * _unit_vectors(2 * np.pi * more_randoms[:, 3]),
+        (1 + population.size) ** (2 * more_randoms[:, 0] - 1),
+        more_randoms[:, 1],
         groups,
     )
 
 
-def _circle(angles: FloatArray) -> FloatArray:
+def _unit_vectors(angles: FloatArray) -> FloatArray:
     """Return unit vectors at angles [rad] ``(K, 2)``."""
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 

@@ -10,39 +10,39 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, refuse, warning
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Mesh
-from animtool.systems.crowds.agents import ENOUGH, Agents, separated
+from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, Agents, separate_agents
 from animtool.systems.crowds.ground import Frame, Terrain
-from animtool.systems.crowds.obstacles import Obstacles, lost
+from animtool.systems.crowds.obstacles import Obstacles, is_blocked
 from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
 # Passes that move agents out of obstacles at the start.
-MOVES = 20
+MAX_PASSES = 20
 
 
-def outside(
+def clear_starts(
     agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return start positions clear of obstacles, and who was moved (SIM148)."""
+    """Return start positions clear of obstacles; warns of moved agents (SIM148)."""
     x, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
-        off = lost(grid, x)
-        x = np.where(off[:, None], grid.positions_of(grid.free_at(x)), x)
+        blocked = is_blocked(grid, x)
+        x = np.where(blocked[:, None], grid.positions_of(grid.nearest_free_node(x)), x)
     radius = float(agents.radii.max(initial=1.0))
-    for _ in range(MOVES):
+    for _ in range(MAX_PASSES):
         walls = obstacles.walls(begin, 0.0, x)
         if not (walls.gaps < 0).any() and (x == agents.starts).all():
             break
-        before = x
-        x, _ = separated(agents, x, walls.starts, walls.rows)
-        if np.abs(x - before).max(initial=0.0) <= ENOUGH * radius:
+        previous = x
+        x, _ = separate_agents(agents, x, walls.starts, walls.rows)
+        if np.abs(x - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    moved = np.linalg.norm(x - agents.starts, axis=1) > ENOUGH * agents.radii
+    moved = np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
     if moved.any():
-        first = agents.named(int(np.argmax(moved)))
+        first = agents.label(int(np.argmax(moved)))
         message = f"{counted(int(moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))
@@ -52,23 +52,23 @@ def outside(
 def unreachable(
     spec: CrowdsModel, agents: Agents, steering: Steering, start: FloatArray
 ) -> list[Fault]:
-    """Return warnings of goals that no path leads to (SIM146)."""
+    """Return warnings about goals that agents cannot reach (SIM146)."""
     grid, faults = steering.grid, list[Fault]()
     if grid is None or not grid.free.any():
         return []
-    parts = grid.parts.ravel()
-    reachable = parts[grid.free_at(start)]
+    components = grid.components.ravel()
+    reachable = components[grid.nearest_free_node(start)]
     for g, goal in enumerate(spec.goals):
-        at = steering.points[g : g + 1]
-        if lost(grid, at)[0]:
+        position = steering.points[g : g + 1]
+        if is_blocked(grid, position)[0]:
             message = f"the goal {goal.name!r} is in an obstacle or off the ground: "
             message += "agents go to the nearest free position"
             faults.append(warning("SIM146", message, "move the goal"))
-        part = parts[grid.free_at(at)[0]]
+        goal_component = components[grid.nearest_free_node(position)[0]]
         for kind, population in enumerate(spec.populations):
-            mine = (agents.kinds == kind) & (reachable != part)
-            if goal.name in population.route and mine.any():
-                message = f"no path leads {counted(int(mine.sum()), 'agent')} of "
+            cut_off = (agents.kinds == kind) & (reachable != goal_component)
+            if goal.name in population.route and cut_off.any():
+                message = f"no path leads {counted(int(cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
                 message += "to the nearest position that they can reach"
                 hint = "leave a gap wider than the agents, or move the goal"
@@ -78,18 +78,22 @@ def unreachable(
 
 def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
     """Return a world direction projected on the ground ``(2,)``, normalised."""
-    flat = frame.turned_back(np.array(direction, float))[[0, 2]]
-    size = float(np.linalg.norm(flat))
-    if not size > 0:
+    projected = frame.vector_to_local(np.array(direction, float))[[0, 2]]
+    length = float(np.linalg.norm(projected))
+    if not length > 0:
         message = "the direction of a queue is vertical"
         refuse("SIM145", message, "goals", "use a direction along the ground")
-    return np.asarray(flat / size)
+    return np.asarray(projected / length)
 
 
 def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
     """Return the frame of the ground, and its terrain."""
-    parts = context.parts["ground"]
-    poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
+    components = context.parts["ground"]
+    poses, shape, mesh = (
+        components["poses"],
+        components.get("shape"),
+        components.get("mesh"),
+    )
     if len(poses.sample_times) > 1:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")
@@ -108,5 +112,5 @@ def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
         message = "the ground must be a mesh, a height_field or, without a shape, a "
         message += "plane"
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
-    points, faces = shape.welded()
+    points, faces = shape.weld()
     return frame, Terrain(points[faces])

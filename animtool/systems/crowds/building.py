@@ -1,4 +1,4 @@
-"""Crowds built from their specs: agents apart, out of obstacles, with bodies."""
+"""Builds crowds from their specs: separated agents clear of obstacles, with bodies."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from animtool.core.errors import refuse
 from animtool.systems.crowds.agents import Agents, agents_of
 from animtool.systems.crowds.beginning import (
     along_ground,
+    clear_starts,
     ground_of,
-    outside,
     unreachable,
 )
 from animtool.systems.crowds.crowd import Crowd
 from animtool.systems.crowds.ground import Frame, Terrain
-from animtool.systems.crowds.obstacles import Obstacles, grids
+from animtool.systems.crowds.obstacles import Obstacles, navigation_grids
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
@@ -32,7 +32,7 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     """Return the crowd of a spec.
 
     Raises:
-        OptionError: Something of the spec makes no sense (SIM145).
+        OptionError: The spec is invalid (SIM145).
     """
     begin, parts = context.begin, context.parts["populations"]
     frame, ground = ground_of(context)
@@ -42,7 +42,7 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         refuse("SIM145", message, "systems", hint)
     agents, notices = agents_of(spec, parts, begin, frame)
     steering, obstacles = _navigation(spec, agents, frame, ground, context)
-    start, moved = outside(agents, steering.grid, obstacles, begin)
+    start, moved = clear_starts(agents, steering.grid, obstacles, begin)
     notices += [*moved, *unreachable(spec, agents, steering, start)]
     shows = [part.get("shows") for part in parts]
     cycles = {show: show() for show in shows if show is not None}
@@ -78,7 +78,7 @@ def _navigation(
     """Return the steering towards goals, and the obstacles."""
     colliders, begin = context.colliders, context.begin
     goals = _on_ground(frame, [goal.at for goal in spec.goals])
-    grid, edge = grids(spec, agents, frame, ground, colliders, goals, begin)
+    grid, edge = navigation_grids(spec, agents, frame, ground, colliders, goals, begin)
     queues = [
         [0.0, 0.0]
         if goal.queue is None
@@ -88,8 +88,11 @@ def _navigation(
     steering = Steering(
         agents, spec.goals, goals, np.array(queues).reshape(-1, 2), grid
     )
-    sides = [[door.begin for door in spec.doors], [door.end for door in spec.doors]]
-    ends = np.stack([_on_ground(frame, one) for one in sides], axis=1)
+    door_points = [
+        [door.begin for door in spec.doors],
+        [door.end for door in spec.doors],
+    ]
+    ends = np.stack([_on_ground(frame, points) for points in door_points], axis=1)
     for door, (first, last) in zip(spec.doors, ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
             message = f"both ends of {door.name!r} are at the same position on the "
@@ -117,14 +120,16 @@ def _bodies(
     from animtool.systems.crowds.cast import Casting
     from animtool.systems.crowds.falls import FallSimulator
 
-    around = context.colliders
-    moving = bool(around.bodies) or any(len(c.poses.sample_times) > 1 for c in around)
+    colliders = context.colliders
+    moving = bool(colliders.bodies) or any(
+        len(c.poses.sample_times) > 1 for c in colliders
+    )
     casting = Casting.of(agents, gaits, ground, falls=moving)
-    possible = [FallSimulator.possible(group.cast.rig) for group in casting.groups]
+    possible = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
     if not (moving and all(possible) and len(agents)):
         return casting, None
     falling = FallSimulator(
-        casting.rigs, agents.sizes, frame, ground, around, spec.step
+        casting.rigs, agents.sizes, frame, ground, colliders, spec.step
     )
     return casting, falling
 

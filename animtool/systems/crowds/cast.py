@@ -22,10 +22,10 @@ from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import poses_of
 
-# Samples a second of the idle, which is slow.
-STANDING_RATE = 24.0
+# Sample rate of the idle cycle [1/s], which is slow.
+IDLE_RATE = 24.0
 # Phases of a swing at which soles are close to the ground.
-LIFTED, LANDING = 0.08, 0.78
+LIFT_PHASE, LANDING_PHASE = 0.08, 0.78
 
 
 @dataclass(frozen=True)
@@ -54,21 +54,25 @@ class Casting:
     ) -> Casting:
         """Return bodies for agents, from their populations' gaits; some may fall."""
         distinct = list(dict.fromkeys(sources))
-        which = np.array([distinct.index(one) for one in sources])[agents.kinds]
+        sources_of_agents = np.array([distinct.index(source) for source in sources])[
+            agents.kinds
+        ]
         groups = []
         for k, source in enumerate(distinct):
-            rows = np.flatnonzero(which == k)
+            rows = np.flatnonzero(sources_of_agents == k)
             bodies = AgentBodies(source(), agents.sizes[rows], ground)
             groups.append(CastGroup(rows, bodies, _cast(bodies, falls=falls)))
         order = np.concatenate([group.agents for group in groups])
         return Casting(groups, order)
 
-    def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
+    def first(self, motion: AgentMotion, chances: FloatArray) -> BodyState:
         """Return the initial bodies of all agents."""
-        return self._joined(
+        return self._in_agent_order(
             [
-                g.bodies.first(part(going, g.agents), chances[g.agents])
-                for g in self.groups
+                group.bodies.first(
+                    select_rows(motion, group.agents), chances[group.agents]
+                )
+                for group in self.groups
             ]
         )
 
@@ -81,26 +85,28 @@ class Casting:
         hit: BoolArray,
     ) -> BodyState:
         """Return the bodies after a step [s]; some were hit ``(N,)``."""
-        return self._joined(
+        return self._in_agent_order(
             [
-                g.bodies.next(
-                    part(state, g.agents),
-                    part(before, g.agents),
-                    part(after, g.agents),
+                group.bodies.next(
+                    select_rows(state, group.agents),
+                    select_rows(before, group.agents),
+                    select_rows(after, group.agents),
                     dt,
-                    hit[g.agents],
+                    hit[group.agents],
                 )
-                for g in self.groups
+                for group in self.groups
             ]
         )
 
-    def _joined(self, states: Sequence[BodyState]) -> BodyState:
+    def _in_agent_order(self, states: Sequence[BodyState]) -> BodyState:
         """Return the states of all rigs joined, in agent order."""
-        back = np.argsort(self.order)
+        agent_rows = np.argsort(self.order)
         return BodyState(
             *(
-                np.concatenate([getattr(state, one.name) for state in states])[back]
-                for one in fields(BodyState)
+                np.concatenate([getattr(state, field.name) for state in states])[
+                    agent_rows
+                ]
+                for field in fields(BodyState)
             )
         )
 
@@ -116,25 +122,25 @@ class Casting:
     def world(
         self,
         state: BodyState,
-        going: AgentMotion,
+        motion: AgentMotion,
         frame: Frame,
         ground: Heights,
-        i: int,
+        agent: int,
     ) -> WorldTransforms:
-        """Return an agent's joints in the world, one frame."""
-        group = next(one for one in self.groups if i in one.agents)
-        row, rig = np.array([i]), group.cast.rig
+        """Return world transforms of an agent's joints, as one frame."""
+        group = next(one for one in self.groups if agent in one.agents)
+        row, rig = np.array([agent]), group.cast.rig
         bodies = replace(
             group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
         )
-        poses = poses_of(bodies, part(state, row), part(going, row))
+        poses = poses_of(bodies, select_rows(state, row), select_rows(motion, row))
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
         world = forward(rig, positions, poses.rotations)
-        heading = about_up(going.headings[row])
+        heading = about_up(motion.headings[row])
         rotation = so3.multiply(frame.rotation, heading)
-        heights = np.nan_to_num(ground(going.points[row])[0])
-        origin = np.insert(going.points[row], 1, heights, axis=1)
+        heights = np.nan_to_num(ground(motion.points[row])[0])
+        origin = np.insert(motion.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, bodies.scales[:, None, None] * world.positions)
         return WorldTransforms(
@@ -144,7 +150,7 @@ class Casting:
     def frame(
         self,
         state: BodyState,
-        going: AgentMotion,
+        motion: AgentMotion,
         heights: FloatArray,
         placed: tuple[Frame, FloatArray],
         visible: BoolArray,
@@ -154,62 +160,75 @@ class Casting:
         """Return the characters at a time.
 
         Args:
-            state: Of their bodies.
-            going: How they go.
-            heights: Of the ground below them ``(N,)`` [m].
-            placed: Where the ground is, and the velocities of agents in the world
-                ``(N, 3)`` [m/s].
+            state: State of their bodies.
+            motion: Motion of the agents.
+            heights: Heights of the ground below them ``(N,)`` [m].
+            placed: Frame of the ground, and world velocities of agents ``(N, 3)``
+                [m/s].
             visible: Which agents are visible ``(N,)``.
             primvars: Values per agent.
-            fallen: Local translations and rotations of fallen agents, by number; the
-                root's are in the world.
+            fallen: Local translations and rotations of fallen agents, by index; those
+                of the root are in world space.
         """
         frame, velocities = placed
         rotations, roots = [], []
-        points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
+        points = np.column_stack([motion.points[:, 0], heights, motion.points[:, 1]])
         for group in self.groups:
-            some = part(state, group.agents), part(going, group.agents)
-            poses = poses_of(group.bodies, *some)
+            group_state = (
+                select_rows(state, group.agents),
+                select_rows(motion, group.agents),
+            )
+            poses = poses_of(group.bodies, *group_state)
             for i, (positions, fallen_rotations) in fallen.items():
                 for row in np.flatnonzero(group.agents == i).tolist():
-                    rotation = so3.multiply(frame.rotation, about_up(going.headings[i]))
-                    back = so3.conjugate(rotation)
+                    rotation = so3.multiply(
+                        frame.rotation, about_up(motion.headings[i])
+                    )
+                    to_ground = so3.conjugate(rotation)
                     poses.rotations[row] = fallen_rotations
-                    poses.rotations[row, 0] = so3.multiply(back, fallen_rotations[0])
-                    off = positions[0] - frame.to_world(points[i])
-                    poses.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
+                    poses.rotations[row, 0] = so3.multiply(
+                        to_ground, fallen_rotations[0]
+                    )
+                    offset = positions[0] - frame.to_world(points[i])
+                    poses.roots[row] = (
+                        so3.rotate(to_ground, offset) / group.bodies.scales[row]
+                    )
             rotations.append(poses.rotations[:, group.cast.animated])
             roots.append(poses.roots)
         order = self.order
-        only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
-        only &= state.shoulders == 0
-        only[list(fallen)] = False
-        # Feet about to land, or just lifted, are as close to the ground.
-        near = (state.swings < LIFTED) | (state.swings > LANDING)
-        near[list(fallen)] = False
-        stands = near & (state.swings < 0)
+        is_idle = (
+            (state.still >= 1) & ~motion.velocities.any(axis=1) & (state.reacts < 0)
+        )
+        is_idle &= state.shoulders == 0
+        is_idle[list(fallen)] = False
+        # Feet that are about to land or just lifted are also close to the ground.
+        near_ground = (state.swings < LIFT_PHASE) | (state.swings > LANDING_PHASE)
+        near_ground[list(fallen)] = False
+        stands = near_ground & (state.swings < 0)
         return CharactersFrame(
             order,
             frame.to_world(points)[order],
             velocities[order],
             frame.rotation,
-            going.headings[order],
+            motion.headings[order],
             np.concatenate([group.bodies.scales for group in self.groups]),
             tuple(group.cast for group in self.groups),
             np.array([len(group.agents) for group in self.groups]),
             tuple(rotations),
             np.concatenate(roots),
             stands[order],
-            near[order],
-            np.where(only, state.clocks, np.nan)[order],
+            near_ground[order],
+            np.where(is_idle, state.clocks, np.nan)[order],
             visible[order],
             {name: values[order] for name, values in primvars.items()},
         )
 
 
-def part(record: Any, rows: IntArray) -> Any:
-    """Return some rows of a record of arrays."""
-    changes = {one.name: getattr(record, one.name)[rows] for one in fields(record)}
+def select_rows(record: Any, rows: IntArray) -> Any:
+    """Return a record of arrays with selected rows."""
+    changes = {
+        field.name: getattr(record, field.name)[rows] for field in fields(record)
+    }
     return replace(record, **changes)
 
 
@@ -217,21 +236,21 @@ def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
     """Return the character of a group, with the pose that idle agents share."""
     gaits = bodies.gaits
     period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
-    count = max(round(period * STANDING_RATE), 1)
+    count = max(round(period * IDLE_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
-    here = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
-    level = replace(bodies, scales=np.ones(count), ground=_level)
-    first = level.first(here, np.zeros(count))
-    poses = poses_of(level, replace(first, clocks=clocks), here)
-    moves = bodies.moves
+    motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
+    level_bodies = replace(bodies, scales=np.ones(count), ground=_level)
+    initial = level_bodies.first(motion, np.zeros(count))
+    poses = poses_of(level_bodies, replace(initial, clocks=clocks), motion)
+    animated = bodies.animated
     if falls:
-        moves = np.union1d(moves, Capsules.of(gaits.walker.rig).joints)
+        animated = np.union1d(animated, Capsules.of(gaits.walker.rig).joints)
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(
         gaits.walker.rig,
-        moves,
+        animated,
         (left, right),
-        poses.rotations[:, moves],
+        poses.rotations[:, animated],
         poses.roots,
         period,
     )

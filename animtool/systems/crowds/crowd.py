@@ -20,10 +20,14 @@ from animtool.motion.frames import (
     PointsFrame,
     TransformsFrame,
 )
-from animtool.systems.crowds.agents import ENOUGH, AgentMotion, Agents
+from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agents
 from animtool.systems.crowds.ground import Frame, Terrain, about_up
 from animtool.systems.crowds.obstacles import Obstacles, Walls
-from animtool.systems.crowds.shoulders import DEPTH, lines, turned_shoulders
+from animtool.systems.crowds.shoulders import (
+    DEPTH_RATIO,
+    shoulder_vectors,
+    step_shoulders,
+)
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
 from animtool.systems.framework.simulation import Diagnostics
@@ -36,17 +40,17 @@ if TYPE_CHECKING:
 
 # Passes that separate overlapping agents in a step.
 SEPARATION_PASSES = 100
-# Modes of agents, in the kernel's encoding.
-WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
-# Agents face their motion, and by this fraction their preferred velocity.
-FACING = 0.5
-# Discount of the next lane to the left against oncoming agents.
-SIDES = {"right": -0.2, "left": 0.2, "none": 0.0}
+# Modes of agents, as the kernel encodes them.
+WALKING, STAYING, LEFT_SCENE = np.uint8(0), np.uint8(1), np.uint8(2)
+# Weight of the preferred velocity in the direction that agents face [1].
+FACING_PREFERRED = 0.5
+# Preference of the lane to the left of oncoming agents.
+SIDE_PREFERENCES = {"right": -0.2, "left": 0.2, "none": 0.0}
 # Below this fraction of the preferred speed, agents yaw proportionally slower.
-SLOW = 0.6
+SLOW_YAW_SPEED = 0.6
 # Time constant of yaw towards motion [s].
-TURNING = 0.25
-# Largest yaw rate [rad/s]: turning round takes most of a second.
+YAW_TIME = 0.25
+# Largest yaw rate [rad/s]: a U-turn takes almost a second.
 MAX_YAW_RATE = 4.0
 
 
@@ -55,7 +59,7 @@ class CrowdState:
     """The state of N agents on the ground."""
 
     points: FloatArray  # x and z (N, 2) [m]
-    velocities: FloatArray  # of these (N, 2) [m/s]
+    velocities: FloatArray  # x and z (N, 2) [m/s]
     headings: FloatArray  # about up, 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # largest overlap of two agents so far [m]
@@ -65,16 +69,16 @@ class CrowdState:
 
 @dataclass(frozen=True, eq=False)
 class Crowd:
-    """Walking agents, in steps.
+    """Simulation of walking agents.
 
     Attributes:
-        checked: Its steps see to it that numbers stay finite.
+        checked: Whether steps check that all numbers are finite.
         begin: Start time [s].
         start: x and z at the start ``(N, 2)`` [m].
         casting: Bodies of the agents; None if they are points or meshes.
         falling: Ragdolls of falling agents; None if nobody can fall.
-        meshes: One of each prototype that populations show.
-        shown: The mesh of each population.
+        meshes: Distinct prototypes that populations show.
+        shown: Index of the mesh of each population.
     """
 
     checked = True
@@ -94,20 +98,20 @@ class Crowd:
     shown: IntArray
 
     @cached_property
-    def _settling(self) -> FloatArray:
+    def _relaxation_times(self) -> FloatArray:
         """Relaxation time of each agent to its preferred velocity ``(N,)`` [s]."""
         return self.agents.each([one.acceleration for one in self.agents.entries])
 
     def initial(self) -> CrowdState:
-        """Return the initial state, headings along the first directions."""
+        """Return the initial state, with headings along the preferred velocities."""
         x, progress = self.start, self.steering.first()
         at_rest = np.zeros_like(x)
         preferred = self.steering.preferred(np.inf, self.begin, progress, x)
         headings = np.arctan2(preferred[:, 0], preferred[:, 1])
         bodies = None
         if self.casting is not None:
-            going = AgentMotion(x, at_rest, headings)
-            bodies = self.casting.first(going, self.agents.chances)
+            motion = AgentMotion(x, at_rest, headings)
+            bodies = self.casting.first(motion, self.agents.clip_phases)
         falls = None if self.falling is None else self.falling.none()
         return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
@@ -122,42 +126,42 @@ class Crowd:
             return state
         x, v = state.points, state.velocities
         preferred = self.steering.preferred(t, self.begin, state.progress, x)
-        relaxed = v + (preferred - v) * -np.expm1(-dt / self._settling)[:, None]
+        relaxed = v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
         walls = self.obstacles.walls(t, dt, x)
         down = np.zeros(len(x), np.bool_)
         if state.falls is not None:
             down[state.falls.agents] = True
-        does = np.where(down, STAYS, WALKS)
-        does[state.progress.stages == GONE] = OUT
-        if not all(np.isfinite(each).all() for each in (x, v, relaxed, walls.rows)):
+        modes = np.where(down, STAYING, WALKING)
+        modes[state.progress.stages == GONE] = LEFT_SCENE
+        if not all(np.isfinite(values).all() for values in (x, v, relaxed, walls.rows)):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
         shoulders = self._shoulders(state, down)
         points, velocities, overlap, pressed = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed,
-            radii=agents.radii, most=agents.most, gives=agents.gives,
-            shoulders=lines(state.headings, shoulders), depth=DEPTH,
-            groups=agents.groups, does=does, starts=walls.starts, walls=walls.rows,
+            radii=agents.radii, most=agents.max_speeds, gives=agents.yielding,
+            shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
+            groups=agents.groups, does=modes, starts=walls.starts, walls=walls.rows,
             sight=rules.sight, nearest=rules.nearest, horizon=rules.horizon,
             space=rules.space, push=rules.push, headway=rules.headway,
-            side=SIDES[rules.side], step=dt, rounds=SEPARATION_PASSES,
-            enough=ENOUGH * float(agents.radii.min()),
+            side=SIDE_PREFERENCES[rules.side], step=dt, rounds=SEPARATION_PASSES,
+            enough=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
-        progress = self.steering.advanced(state.progress, points, dt)
-        headings = self._turned(state.headings, preferred, velocities, dt)
+        progress = self.steering.advance(state.progress, points, dt)
+        headings = self._yawed(state.headings, preferred, velocities, dt)
         bodies = state.bodies
         falls = state.falls
         if self.casting is not None and bodies is not None:
-            before, after = _going(state), AgentMotion(points, velocities, headings)
-            speeds = self._struck(walls, dt)
+            before, after = _motion_of(state), AgentMotion(points, velocities, headings)
+            speeds = self._impact_speeds(walls, dt)
             hit = speeds > self.spec.impact.stagger
             bodies = self.casting.next(bodies, before, after, dt, hit)
-            turned = turned_shoulders(shoulders, np.where(hit, 0.0, pressed), dt)
-            bodies = replace(bodies, shoulders=turned)
+            yawed_shoulders = step_shoulders(shoulders, np.where(hit, 0.0, pressed), dt)
+            bodies = replace(bodies, shoulders=yawed_shoulders)
             if self.falling is not None and falls is not None:
-                fell = np.flatnonzero((speeds > self.spec.impact.fall) & ~down)
-                if len(fell):
-                    falls = self._begun(state, falls, fell, dt)
+                new_falls = np.flatnonzero((speeds > self.spec.impact.fall) & ~down)
+                if len(new_falls):
+                    falls = self._with_new_falls(state, falls, new_falls, dt)
                 falls = self.falling.step(falls, t, dt)
         if not (np.isfinite(points).all() and np.isfinite(headings).all()):
             message = f"agents blew up at {t + dt:g} s"
@@ -167,25 +171,25 @@ class Crowd:
             points, velocities, headings, progress, overlap, bodies, falls
         )
 
-    def _begun(
-        self, state: CrowdState, falls: Falls, fell: IntArray, dt: float
+    def _with_new_falls(
+        self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
     ) -> Falls:
         """Return falls with more agents ``(K,)``, from the start of a step.
 
-        They were about to walk on: what hits them moves their bodies, not their legs.
+        Their velocities are those of continued walking; colliders move the bodies.
         """
         assert self.casting is not None
         assert self.falling is not None
         assert state.bodies is not None
-        here, v = _going(state), state.velocities
-        next_motion = AgentMotion(here.points + v * dt, v, here.headings)
-        unhit = np.zeros(len(v), np.bool_)
-        walked = self.casting.next(state.bodies, here, next_motion, dt, unhit)
-        now, soon = (
-            [self._world(bodies, going, i) for i in fell.tolist()]
-            for bodies, going in ((state.bodies, here), (walked, next_motion))
+        motion, v = _motion_of(state), state.velocities
+        next_motion = AgentMotion(motion.points + v * dt, v, motion.headings)
+        no_hits = np.zeros(len(v), np.bool_)
+        next_bodies = self.casting.next(state.bodies, motion, next_motion, dt, no_hits)
+        poses, next_poses = (
+            [self._world(bodies, going, i) for i in new_falls.tolist()]
+            for bodies, going in ((state.bodies, motion), (next_bodies, next_motion))
         )
-        return self.falling.begun(falls, fell, now, soon, dt)
+        return self.falling.add_falls(falls, new_falls, poses, next_poses, dt)
 
     def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
         """Return shoulder yaws ``(N,)`` [rad].
@@ -196,32 +200,34 @@ class Crowd:
             return np.zeros(len(self.agents))
         return np.where(down, 0.0, state.bodies.shoulders)
 
-    def _struck(self, walls: Walls, dt: float) -> FloatArray:
-        """Return the highest closing speed at each agent ``(N,)`` [m/s]."""
+    def _impact_speeds(self, walls: Walls, dt: float) -> FloatArray:
+        """Return the highest speed of an impact on each agent ``(N,)`` [m/s]."""
         closing = np.zeros(len(self.agents))
         touch = walls.gaps < np.maximum(walls.closing, 0.0) * dt
-        np.maximum.at(closing, walls.whose[touch], walls.closing[touch])
+        np.maximum.at(closing, walls.agents_of_walls[touch], walls.closing[touch])
         return closing
 
     def _world(
-        self, bodies: BodyState | None, going: AgentMotion, i: int
+        self, bodies: BodyState | None, motion: AgentMotion, i: int
     ) -> WorldTransforms:
         """Return an agent's joints in the world."""
         assert self.casting is not None
         assert bodies is not None
-        return self.casting.world(bodies, going, self.ground_frame, self.ground, i)
+        return self.casting.world(bodies, motion, self.ground_frame, self.ground, i)
 
-    def _turned(
+    def _yawed(
         self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
         """Return headings ``(N,)`` after agents turn towards their motion."""
-        facing = v + FACING * preferred
-        fast = np.linalg.norm(facing, axis=1) / (SLOW * self.agents.speeds)
-        yaw = np.arctan2(facing[:, 0], facing[:, 1]) - headings
+        directions = v + FACING_PREFERRED * preferred
+        speed_ratio = np.linalg.norm(directions, axis=1) / (
+            SLOW_YAW_SPEED * self.agents.speeds
+        )
+        yaw = np.arctan2(directions[:, 0], directions[:, 1]) - headings
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
-        fraction = -np.expm1(-dt / TURNING * np.minimum(fast, 1.0))
-        most = MAX_YAW_RATE * dt
-        return np.asarray(headings + np.clip(yaw * fraction, -most, most))
+        fraction = -np.expm1(-dt / YAW_TIME * np.minimum(speed_ratio, 1.0))
+        max_yaw = MAX_YAW_RATE * dt
+        return np.asarray(headings + np.clip(yaw * fraction, -max_yaw, max_yaw))
 
     def frame(
         self,
@@ -230,37 +236,41 @@ class Crowd:
     ) -> PointsFrame | TransformsFrame | CharactersFrame:
         """Return points, meshes and characters at a time."""
         agents = self.agents
-        here = state.progress.stages != GONE
-        ids = np.flatnonzero(here) if state.bodies is None else np.arange(len(here))
+        visible = state.progress.stages != GONE
+        ids = (
+            np.flatnonzero(visible) if state.bodies is None else np.arange(len(visible))
+        )
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self.ground(x)
         heights = np.where(np.isfinite(heights), heights, 0.0)
-        # Along the ground.
+        # Velocities are along the ground.
         rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
         frame = self.ground_frame
         points = frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
-        velocities = frame.turned(np.column_stack([v[:, 0], rise, v[:, 1]]))
+        velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
         kinds = agents.kinds[ids]
         primvars = {"population": kinds} if len(agents.entries) > 1 else {}
         if self.casting is not None and state.bodies is not None:
             placed = frame, velocities
             return self.casting.frame(
                 state.bodies,
-                _going(state),
+                _motion_of(state),
                 heights,
                 placed,
-                here,
+                visible,
                 primvars,
                 self._fallen(state.falls),
             )
         if not self.meshes:
             return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
-        turned = about_up(state.headings[ids])
+        yaw_rotations = about_up(state.headings[ids])
         return TransformsFrame(
             ids,
             points,
             velocities,
-            so3.multiply(np.broadcast_to(frame.rotation, turned.shape), turned),
+            so3.multiply(
+                np.broadcast_to(frame.rotation, yaw_rotations.shape), yaw_rotations
+            ),
             np.zeros((len(ids), 3)),
             np.ones((len(ids), 3)),
             self.shown[kinds],
@@ -278,18 +288,18 @@ class Crowd:
         }
 
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return speeds, progress and distances of agents."""
-        gone = state.progress.stages == GONE
-        speeds = np.linalg.norm(state.velocities[~gone], axis=1)
+        """Return the number, speed and progress of agents, and their overlap."""
+        left = state.progress.stages == GONE
+        speeds = np.linalg.norm(state.velocities[~left], axis=1)
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
         if len(speeds):
             values["speed"] = float(speeds.mean())
         if state.falls is not None:
             values["fallen"] = float(len(state.falls.agents))
-        values["goals reached"] = float(np.where(gone, 0, state.progress.stages).sum())
+        values["goals reached"] = float(np.where(left, 0, state.progress.stages).sum())
         return Diagnostics(values=values, notices=self.notices)
 
 
-def _going(state: CrowdState) -> AgentMotion:
+def _motion_of(state: CrowdState) -> AgentMotion:
     """Return the motion of agents at a state."""
     return AgentMotion(state.points, state.velocities, state.headings)

@@ -25,18 +25,18 @@ from animtool.systems.crowds.gaits import (
     Gaits,
     Walker,
     about_side,
-    eased,
-    rows,
+    sample_rows,
     standing_ankle,
+    swing_progress,
 )
-from animtool.systems.crowds.ground import about_up, turned, wrapped
+from animtool.systems.crowds.ground import about_up, rotated_about_y, wrap_angles
 
-# Slower clips stand, in leg lengths per second [1/s].
-STANDS = 0.2
-# Period of a gait [s]: two steps.
-SHORTEST, LONGEST = 0.4, 2.5
+# Slower clips stand still; in leg lengths per second [1/s].
+MIN_TRAVEL_SPEED = 0.2
+# Bounds of the period of a gait, two steps [s].
+MIN_PERIOD, MAX_PERIOD = 0.4, 2.5
 # Cycles with a larger seam, relative to their motion, are rejected.
-SEAM = 0.35
+MAX_SEAM = 0.35
 # Repeats of a cycle for step detection: the middle one has both neighbours.
 REPEATS = 3
 
@@ -45,7 +45,7 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Return takes on a rig as gaits, by name.
 
     Raises:
-        OptionError: The rig has no legs, or none of the takes goes anywhere (SIM149).
+        OptionError: The rig has no legs, or none of the takes walks (SIM149).
     """
     walker = Walker.of(rig)
     moving: list[Gait] = []
@@ -60,7 +60,7 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
         raise OptionError(Fault("SIM149", message, where="gaits"))
     moving.sort(key=lambda gait: gait.speed)
     slowest = moving[0]
-    if slowest.speed > RUNS * np.sqrt(9.81 * walker.leg):
+    if slowest.speed > RUNNING_FROUDE * np.sqrt(9.81 * walker.leg):
         message = f"no clip walks: {slowest.name!r}, which runs at {slowest.speed:.2g} "
         message += "m/s, is slowed down, with shorter steps"
         notices.append(warning("SIM150", message, "add a clip that walks"))
@@ -75,7 +75,7 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
 
 
 # Froude number (square root) above which people run.
-RUNS = 0.7
+RUNNING_FROUDE = 0.7
 
 
 def heading_of(rotations: FloatArray) -> FloatArray:
@@ -88,25 +88,25 @@ def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
     fps = float(take.clock.rate)
-    travelled = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
+    distance = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
     seconds = max(len(hips) - 1, 1) / fps
     try:
-        cycle_frames = find_cycle(take, shortest=SHORTEST, longest=LONGEST)
+        cycle_frames = find_cycle(take, shortest=MIN_PERIOD, longest=MAX_PERIOD)
     except OptionError:
         cycle_frames = None
-    ranged = float(np.ptp(hips[:, [0, 2]], axis=0).max())
-    if ranged < STANDS * walker.leg * min(seconds, 1.0):
-        return "stands", _uncut(walker, name, take, world)
+    range_ = float(np.ptp(hips[:, [0, 2]], axis=0).max())
+    if range_ < MIN_TRAVEL_SPEED * walker.leg * min(seconds, 1.0):
+        return "stands", _uncut_gait(walker, name, take, world)
     if (
         cycle_frames is None
-        or cycle_frames.share > SEAM
-        or travelled < STANDS * walker.leg * seconds
+        or cycle_frames.share > MAX_SEAM
+        or distance < MIN_TRAVEL_SPEED * walker.leg * seconds
     ):
-        return "reacts", _uncut(walker, name, take, world)
+        return "reacts", _uncut_gait(walker, name, take, world)
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=REPEATS)
     gait = _cycle(walker, name, cycle)
     return (
-        ("reacts", _uncut(walker, name, take, world))
+        ("reacts", _uncut_gait(walker, name, take, world))
         if gait is None
         else ("moves", gait)
     )
@@ -117,12 +117,12 @@ class CyclePath:
     """The path of a body over a cycle: an arc at constant speed.
 
     Attributes:
-        begin: Frame of the begin.
-        length: Of a cycle [frames].
-        origin: Where it is there: x and z ``(2,)`` [m].
-        heading: Where it looks there [rad].
-        velocity: In its own frame ``(2,)`` [m a frame].
-        turning: [rad a frame].
+        begin: First frame.
+        length: Length of a cycle [frames].
+        origin: Position at the first frame, x and z ``(2,)`` [m].
+        heading: Heading at the first frame [rad].
+        velocity: Velocity in the frame of the body ``(2,)`` [m/frame].
+        turning: Yaw rate [rad/frame].
     """
 
     begin: float
@@ -146,15 +146,15 @@ class CyclePath:
     @staticmethod
     def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
         """Return the path of the second of three cycles ``(3 L, …)``."""
-        within = np.arange(length, 2 * length)
+        frames = np.arange(length, 2 * length)
         turning = float(headings[2 * length] - headings[length]) / length
-        heading = float((headings[within] - turning * (within - length)).mean())
+        heading = float((headings[frames] - turning * (frames - length)).mean())
         flat = hips[:, [0, 2]]
         cycle = _arc(heading, turning, np.array([float(length)]))[0]
         velocity = np.linalg.solve(cycle, flat[2 * length] - flat[length])
-        body = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
-        off = flat[within] - body.positions(within.astype(float))
-        return replace(body, origin=off.mean(axis=0))
+        path = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
+        offsets = flat[frames] - path.positions(frames.astype(float))
+        return replace(path, origin=offsets.mean(axis=0))
 
 
 def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
@@ -176,38 +176,38 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
     world = forward(walker.rig, translations, rotations)
     length, fps = take.clock.count // REPEATS, float(take.clock.rate)
     hips = middle_of_hips(walker.person, world.positions)
-    body = CyclePath.of(hips, _headings(walker, world), length)
-    if body.velocity[1] <= abs(body.velocity[0]):
+    path = CyclePath.of(hips, _headings(walker, world), length)
+    if path.velocity[1] <= abs(path.velocity[0]):
         return None
     ground = _ground(walker, world)
     stances = [_stance(walker, world, k, length, fps) for k in range(2)]
-    if any(one is None for one in stances):
+    if any(stance is None for stance in stances):
         return None
-    left, right = (one for one in stances if one is not None)
-    middle = ((right.lands - left.lands) / length) % 1.0
-    if not 0.2 < middle < 0.8:
+    left, right = (stance for stance in stances if stance is not None)
+    right_phase = ((right.lands - left.lands) / length) % 1.0
+    if not 0.2 < right_phase < 0.8:
         return None
     phases = np.arange(PHASES) / PHASES
-    shares = np.interp(phases, [0.0, 0.5, 1.0], [0.0, middle, 1.0])
-    frames = left.lands + shares * length
+    cycle_fractions = np.interp(phases, [0.0, 0.5, 1.0], [0.0, right_phase, 1.0])
+    frames = left.lands + cycle_fractions * length
     frames = np.where(frames >= 2 * length, frames - length, frames)
-    back = about_up(-body.headings(frames))
-    origins = np.insert(body.positions(frames), 1, ground, axis=1)
-    local = _between(rotations, frames)
-    local[:, 0] = so3.multiply(back, local[:, 0])
-    root = so3.rotate(back, rows(world.positions[:, 0], frames) - origins)
+    to_body = about_up(-path.headings(frames))
+    origins = np.insert(path.positions(frames), 1, ground, axis=1)
+    local = _interpolated(rotations, frames)
+    local[:, 0] = so3.multiply(to_body, local[:, 0])
+    root = so3.rotate(to_body, sample_rows(world.positions[:, 0], frames) - origins)
     steps = [
-        _step(walker, world, body, ground, k, one)
-        for k, one in enumerate((left, right))
+        _step(walker, world, path, ground, k, stance)
+        for k, stance in enumerate((left, right))
     ]
     return Gait(
         name,
         local,
         root,
         length / fps,
-        body.velocity * fps,
-        body.turning * fps,
-        np.array([(one.lifts - one.lands) / length for one in (left, right)]),
+        path.velocity * fps,
+        path.turning * fps,
+        np.array([(stance.lifts - stance.lands) / length for stance in (left, right)]),
         *(np.stack(each) for each in zip(*steps, strict=True)),
     )
 
@@ -226,20 +226,20 @@ def _stance(
 ) -> FootStance | None:
     """Return a foot's single stance that begins in the second cycle, or None."""
     _, _, foot, toe = walker.legs[k]
-    tip = None if toe < 0 else world.positions[:, toe]
+    toe_positions = None if toe < 0 else world.positions[:, toe]
     contacts: FootContacts = find_contacts(
-        world.positions[:, foot], tip, fps, walker.leg
+        world.positions[:, foot], toe_positions, fps, walker.leg
     )
-    begun = [one for one in runs(contacts.any) if length <= one[0] < 2 * length]
-    if len(begun) != 1 or not 0 < begun[0][1] - begun[0][0] < length:
+    starting = [run for run in runs(contacts.any) if length <= run[0] < 2 * length]
+    if len(starting) != 1 or not 0 < starting[0][1] - starting[0][0] < length:
         return None
-    return FootStance(*begun[0], contacts.ankle & contacts.toe)
+    return FootStance(*starting[0], contacts.ankle & contacts.toe)
 
 
 def _step(
     walker: Walker,
     world: WorldTransforms,
-    body: CyclePath,
+    path: CyclePath,
     ground: float,
     k: int,
     stance: FootStance,
@@ -247,65 +247,81 @@ def _step(
     """Return a step's landing, pitches, and swing rotations and lifts."""
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level[k], walker.ball[k]
-    within = np.arange(stance.lands, stance.lifts)
-    flat = within[stance.flat[within]] if stance.flat[within].any() else within
+    stance_frames = np.arange(stance.lands, stance.lifts)
+    flat = (
+        stance_frames[stance.flat[stance_frames]]
+        if stance.flat[stance_frames].any()
+        else stance_frames
+    )
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(heading_of(soles[flat])).mean())
-    ends = world.positions[:, toe if toe >= 0 else foot]
-    foothold = ends[within].mean(axis=0) - so3.rotate(about_up(np.array(yaw)), ball)
-    foothold = foothold[[0, 2]]
-    # In the frame of the body: it lands there, and again a cycle later.
-    land = np.array([float(stance.lands)])
-    (here,), (look,) = body.positions(land), body.headings(land)
-    step = np.append(turned(foothold - here, -look), wrapped(yaw - look))
-    (there,), (then,) = (
-        body.positions(land + body.length),
-        body.headings(land + body.length),
+    toe_positions = world.positions[:, toe if toe >= 0 else foot]
+    foothold = toe_positions[stance_frames].mean(axis=0) - so3.rotate(
+        about_up(np.array(yaw)), ball
     )
-    later = np.append(there + turned(step[:2], then), yaw + then - look)
-    shares = np.linspace(0.0, 1.0, PHASES)
-    stands = _between(soles, stance.lands + shares * (stance.lifts - stance.lands))
-    stands = so3.multiply(about_up(np.array(-yaw)), stands)
-    pitches = 2 * np.arctan2(stands[:, 0], stands[:, 3])
-    pitches = wrapped(pitches)
-    frames = stance.lifts + shares * (stance.lands + body.length - stance.lifts)
-    moved = eased(shares)
-    positions = foothold + moved[:, None] * (later[:2] - foothold)
-    yaws = yaw + moved * (later[2] - yaw)
-    back = about_up(-yaws)
-    swings = so3.multiply(back, _between(soles, frames))
-    ankles = rows(world.positions[:, foot], frames) - np.insert(
+    foothold = foothold[[0, 2]]
+    # In the frame of the body, the foot lands there in every cycle.
+    land = np.array([float(stance.lands)])
+    (start,), (start_heading,) = path.positions(land), path.headings(land)
+    step = np.append(
+        rotated_about_y(foothold - start, -start_heading),
+        wrap_angles(yaw - start_heading),
+    )
+    (end_point,), (end_heading,) = (
+        path.positions(land + path.length),
+        path.headings(land + path.length),
+    )
+    next_foothold = np.append(
+        end_point + rotated_about_y(step[:2], end_heading),
+        yaw + end_heading - start_heading,
+    )
+    fractions = np.linspace(0.0, 1.0, PHASES)
+    stance_rotations = _interpolated(
+        soles, stance.lands + fractions * (stance.lifts - stance.lands)
+    )
+    stance_rotations = so3.multiply(about_up(np.array(-yaw)), stance_rotations)
+    pitches = 2 * np.arctan2(stance_rotations[:, 0], stance_rotations[:, 3])
+    pitches = wrap_angles(pitches)
+    frames = stance.lifts + fractions * (stance.lands + path.length - stance.lifts)
+    progress = swing_progress(fractions)
+    positions = foothold + progress[:, None] * (next_foothold[:2] - foothold)
+    yaws = yaw + progress * (next_foothold[2] - yaw)
+    to_path = about_up(-yaws)
+    swings = so3.multiply(to_path, _interpolated(soles, frames))
+    ankles = sample_rows(world.positions[:, foot], frames) - np.insert(
         positions, 1, ground, axis=1
     )
-    lifts = so3.rotate(back, ankles)
+    lifts = so3.rotate(to_path, ankles)
     # The swing ends with the pitches of the stance.
-    for end, fade in ((-1, 1 - shares), (0, shares)):
-        at = 0 if end else -1
-        stood = about_side(pitches[end : end + 1 or None])
-        miss = so3.multiply(stood, so3.conjugate(swings[at : at + 1 or None]))
-        swings = so3.multiply(so3.exp(fade[:, None] * so3.log(miss)), swings)
-        lifts = lifts + fade[:, None] * (
-            standing_ankle(walker, k, stood)[0] - lifts[at]
+    for end, weights in ((-1, 1 - fractions), (0, fractions)):
+        row = 0 if end else -1
+        stance_rotation = about_side(pitches[end : end + 1 or None])
+        correction = so3.multiply(
+            stance_rotation, so3.conjugate(swings[row : row + 1 or None])
+        )
+        swings = so3.multiply(so3.exp(weights[:, None] * so3.log(correction)), swings)
+        lifts = lifts + weights[:, None] * (
+            standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
         )
     return step, pitches, swings, lifts
 
 
-def _between(rotations: FloatArray, frames: FloatArray) -> FloatArray:
+def _interpolated(rotations: FloatArray, frames: FloatArray) -> FloatArray:
     """Return rotations ``(F, …, 4)`` interpolated at frames ``(K,)``."""
-    blended = rows(rotations, frames)
+    blended = sample_rows(rotations, frames)
     return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
 
 
-def _uncut(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
+def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
     """Return an uncut take as a gait, relative to its first hip position."""
     _, rotations, _ = take.motion.dense()
     heading = _headings(walker, world)[0]
-    back = about_up(np.array(-heading))
+    to_forward = about_up(np.array(-heading))
     hips = middle_of_hips(walker.person, world.positions)
     origin = np.array([hips[0, 0], _ground(walker, world), hips[0, 2]])
-    root = so3.rotate(back, world.positions[:, 0] - origin)
+    root = so3.rotate(to_forward, world.positions[:, 0] - origin)
     local = rotations.copy()
-    local[:, 0] = so3.multiply(back, rotations[:, 0])
+    local[:, 0] = so3.multiply(to_forward, rotations[:, 0])
     seconds = max(take.clock.count - 1, 1) / float(take.clock.rate)
     return Gait(name, local, root, seconds, np.zeros(2), 0.0)
 
@@ -314,8 +330,8 @@ def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
     """Return the heading of the hips over time ``(F,)`` [rad]."""
     hips = max(walker.person.first("hips"), 0)
     rest = walker.person.rotations[hips]
-    turned = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
-    return np.unwrap(heading_of(turned)) + walker.heading
+    rotations = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
+    return np.unwrap(heading_of(rotations)) + walker.heading
 
 
 def _ground(walker: Walker, world: WorldTransforms) -> float:

@@ -17,7 +17,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.ground import Frame, Terrain
-from animtool.systems.crowds.limits import kept, open_to
+from animtool.systems.crowds.limits import clamped_to_limits, with_widened_limits
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -33,11 +33,11 @@ from animtool.systems.rigid.ragdoll_motion import (
 from animtool.systems.rigid.simulation import RigidSimulation
 
 # Substep of falling bodies [s].
-SMALL_STEP = 0.0025
-# Slower than this for this long is at rest [m/s], [s].
+FALL_STEP = 0.0025
+# Bodies slower than this for this time are at rest [m/s], [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Largest speed of a fall [m/s]; faster bodies divide the step into this many.
-FASTEST, PARTS = 60.0, 8
+# Largest speed of a fall [m/s]; for faster bodies the step is divided into this many.
+MAX_FALL_SPEED, SUBSTEPS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
@@ -46,11 +46,11 @@ class Falls:
     """K fallen agents, in the order of their falls.
 
     Attributes:
-        agents: Which ``(K,)``.
-        positions: Joints as each began to fall, in the world ``(K, J, 3)`` [m].
-        turns: How they were turned ``(K, J, 4)``.
-        motion: Of B bodies of each, as rigid bodies have it ``(K, B, 14)``.
-        slow: For how long each has moved slowly ``(K,)`` [s].
+        agents: Index of each agent ``(K,)``.
+        positions: World positions of joints when the fall began ``(K, J, 3)`` [m].
+        turns: World rotations of joints when the fall began ``(K, J, 4)``.
+        motion: States of the B bodies of each, as of rigid bodies ``(K, B, 14)``.
+        slow: Time for which each has moved slowly ``(K,)`` [s].
     """
 
     agents: IntArray = field(metadata=growing())
@@ -61,7 +61,7 @@ class Falls:
 
     @staticmethod
     def none(joints: int, bodies: int) -> Falls:
-        """Return an empty record, for rigs with up to so many joints and bodies."""
+        """Return an empty record for rigs with at most these joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joints, 3)),
@@ -87,12 +87,12 @@ class FallSimulator:
     """Steps the ragdolls of falling agents, among colliders and on the ground.
 
     Args:
-        rigs: Of each agent.
-        sizes: Of the body of each, over its rig ``(N,)``.
-        frame: Where the ground is.
-        ground: That they fall onto.
-        colliders: What else is there.
-        step: Of the crowd [s].
+        rigs: Rig of each agent.
+        sizes: Size of each body relative to its rig ``(N,)``.
+        frame: Frame of the ground.
+        ground: Terrain that they fall onto.
+        colliders: Other colliders.
+        step: Step of the crowd [s].
     """
 
     def __init__(
@@ -105,13 +105,15 @@ class FallSimulator:
         step: float,
     ) -> None:
         self._rigs, self._sizes = rigs, sizes
-        self._up = frame.turned(np.array([0.0, 1.0, 0.0]))
+        self._up = frame.vector_to_world(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
         if not ground.flat:
             facing_up = ground.triangles
             a, b, c = facing_up.swapaxes(0, 1)
-            over = np.cross(b - a, c - a)[:, 1] < 0
-            facing_up = np.where(over[:, None, None], facing_up[:, ::-1], facing_up)
+            faces_down = np.cross(b - a, c - a)[:, 1] < 0
+            facing_up = np.where(
+                faces_down[:, None, None], facing_up[:, ::-1], facing_up
+            )
             corners = facing_up.reshape(-1, 3)
             faces = np.arange(len(corners)).reshape(-1, 3)
             shape = Mesh(corners, faces, closed=True)
@@ -120,11 +122,11 @@ class FallSimulator:
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
         self._gravity = (-GRAVITY * self._up).tolist()
         self._step = step
-        self._known: dict[tuple[int, bytes], FallingRagdoll] = {}
-        self._posed: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
+        self._ragdolls: dict[tuple[int, bytes], FallingRagdoll] = {}
+        self._cached_poses: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
 
     @staticmethod
-    def possible(rig: Rig) -> bool:
+    def has_bodies(rig: Rig) -> bool:
         """Return whether a rig has bodies for a ragdoll."""
         return bool(len(Capsules.of(rig)))
 
@@ -136,31 +138,31 @@ class FallSimulator:
             joints, max(len(np.unique(Capsules.of(rig).joints)) for rig in rigs)
         )
 
-    def begun(
+    def add_falls(
         self,
         falls: Falls,
         agents: IntArray,
-        now: Sequence[WorldTransforms],
-        soon: Sequence[WorldTransforms],
+        poses: Sequence[WorldTransforms],
+        next_poses: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents; ``soon`` is their pose after a step [s]."""
-        for agent, first, last in zip(agents.tolist(), now, soon, strict=True):
+        """Return falls with more agents; ``next_poses`` are those after a step [s]."""
+        for agent, pose, next_pose in zip(
+            agents.tolist(), poses, next_poses, strict=True
+        ):
             rig = self._rigs[agent]
             positions = np.zeros((1, *falls.positions.shape[1:]))
             rotations = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
-            positions[0, : len(rig.joints)] = first.positions[0]
-            rotations[0, : len(rig.joints)] = first.rotations[0]
-            falling = self._falling(agent, positions[0], rotations[0])
+            positions[0, : len(rig.joints)] = pose.positions[0]
+            rotations[0, : len(rig.joints)] = pose.rotations[0]
+            fall = self._ragdoll_of(agent, positions[0], rotations[0])
             # Velocities of a pose pair belong to the later one.
             pair = WorldTransforms(
-                np.concatenate([last.positions, first.positions]),
-                np.concatenate([last.linear, first.linear]),
+                np.concatenate([next_pose.positions, pose.positions]),
+                np.concatenate([next_pose.linear, pose.linear]),
             )
-            motion = falling.simulation.initial().motion.copy()
-            motion[:, 7:13] = ragdoll_speeds(
-                falling.ragdoll, pair, np.array([dt, 0.0]), 1
-            )
+            motion = fall.simulation.initial().motion.copy()
+            motion[:, 7:13] = ragdoll_speeds(fall.ragdoll, pair, np.array([dt, 0.0]), 1)
             padded = np.zeros((1, *falls.motion.shape[1:]))
             padded[0, : len(motion)] = motion
             falls = Falls(
@@ -178,61 +180,62 @@ class FallSimulator:
         for k, agent in enumerate(falls.agents.tolist()):
             if slow[k] >= REST_TIME:
                 continue
-            falling = self._falling(agent, falls.positions[k], falls.turns[k])
-            count = len(falling.simulation.initial().motion)
-            moved = _moved(falling.simulation, motion[k, :count], t, dt)
-            speeds = np.linalg.norm(moved[:, 7:10], axis=1)
-            motion[k, :count] = moved
+            fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
+            count = len(fall.simulation.initial().motion)
+            stepped = _stepped(fall.simulation, motion[k, :count], t, dt)
+            speeds = np.linalg.norm(stepped[:, 7:10], axis=1)
+            motion[k, :count] = stepped
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
     def poses(self, falls: Falls, k: int) -> _Pose:
         """Return a fallen agent's local translations and rotations (cached).
 
-        Those of the first joint are in the world. Who rests has the pose before.
+        Those of the first joint are in world space. The pose of agents at rest is
+        reused.
         """
         agent = int(falls.agents[k])
         key = falls.positions[k].tobytes(), falls.motion[k].tobytes()
-        if agent not in self._posed or self._posed[agent][0] != key:
-            self._posed[agent] = key, self._pose(falls, k)
-        return self._posed[agent][1]
+        if agent not in self._cached_poses or self._cached_poses[agent][0] != key:
+            self._cached_poses[agent] = key, self._pose(falls, k)
+        return self._cached_poses[agent][1]
 
     def _pose(self, falls: Falls, k: int) -> _Pose:
         """Compute `poses` from the ragdoll."""
         agent = int(falls.agents[k])
-        falling = self._falling(agent, falls.positions[k], falls.turns[k])
-        rig, bodies = falling.rig, falling.ragdoll.bodies
-        frame = falling.simulation.frame(
+        fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
+        rig, bodies = fall.rig, fall.ragdoll.bodies
+        frame = fall.simulation.frame(
             replace(
-                falling.simulation.initial(),
+                fall.simulation.initial(),
                 motion=np.ascontiguousarray(falls.motion[k, : len(bodies.of)]),
             ),
             0.0,
         )
         count = len(rig.joints)
         local = _local(rig, falls.turns[k, :count])
-        below = rig.parents >= 0
+        has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
-        translations[~below] = falls.positions[k, :count][~below]
+        translations[~has_parent] = falls.positions[k, :count][~has_parent]
         moved, turned = ragdoll_transforms(
-            falling.ragdoll,
+            fall.ragdoll,
             frame.points[None],
             frame.rotations[None],
             translations[None],
             local[None],
         )
-        return moved[0], kept(rig, turned[0])
+        return moved[0], clamped_to_limits(rig, turned[0])
 
-    def _falling(
+    def _ragdoll_of(
         self, agent: int, positions: FloatArray, rotations: FloatArray
     ) -> FallingRagdoll:
         """Return the ragdoll of a fallen agent in a pose."""
         key = agent, positions.tobytes()
-        if key not in self._known:
+        if key not in self._ragdolls:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
             rig = placed_rig(self._rigs[agent], size)
             count = len(rig.joints)
-            rig = open_to(rig, _local(rig, rotations[:count]))
+            rig = with_widened_limits(rig, _local(rig, rotations[:count]))
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(rotations[None, :count])
             )
@@ -246,42 +249,44 @@ class FallSimulator:
                 self._gravity,
                 "falls",
                 step=self._step,
-                substeps=max(1, round(self._step / SMALL_STEP)),
+                substeps=max(1, round(self._step / FALL_STEP)),
                 iterations=10,
             )
-            self._known[key] = FallingRagdoll(rig, ragdoll, simulation)
-        return self._known[key]
+            self._ragdolls[key] = FallingRagdoll(rig, ragdoll, simulation)
+        return self._ragdolls[key]
 
 
-def _moved(
+def _stepped(
     simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
 ) -> FloatArray:
     """Return body states ``(B, 14)`` after a step [s], in substeps if needed."""
-    begun = simulation.initial()
-    for parts in (1, PARTS):
-        moved, each = motion, dt / parts
-        for part in range(parts):
-            state = replace(begun, motion=np.ascontiguousarray(moved))
-            moved = simulation.step(state, t + part * each, each).motion
-            if not np.linalg.norm(moved[:, 7:10], axis=1).max() < FASTEST:
+    initial = simulation.initial()
+    for substeps in (1, SUBSTEPS):
+        result, substep = motion, dt / substeps
+        for i in range(substeps):
+            state = replace(initial, motion=np.ascontiguousarray(result))
+            result = simulation.step(state, t + i * substep, substep).motion
+            if not np.linalg.norm(result[:, 7:10], axis=1).max() < MAX_FALL_SPEED:
                 break
         else:
-            return moved
+            return result
     # Squeezed between immovable bodies: it continues from rest.
-    moved = motion.copy()
-    moved[:, 7:13] = 0.0
-    return moved
+    result = motion.copy()
+    result[:, 7:13] = 0.0
+    return result
 
 
 def _local(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` from world rotations."""
     local: FloatArray = rotations.copy()
-    below = rig.parents >= 0
-    above = rotations[rig.parents[below]]
-    local[below] = so3.multiply(so3.conjugate(above), rotations[below])
+    has_parent = rig.parents >= 0
+    parent_rotations = rotations[rig.parents[has_parent]]
+    local[has_parent] = so3.multiply(
+        so3.conjugate(parent_rotations), rotations[has_parent]
+    )
     return local
 
 
-def resting(falls: Falls) -> BoolArray:
-    """Return which falls have come to rest ``(K,)``."""
+def is_at_rest(falls: Falls) -> BoolArray:
+    """Return a mask of the falls that have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

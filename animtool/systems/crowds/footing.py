@@ -1,6 +1,6 @@
 """Foot placement: planted feet, landings, and feet that avoid each other.
 
-All is in the frame of the ground; a body has x to its left and z ahead.
+Coordinates are in the frame of the ground; a body has x to its left and z ahead.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
-from animtool.systems.crowds.gaits import Gaits, eased
-from animtool.systems.crowds.ground import turned, wrapped
+from animtool.systems.crowds.gaits import Gaits, swing_progress
+from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
 
 # A planted foot is misplaced if farther than this from its target, over the leg length,
 # or rotated by more [rad].
@@ -24,7 +24,7 @@ STEP_WIDTH = 0.6
 PASSING_GAP, PASSING_RANGE = 0.09, 0.35
 # Largest speeds at which a landing may change [m/s], [rad/s]; faster changes would jerk
 # the legs.
-SWERVES, SWIVELS = 2.5, 6.0
+MAX_LANDING_SPEED, MAX_LANDING_YAW_RATE = 2.5, 6.0
 
 
 class Heights(Protocol):
@@ -60,9 +60,9 @@ class Blend:
 
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles per second (N,)
-    free: FloatArray  # the same for straight forward motion (N,)
-    stride: FloatArray  # step length over the gaits' (N,)
-    stands: FloatArray  # (N, 2)
+    free: FloatArray  # cycles per second of straight forward motion (N,)
+    stride: FloatArray  # step length relative to the gaits' (N,)
+    stance_fractions: FloatArray  # fraction of the cycle that feet are planted (N, 2)
     steps: FloatArray  # footholds in the frame of the body (N, 2, 3)
 
 
@@ -71,7 +71,7 @@ class Footing:
     """Foot placement of N bodies.
 
     Attributes:
-        scales: Of each, over its rig ``(N,)``.
+        scales: Size of each body relative to its rig ``(N,)``.
     """
 
     gaits: Gaits
@@ -82,18 +82,18 @@ class Footing:
         self,
         k: int,
         blend: Blend,
-        goings: tuple[AgentMotion, AgentMotion],
+        motions: tuple[AgentMotion, AgentMotion],
         fractions: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return landings ``(N, 3)``, at fractions of the step from now."""
-        before, after = goings
+        """Return landings ``(N, 3)`` for bodies at fractions of the current step."""
+        before, after = motions
         points = before.points + fractions[:, None] * (after.points - before.points)
-        change = wrapped(after.headings - before.headings)
+        change = wrap_angles(after.headings - before.headings)
         headings = before.headings + fractions * change
-        return self.placed(k, blend, points, headings, footholds)
+        return self.landing_at(k, blend, points, headings, footholds)
 
-    def placed(
+    def landing_at(
         self,
         k: int,
         blend: Blend,
@@ -101,108 +101,129 @@ class Footing:
         headings: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return a foot's landing for bodies at given positions ``(N, 3)``.
+        """Return a foot's landings for bodies at positions and headings ``(N, 3)``.
 
-        On its own side of the other foot.
+        The foot lands on its side of the other foot.
         """
         side = 1 - 2 * k
         step = blend.steps[:, k] * np.stack(
             [self.scales, self.scales, 0 * self.scales + 1], 1
         )
-        other = turned(footholds[:, 1 - k, :2] - points, -headings)
-        wide = STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
-        near = side * (step[:, 0] - other[:, 0]) < wide
-        # If the other foot is out of reach, nothing is in between.
-        near &= np.abs(other[:, 0]) < 2 * wide
-        x = np.where(near, other[:, 0] + side * wide, step[:, 0])
-        flat = turned(np.stack([x, step[:, 1]], axis=1), headings)
-        return np.column_stack([points + flat, headings + step[:, 2]])
+        other_foot = rotated_about_y(footholds[:, 1 - k, :2] - points, -headings)
+        min_width = (
+            STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
+        )
+        too_near = side * (step[:, 0] - other_foot[:, 0]) < min_width
+        # Another foot that is out of reach is no obstacle.
+        too_near &= np.abs(other_foot[:, 0]) < 2 * min_width
+        x = np.where(too_near, other_foot[:, 0] + side * min_width, step[:, 0])
+        offsets = rotated_about_y(np.stack([x, step[:, 1]], axis=1), headings)
+        return np.column_stack([points + offsets, headings + step[:, 2]])
 
-    def stands(self, going: AgentMotion, blend: Blend) -> FloatArray:
+    def standing_targets(self, motion: AgentMotion, blend: Blend) -> FloatArray:
         """Return foot targets of standing bodies ``(N, 2, 3)``."""
         steps = (
             blend.steps
             * np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)[:, None]
         )
-        flat = turned(steps[..., :2], going.headings[:, None])
-        yaws = going.headings[:, None] + steps[..., 2:][..., 0]
-        return np.concatenate([going.points[:, None] + flat, yaws[..., None]], axis=2)
+        offsets = rotated_about_y(steps[..., :2], motion.headings[:, None])
+        yaws = motion.headings[:, None] + steps[..., 2:][..., 0]
+        return np.concatenate(
+            [motion.points[:, None] + offsets, yaws[..., None]], axis=2
+        )
 
-    def off(self, state: BodyState, going: AgentMotion, blend: Blend) -> BoolArray:
-        """Return which feet are away from their standing targets ``(N, 2)``."""
-        away = state.places - self.stands(going, blend)
-        far = np.linalg.norm(away[..., :2], axis=2)
+    def is_misplaced(
+        self, state: BodyState, motion: AgentMotion, blend: Blend
+    ) -> BoolArray:
+        """Return a mask of feet away from their standing targets ``(N, 2)``."""
+        offsets = state.places - self.standing_targets(motion, blend)
+        distances = np.linalg.norm(offsets[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
-        yaws = np.abs(wrapped(away[..., 2]))
-        return np.asarray((far > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
+        yaws = np.abs(wrap_angles(offsets[..., 2]))
+        return np.asarray((distances > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
 
     def feet(
-        self, state: BodyState, going: AgentMotion
+        self, state: BodyState, motion: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return feet in the frame of bodies ``(N, 2, 4)``, and ground normals.
 
-        x, y, z and yaw, in lengths of the rig. Also the distance of each from its last
-        or next foothold, whichever is nearer ``(N, 2)``.
+        Feet are x, y, z and yaw, at the scale of the rig. Also returns the distance of
+        each foot from the nearer of its last and its next foothold ``(N, 2)``.
         """
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
-        away = np.zeros((len(state.phases), 2))
-        base, _ = self.heights(going.points)
+        foothold_distances = np.zeros((len(state.phases), 2))
+        base, _ = self.heights(motion.points)
         footholds = state.places.copy()
         for k in range(2):
-            up = state.swings[:, k] >= 0
-            fraction = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
-            from_, next_ = state.places[:, k], state.aims[:, k]
-            stride = next_ - from_
-            footholds[:, k] = np.where(up[:, None], from_ + fraction * stride, from_)
-            ends = np.linalg.norm(stride[:, :2], axis=1)[:, None] * np.hstack(
+            is_swinging = state.swings[:, k] >= 0
+            fraction = swing_progress(np.maximum(state.swings[:, k], 0.0))[:, None]
+            start, target = state.places[:, k], state.aims[:, k]
+            stride = target - start
+            footholds[:, k] = np.where(
+                is_swinging[:, None], start + fraction * stride, start
+            )
+            end_distances = np.linalg.norm(stride[:, :2], axis=1)[:, None] * np.hstack(
                 [fraction, 1 - fraction]
             )
-            away[:, k] = np.where(up, ends.min(axis=1), 0.0) / self.scales
-            low, first = self.heights(from_[:, :2])
-            high, last = self.heights(next_[:, :2])
-            here, _ = self.heights(footholds[:, k, :2])
+            foothold_distances[:, k] = (
+                np.where(is_swinging, end_distances.min(axis=1), 0.0) / self.scales
+            )
+            start_height, start_normal = self.heights(start[:, :2])
+            target_height, target_normal = self.heights(target[:, :2])
+            ground_height, _ = self.heights(footholds[:, k, :2])
             height = np.where(
-                up, np.maximum(low + fraction[:, 0] * (high - low), here), low
+                is_swinging,
+                np.maximum(
+                    start_height + fraction[:, 0] * (target_height - start_height),
+                    ground_height,
+                ),
+                start_height,
             )
             normals[:, k] = np.where(
-                up[:, None], first + fraction * (last - first), first
+                is_swinging[:, None],
+                start_normal + fraction * (target_normal - start_normal),
+                start_normal,
             )
             feet[:, k, 1] = (height - base) / self.scales
-        away += self._pass(state, going, footholds) / self.scales[:, None]
-        off = turned(
-            footholds[..., :2] - going.points[:, None], -going.headings[:, None]
+        foothold_distances += (
+            self._detour(state, motion, footholds) / self.scales[:, None]
         )
-        feet[..., [0, 2]] = off / self.scales[:, None, None]
-        feet[..., 3] = wrapped(footholds[..., 2] - going.headings[:, None])
-        normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
-        return feet, normals, away
+        offsets = rotated_about_y(
+            footholds[..., :2] - motion.points[:, None], -motion.headings[:, None]
+        )
+        feet[..., [0, 2]] = offsets / self.scales[:, None, None]
+        feet[..., 3] = wrap_angles(footholds[..., 2] - motion.headings[:, None])
+        normals[..., [0, 2]] = rotated_about_y(
+            normals[..., [0, 2]], -motion.headings[:, None]
+        )
+        return feet, normals, foothold_distances
 
-    def _pass(
-        self, state: BodyState, going: AgentMotion, footholds: FloatArray
+    def _detour(
+        self, state: BodyState, motion: AgentMotion, footholds: FloatArray
     ) -> FloatArray:
         """Move swinging feet around planted ones, in place.
 
-        Returns how far they do ``(N, 2)`` [m].
+        Returns the lengths of the detours ``(N, 2)`` [m].
         """
-        around = np.zeros((len(footholds), 2))
-        local = turned(footholds[..., :2], -going.headings[:, None])
-        wide, long = (
+        detours = np.zeros((len(footholds), 2))
+        local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
+        gap, range_ = (
             part * self.gaits.walker.leg * self.scales
             for part in (PASSING_GAP, PASSING_RANGE)
         )
         for k in range(2):
             side = 1 - 2 * k
-            off = local[:, k] - local[:, 1 - k]
+            offset = local[:, k] - local[:, 1 - k]
             fraction = np.maximum(state.swings[:, k], 0.0)
-            near = np.clip(1 - np.abs(off[:, 1]) / long, 0.0, 1.0)
-            # Crossed feet detour by no more: faster legs would jerk.
-            lack = np.clip(wide - side * off[:, 0], 0.0, wide) * near
-            out = np.zeros_like(off)
-            out[:, 0] = side * lack * 16 * (fraction * (1 - fraction)) ** 2
-            footholds[:, k, :2] += turned(out, going.headings)
-            around[:, k] = np.abs(out[:, 0])
-        return around
+            nearness = np.clip(1 - np.abs(offset[:, 1]) / range_, 0.0, 1.0)
+            # The detour of crossed feet is limited: faster legs would jerk.
+            shift = np.clip(gap - side * offset[:, 0], 0.0, gap) * nearness
+            displacement = np.zeros_like(offset)
+            displacement[:, 0] = side * shift * 16 * (fraction * (1 - fraction)) ** 2
+            footholds[:, k, :2] += rotated_about_y(displacement, motion.headings)
+            detours[:, k] = np.abs(displacement[:, 0])
+        return detours
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights and normals of the ground; 0 beyond its edge."""
@@ -210,25 +231,31 @@ class Footing:
         return np.where(np.isfinite(heights), heights, 0.0), normals
 
 
-def followed(
+def limited_landings(
     aims: FloatArray,
-    lands: FloatArray,
+    requested: FloatArray,
     swings: FloatArray,
-    new: BoolArray,
+    was_planted: BoolArray,
     scales: FloatArray,
     dt: float,
     k: int,
 ) -> FloatArray:
     """Return landings of foot ``k`` ``(N, 3)``, limited to the speed of a foot.
 
-    ``new``: feet that were planted before ``(N,)``.
+    ``requested``: landings; ``was_planted``: feet that just lifted ``(N,)``.
     """
-    gone = np.where(new, 0.0, eased(np.clip(swings[:, k], 0.0, 1.0)))
-    correction = lands - aims[:, k]
-    far = gone * np.linalg.norm(correction[:, :2], axis=1)
-    room = np.minimum(SWERVES * scales * dt / np.maximum(far, 1e-9), 1.0)
-    followed_aims = aims[:, k] + np.where(far > 0, room, 1.0)[:, None] * correction
-    yaw = wrapped(correction[:, 2])
-    most = np.where(gone > 0, SWIVELS * dt / np.maximum(gone, 1e-9), np.inf)
-    followed_aims[:, 2] = aims[:, k, 2] + np.clip(yaw, -most, most)
-    return np.where(new[:, None], lands, followed_aims)
+    progress = np.where(
+        was_planted, 0.0, swing_progress(np.clip(swings[:, k], 0.0, 1.0))
+    )
+    correction = requested - aims[:, k]
+    distances = progress * np.linalg.norm(correction[:, :2], axis=1)
+    fraction = np.minimum(
+        MAX_LANDING_SPEED * scales * dt / np.maximum(distances, 1e-9), 1.0
+    )
+    landings = aims[:, k] + np.where(distances > 0, fraction, 1.0)[:, None] * correction
+    yaw = wrap_angles(correction[:, 2])
+    max_yaw = np.where(
+        progress > 0, MAX_LANDING_YAW_RATE * dt / np.maximum(progress, 1e-9), np.inf
+    )
+    landings[:, 2] = aims[:, k, 2] + np.clip(yaw, -max_yaw, max_yaw)
+    return np.where(was_planted[:, None], requested, landings)

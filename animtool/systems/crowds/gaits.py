@@ -15,7 +15,7 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 
-# Phases at which a cycle is sampled; linear in between.
+# Number of phases at which a cycle is sampled; interpolated in between.
 PHASES = 64
 SIDES = "lr"
 UP = np.array([0.0, 1.0, 0.0])
@@ -26,8 +26,8 @@ class Walker:
     """A biped rig with its leg measures.
 
     Attributes:
-        rig: With y up.
-        legs: Thigh, shin, foot and toe (-1 for none) of the left and the right leg.
+        person: Skeleton with y up.
+        legs: Joints of the left and right leg: thigh, shin, foot and toe (-1 for none).
         heading: Heading of its rest pose [rad].
         level: World rotation of each planted foot ``(2, 4)``.
         ankle: Height of the ankles of planted feet ``(2,)`` [m].
@@ -58,22 +58,26 @@ class Walker:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
         heading = float(np.arctan2(facing[2, 0], facing[2, 2]))
-        back = about_up(np.array([-heading]))[0]
+        to_forward = about_up(np.array([-heading]))[0]
         ground = _ground(person)
         feet = [left[2], right[2]]
-        balls = []
+        toe_offsets = []
         for leg in (left, right):
             toe = leg[3] if leg[3] >= 0 else leg[2]
-            ball = so3.rotate(back, person.positions[toe] - person.positions[leg[2]])
-            sole = ground - person.positions[leg[2], 1]
-            balls.append([ball[0], ball[1] if leg[3] >= 0 else sole, ball[2]])
+            offset = so3.rotate(
+                to_forward, person.positions[toe] - person.positions[leg[2]]
+            )
+            ground_offset = ground - person.positions[leg[2], 1]
+            toe_offsets.append(
+                [offset[0], offset[1] if leg[3] >= 0 else ground_offset, offset[2]]
+            )
         return Walker(
             person,
             (left, right),
             heading,
-            so3.multiply(back, person.rotations[feet]),
+            so3.multiply(to_forward, person.rotations[feet]),
             person.positions[feet, 1] - ground,
-            np.array(balls),
+            np.array(toe_offsets),
             person.leg_length("l"),
         )
 
@@ -81,12 +85,12 @@ class Walker:
 def _ground(person: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
-    Below its lowest joint, or where the bone of one ends, such as that of a toe.
+    At its lowest joint or bone end, such as that of a toe.
     """
     ends = [
         person.positions[joint] + so3.rotate(person.rotations[joint], np.array(tip))
-        for joint, config in enumerate(person.rig.joints)
-        for tip in config.tips
+        for joint, settings in enumerate(person.rig.joints)
+        for tip in settings.tips
     ]
     return float(np.vstack([person.positions, *ends])[:, 1].min())
 
@@ -100,18 +104,19 @@ class Gait:
 
     Attributes:
         rotations: Local rotations of joints ``(P, J, 4)``.
-        hips: Of the first joint ``(P, 3)`` [m].
-        period: Of the cycle [s].
-        velocity: x and z of the body in its frame ``(2,)`` [m/s].
-        turning: Of the body [rad/s].
-        stands: Fraction of the cycle that each foot is planted ``(2,)``.
+        hips: Positions of the first joint ``(P, 3)`` [m].
+        period: Length of the cycle [s].
+        velocity: Velocity of the body in its frame, x and z ``(2,)`` [m/s].
+        turning: Yaw rate of the body [rad/s].
+        stance_fractions: Fraction of the cycle that each foot is planted ``(2,)``.
         steps: Landing of each foot in the frame of the body: x, z and yaw ``(2, 3)``
             [m], [rad].
         pitches: Pitch of each foot about its local x over its stance, at equal
             intervals ``(2, P)``; positive is heel up [rad].
-        swings: Rotation over its swing, relative to a point that moves from one
-            foothold to the next by `eased` progress ``(2, P, 4)``.
-        lifts: Its ankle then, above that point ``(2, P, 3)`` [m].
+        swings: Rotation of each foot over its swing, relative to a point that moves
+            from one foothold to the next by `swing_progress` ``(2, P, 4)``.
+        lifts: Ankle of each foot over its swing, relative to that point ``(2, P, 3)``
+            [m].
     """
 
     name: str
@@ -120,7 +125,7 @@ class Gait:
     period: float
     velocity: FloatArray
     turning: float
-    stands: FloatArray = field(default_factory=lambda: np.ones(2))
+    stance_fractions: FloatArray = field(default_factory=lambda: np.ones(2))
     steps: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
     pitches: FloatArray = field(default_factory=lambda: np.zeros((2, 0)))
     swings: FloatArray = field(default_factory=lambda: np.zeros((2, 0, 4)))
@@ -150,7 +155,7 @@ class Gaits:
     notices: tuple[Fault, ...]
 
 
-def eased(fraction: FloatArray) -> FloatArray:
+def swing_progress(fraction: FloatArray) -> FloatArray:
     """Return the eased progress of a foot over its swing."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
@@ -162,23 +167,25 @@ def about_side(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
+def standing_ankle(walker: Walker, k: int, pitches: FloatArray) -> FloatArray:
     """Return ankles above planted feet ``(K, 3)`` [m].
 
-    They turn by ``pitched`` ``(K, 4)`` about the ball where the heel is up, else about
-    the heel.
+    Feet are rotated by ``pitches`` ``(K, 4)`` about the ball if the heel is up, else
+    about the heel.
     """
     ankle, ball = np.array([0.0, walker.ankle[k], 0.0]), walker.ball[k]
-    on_heel = so3.rotate(pitched, ankle)
-    on_ball = ankle + ball - so3.rotate(pitched, ball)
-    return np.where(pitched[..., :1] > 0, on_ball, on_heel)
+    on_heel = so3.rotate(pitches, ankle)
+    on_ball = ankle + ball - so3.rotate(pitches, ball)
+    return np.where(pitches[..., :1] > 0, on_ball, on_heel)
 
 
-def rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArray:
-    """Sample a table ``(P, …)`` at fractional rows; ``again`` wraps around."""
+def sample_rows(
+    table: FloatArray, at: FloatArray, *, cyclic: bool = False
+) -> FloatArray:
+    """Sample a table ``(P, …)`` at fractional rows; ``cyclic`` wraps around."""
     count = len(table)
     low = np.clip(at.astype(np.int64), 0, count - 1)
-    high = (low + 1) % count if again else np.minimum(low + 1, count - 1)
+    high = (low + 1) % count if cyclic else np.minimum(low + 1, count - 1)
     fraction = (at - low).reshape(-1, *[1] * (table.ndim - 1))
     first, last = table[low], table[high]
     if table.shape[-1] == 4:

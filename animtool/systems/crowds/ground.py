@@ -13,7 +13,7 @@ from animtool.maths import so3
 
 # Largest number of grid cells along an axis.
 MAX_CELLS = 2048
-# Points outside a triangle by less lie on its edge [1].
+# Points outside a triangle by less are on its edge [1].
 EDGE = 1e-9
 
 
@@ -24,14 +24,14 @@ def about_up(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
+def rotated_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
-def wrapped(angles: FloatArray) -> FloatArray:
+def wrap_angles(angles: FloatArray) -> FloatArray:
     """Return angles wrapped to [-π, π] [rad]."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
@@ -41,8 +41,8 @@ class Frame:
     """The frame of the ground: agents use its x and z; y is up.
 
     Attributes:
-        origin: In the world ``(3,)`` [m].
-        rotation: To the world: a unit quaternion x, y, z, w ``(4,)``.
+        origin: Origin in world space ``(3,)`` [m].
+        rotation: Rotation to world space, unit quaternion x, y, z, w ``(4,)``.
     """
 
     origin: FloatArray
@@ -50,24 +50,24 @@ class Frame:
 
     def to_local(self, points: FloatArray) -> FloatArray:
         """Transform world points ``(…, 3)`` to the ground's frame."""
-        return self.turned_back(points - self.origin)
+        return self.vector_to_local(points - self.origin)
 
     def to_world(self, points: FloatArray) -> FloatArray:
         """Transform ground points ``(…, 3)`` to the world."""
-        return self.turned(points) + self.origin
+        return self.vector_to_world(points) + self.origin
 
-    def turned(self, vectors: FloatArray) -> FloatArray:
+    def vector_to_world(self, vectors: FloatArray) -> FloatArray:
         """Rotate ground vectors ``(…, 3)`` to the world."""
         return so3.rotate(self.rotation, vectors)
 
-    def turned_back(self, vectors: FloatArray) -> FloatArray:
+    def vector_to_local(self, vectors: FloatArray) -> FloatArray:
         """Rotate world vectors ``(…, 3)`` to the ground's frame."""
         return so3.rotate(so3.conjugate(self.rotation), vectors)
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Triangles seen from above, or none for a plane at height 0.
+    """Height field of triangles seen from above; without any, a plane at height 0.
 
     Attributes:
         triangles: Corners of each, in the frame of the ground ``(T, 3, 3)`` [m].
@@ -83,31 +83,37 @@ class Terrain:
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``.
 
-        Where there is no ground heights are NaN, and normals point up.
+        Without ground, heights are NaN and normals point up.
         """
         count = len(points)
         normals = np.tile([0.0, 1.0, 0.0], (count, 1))
         if self.flat:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
-        rows, which = self._candidates(points)
-        (a, to_b, to_c), over, normal_table = self._planes
-        off = points[rows] - a[which][:, [0, 2]]
-        b, c = to_b[which], to_c[which]
-        weight_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
-        weight_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
-        least = np.minimum(np.minimum(weight_b, weight_c), 1 - weight_b - weight_c)
-        inside = least >= -EDGE
-        rows, which = rows[inside], which[inside]
-        at = (
-            a[which, 1]
+        rows, faces = self._candidates(points)
+        (a, to_b, to_c), inverse_areas, normal_table = self._planes
+        offsets = points[rows] - a[faces][:, [0, 2]]
+        b, c = to_b[faces], to_c[faces]
+        weight_b = (offsets[:, 0] * c[:, 2] - offsets[:, 1] * c[:, 0]) * inverse_areas[
+            faces
+        ]
+        weight_c = (b[:, 0] * offsets[:, 1] - b[:, 2] * offsets[:, 0]) * inverse_areas[
+            faces
+        ]
+        edge_distance = np.minimum(
+            np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
+        )
+        inside = edge_distance >= -EDGE
+        rows, faces = rows[inside], faces[inside]
+        face_heights = (
+            a[faces, 1]
             + weight_b[inside] * b[inside, 1]
             + weight_c[inside] * c[inside, 1]
         )
-        np.maximum.at(heights, rows, at)
-        highest = at == heights[rows]
-        # Of two faces with a common edge, the last one.
-        normals[rows[highest]] = normal_table[which[highest]]
+        np.maximum.at(heights, rows, face_heights)
+        highest = face_heights == heights[rows]
+        # On a common edge of two faces, the last face is used.
+        normals[rows[highest]] = normal_table[faces[highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 
     @cached_property
@@ -140,38 +146,56 @@ class Terrain:
         """Return the low corner, cell sizes and counts, and triangles by cell."""
         flat = self._upward[..., [0, 2]]
         low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
-        side = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
-        counts = np.array([side, side])
-        size = np.maximum((high - low) / counts, np.finfo(float).tiny)
+        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
+        counts = np.array([cells_per_axis, cells_per_axis])
+        cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
         first = np.clip(
-            ((flat.min(axis=1) - low) / size - EDGE).astype(np.int64), 0, side - 1
+            ((flat.min(axis=1) - low) / cell_size - EDGE).astype(np.int64),
+            0,
+            cells_per_axis - 1,
         )
         last = np.clip(
-            ((flat.max(axis=1) - low) / size + EDGE).astype(np.int64), 0, side - 1
+            ((flat.max(axis=1) - low) / cell_size + EDGE).astype(np.int64),
+            0,
+            cells_per_axis - 1,
         )
         spans = last - first + 1
-        number = spans.prod(axis=1)
-        which = np.repeat(np.arange(len(flat)), number)
-        k = np.arange(len(which)) - np.repeat(np.cumsum(number) - number, number)
-        wide = spans[which, 1]
-        cells = (first[which, 0] + k // wide) * side + first[which, 1] + k % wide
+        cell_counts = spans.prod(axis=1)
+        faces = np.repeat(np.arange(len(flat)), cell_counts)
+        k = np.arange(len(faces)) - np.repeat(
+            np.cumsum(cell_counts) - cell_counts, cell_counts
+        )
+        width = spans[faces, 1]
+        cells = (
+            (first[faces, 0] + k // width) * cells_per_axis
+            + first[faces, 1]
+            + k % width
+        )
         order = np.argsort(cells, kind="stable")
-        starts = np.searchsorted(cells[order], np.arange(side * side + 1))
-        return low, size, counts, which[order], starts
+        starts = np.searchsorted(
+            cells[order], np.arange(cells_per_axis * cells_per_axis + 1)
+        )
+        return low, cell_size, counts, faces[order], starts
 
     def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of points and triangles that may lie above each other."""
-        low, size, counts, which, starts = self._grid
-        at = (points - low) / size
-        within = np.all((at >= -EDGE) & (at <= counts + EDGE), axis=1)
+        """Return pairs of points and triangles that may overlap as seen from above."""
+        low, size, counts, faces, starts = self._grid
+        grid_points = (points - low) / size
+        inside = np.all((grid_points >= -EDGE) & (grid_points <= counts + EDGE), axis=1)
         cells = np.clip(
-            np.where(within.reshape(-1, 1), at, 0).astype(np.int64), 0, counts - 1
+            np.where(inside.reshape(-1, 1), grid_points, 0).astype(np.int64),
+            0,
+            counts - 1,
         )
-        number = cells[:, 0] * counts[1] + cells[:, 1]
-        many = np.where(within, starts[number + 1] - starts[number], 0)
-        rows = np.repeat(np.arange(len(points)), many)
-        k = np.arange(len(rows)) - np.repeat(np.cumsum(many) - many, many)
-        return rows, which[starts[number[rows]] + k]
+        cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
+        pair_counts = np.where(
+            inside, starts[cell_indices + 1] - starts[cell_indices], 0
+        )
+        rows = np.repeat(np.arange(len(points)), pair_counts)
+        k = np.arange(len(rows)) - np.repeat(
+            np.cumsum(pair_counts) - pair_counts, pair_counts
+        )
+        return rows, faces[starts[cell_indices[rows]] + k]
 
 
 def walkable(
@@ -181,16 +205,17 @@ def walkable(
     cell: float,
     slope: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return heights at grid nodes, and which are walkable ``(R, C)``.
+    """Return heights of grid nodes and a mask of walkable ones ``(R, C)``.
 
-    Not where there is no ground, or it rises more than a slope [rad] to a neighbour.
+    Nodes without ground, or that are steeper than a slope [rad] to a neighbour, are not
+    walkable.
     """
     heights, _ = ground(nodes)
     heights = heights.reshape(shape)
-    free = np.array(np.isfinite(heights))
-    most = np.tan(slope) * cell
-    for walkable_rows, rows in ((free, heights), (free.T, heights.T)):
-        steep = np.abs(np.diff(rows, axis=0)) > most
+    is_walkable = np.array(np.isfinite(heights))
+    max_rise = np.tan(slope) * cell
+    for walkable_rows, rows in ((is_walkable, heights), (is_walkable.T, heights.T)):
+        steep = np.abs(np.diff(rows, axis=0)) > max_rise
         walkable_rows[:-1] &= ~steep
         walkable_rows[1:] &= ~steep
-    return heights, free
+    return heights, is_walkable

@@ -1,4 +1,4 @@
-"""Joint limits of falling agents: widened to the start pose, kept in shown poses."""
+"""Joint limits of falling agents: widened to the start pose, applied to the result."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from animtool.rig.limits import SMALLEST_CONE, BallLimit, RangeLimit, swing_twis
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
-def open_to(rig: Rig, rotations: FloatArray) -> Rig:
+def with_widened_limits(rig: Rig, rotations: FloatArray) -> Rig:
     """Return a rig with limits widened to contain local rotations ``(J, 4)``.
 
     A walking pose may exceed its rig's limits, which would snap it back at once.
     """
     joints = zip(rig.joints, _motions(rig, rotations), strict=True)
-    return replace(rig, joints=tuple(_open_to(*one) for one in joints))
+    return replace(rig, joints=tuple(_with_widened_limits(*args) for args in joints))
 
 
-def kept(rig: Rig, rotations: FloatArray) -> FloatArray:
+def clamped_to_limits(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` clamped to a rig's limits.
 
-    Bodies that are crushed are torn apart for a moment, and turned any way.
+    The joints of crushed bodies may be separated and rotated arbitrarily for a moment.
     """
     motions = _motions(rig, rotations)
     for j, joint in enumerate(rig.joints):
@@ -51,7 +51,7 @@ def _angle(joint: Joint, motion: FloatArray) -> float:
     return angle - 2 * np.pi * round((angle - middle) / (2 * np.pi))
 
 
-def _open_to(joint: Joint, motion: FloatArray) -> Joint:
+def _with_widened_limits(joint: Joint, motion: FloatArray) -> Joint:
     """Return a joint with limits widened to a rotation from rest ``(4,)``."""
     limits = joint.limits
     if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
@@ -65,8 +65,8 @@ def _open_to(joint: Joint, motion: FloatArray) -> Joint:
     if twist is not None:
         twist = min(twist[0], float(twists[0])), max(twist[1], float(twists[0]))
     if swing is not None:
-        wide = np.maximum(swing, SMALLEST_CONE)
-        reach = np.linalg.norm(so3.log(swings[0]) @ limits.axes[1:].T / wide)
-        first, second = (wide * max(1.0, float(reach))).tolist()
+        min_swing = np.maximum(swing, SMALLEST_CONE)
+        ratio = np.linalg.norm(so3.log(swings[0]) @ limits.axes[1:].T / min_swing)
+        first, second = (min_swing * max(1.0, float(ratio))).tolist()
         swing = first, second
     return replace(joint, limits=replace(limits, swing=swing, twist=twist))

@@ -18,16 +18,16 @@ from animtool.systems.crowds.ground import Frame, Terrain, walkable
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
-# Steeper normals are walls: the least horizontal part of a normal; others are floors or
+# Least horizontal component of the normal of a wall; surfaces with less are floors or
 # ceilings.
-UPRIGHT = 0.3
+MIN_WALL_NORMAL = 0.3
 # Margin of the navigation grid beyond starts and goals: a fraction of their extent, and
 # largest radii.
-BEYOND, RADII_BEYOND = 0.5, 40.0
-# Grid nodes sampled at once: more take gigabytes.
-AT_ONCE = 2**18
+GRID_MARGIN, GRID_MARGIN_RADII = 0.5, 40.0
+# Grid nodes sampled in one call, to limit memory.
+SAMPLE_BLOCK = 2**18
 # Fraction of the top speed at which an agent leaves an obstacle.
-LEAVING = 0.8
+LEAVING_SPEED = 0.8
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class Walls:
 
     Attributes:
         starts: Index of each agent's first wall ``(N + 1,)``.
-        rows: Unit normal (x, z), least velocity along it [m/s], least position along
-            it [m] ``(M, 4)``.
-        whose: Agent of each wall ``(M,)``.
-        gaps: Distance from its surface to the agent's ``(M,)`` [m].
+        rows: Unit normal (x, z), minimum velocity along it [m/s], minimum position
+            along it [m] ``(M, 4)``.
+        agents_of_walls: Agent of each wall ``(M,)``.
+        gaps: Distance from its surface to that of the agent ``(M,)`` [m].
         closing: Closing speed towards the agent ``(M,)`` [m/s].
     """
 
     starts: npt.NDArray[np.int32]
     rows: FloatArray
-    whose: IntArray
+    agents_of_walls: IntArray
     gaps: FloatArray
     closing: FloatArray
 
@@ -68,41 +68,43 @@ class Obstacles:
     ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
-        """Return obstacles near agents at x and z ``(N, 2)``, from a time on [s]."""
+        """Return obstacles near agents at x and z ``(N, 2)``, in a step from t [s]."""
         obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
         count = len(x)
         if not obstacles:
-            nothing = np.zeros(0)
+            empty = np.zeros(0)
             starts = np.zeros(count + 1, np.int32)
-            return Walls(
-                starts, np.zeros((0, 4)), nothing.astype(int), nothing, nothing
-            )
-        agents, most = self.agents, self.agents.most
-        parts = []
+            return Walls(starts, np.zeros((0, 4)), empty.astype(int), empty, empty)
+        agents, max_speeds = self.agents, self.agents.max_speeds
+        walls_near = []
         for gaps, directions, closing in obstacles:
-            reach = (most + np.abs(closing)) * self.horizon
-            near = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
-            parts.append((near, gaps[near], directions[near], closing[near]))
-        whose, gaps, directions, closing = (
-            np.concatenate(each) for each in zip(*parts, strict=True)
+            reach = (max_speeds + np.abs(closing)) * self.horizon
+            nearby = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
+            walls_near.append(
+                (nearby, gaps[nearby], directions[nearby], closing[nearby])
+            )
+        agents_of_walls, gaps, directions, closing = (
+            np.concatenate(each) for each in zip(*walls_near, strict=True)
         )
-        order = np.argsort(whose, kind="stable")
-        whose, gaps, directions, closing = (
-            whose[order],
+        order = np.argsort(agents_of_walls, kind="stable")
+        agents_of_walls, gaps, directions, closing = (
+            agents_of_walls[order],
             gaps[order],
             directions[order],
             closing[order],
         )
-        least = np.minimum(closing - gaps / self.horizon, LEAVING * most[whose])
-        offsets = (directions * x[whose]).sum(axis=1) - gaps + closing * dt
-        rows = np.column_stack([directions, least, offsets])
-        starts = np.searchsorted(whose, np.arange(count + 1)).astype(np.int32)
-        return Walls(starts, rows, whose, gaps, closing)
+        min_speeds = np.minimum(
+            closing - gaps / self.horizon, LEAVING_SPEED * max_speeds[agents_of_walls]
+        )
+        offsets = (directions * x[agents_of_walls]).sum(axis=1) - gaps + closing * dt
+        rows = np.column_stack([directions, min_speeds, offsets])
+        starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
+        return Walls(starts, rows, agents_of_walls, gaps, closing)
 
     def _colliders(
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions away and closing speeds of each collider."""
+        """Return gaps, directions to the agents and closing speeds of each collider."""
         if not self.colliders.rigid:
             return []
         radii, tall = self.agents.radii, self.agents.heights
@@ -110,7 +112,7 @@ class Obstacles:
         base = np.where(np.isfinite(heights), heights, 0.0)
         return [
             (distances - radii, directions, speeds)
-            for distances, directions, speeds in upright(
+            for distances, directions, speeds in capsule_distances(
                 self.colliders, self.frame, x, base, radii, tall, t, dt
             )
         ]
@@ -118,28 +120,28 @@ class Obstacles:
     def _doors(
         self, t: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same for doors that are closed at a time [s]."""
+        """Return gaps, directions and closing speeds of doors closed at a time [s]."""
         doors = []
         for door, (a, b) in zip(self.doors, self.ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
                 continue
-            along = b - a
-            fraction = np.clip(((x - a) @ along) / (along @ along), 0.0, 1.0)
-            off = x - a - fraction[:, None] * along
-            far = np.linalg.norm(off, axis=1)
-            directions = off / np.where(far > 0, far, 1.0)[:, None]
-            doors.append((far - self.agents.radii, directions, np.zeros(len(x))))
+            edge = b - a
+            fraction = np.clip(((x - a) @ edge) / (edge @ edge), 0.0, 1.0)
+            offsets = x - a - fraction[:, None] * edge
+            distances = np.linalg.norm(offsets, axis=1)
+            directions = offsets / np.where(distances > 0, distances, 1.0)[:, None]
+            doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
         return doors
 
     def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same for the edge of the ground."""
+        """Return gaps, directions and closing speeds of the edge of the ground."""
         if self.edge is None:
             return []
         gaps, directions = self.edge.edges(x)
         return [(gaps - self.agents.radii, directions, np.zeros(len(x)))]
 
 
-def upright(
+def capsule_distances(
     colliders: Colliders,
     frame: Frame,
     x: FloatArray,
@@ -165,20 +167,20 @@ def upright(
     for distances, outwards, velocities in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
     ):
-        normals = frame.turned_back(outwards)[:, [0, 2]]
-        speeds = frame.turned_back(velocities)[:, [0, 2]]
-        size = np.linalg.norm(normals, axis=1)
-        side = size > UPRIGHT
-        far = np.where(side, distances / np.where(side, size, 1.0), np.inf)
+        normals = frame.vector_to_local(outwards)[:, [0, 2]]
+        speeds = frame.vector_to_local(velocities)[:, [0, 2]]
+        lengths = np.linalg.norm(normals, axis=1)
+        is_wall = lengths > MIN_WALL_NORMAL
+        far = np.where(is_wall, distances / np.where(is_wall, lengths, 1.0), np.inf)
         far = far.reshape(len(levels), count)
         nearest = np.argmin(far, axis=0) * count + np.arange(count)
-        directions = normals[nearest] / np.where(side, size, 1.0)[nearest, None]
+        directions = normals[nearest] / np.where(is_wall, lengths, 1.0)[nearest, None]
         closing = (speeds[nearest] * directions).sum(axis=1)
         capsule_gaps.append((far.ravel()[nearest], directions, closing))
     return capsule_gaps
 
 
-def grids(
+def navigation_grids(
     spec: CrowdsModel,
     agents: Agents,
     frame: Frame,
@@ -189,8 +191,8 @@ def grids(
 ) -> tuple[NavGrid | None, NavGrid | None]:
     """Return navigation grids of walkable nodes and of the ground.
 
-    None where nothing is in the way, and where the ground has no end. Where agents are
-    too far apart for one grid, it is what is near obstacles.
+    The first is None without obstacles, the second if the ground is infinite. If agents
+    are too far apart for one grid, it covers the surroundings of obstacles only.
     """
     static = [one for one in colliders if len(one.poses.sample_times) == 1]
     if ground.flat and not static:
@@ -200,7 +202,7 @@ def grids(
     low, high = (
         (corners.min(axis=0), corners.max(axis=0)) if len(corners) else np.zeros((2, 2))
     )
-    margin = BEYOND * (high - low).max() + RADII_BEYOND * radius
+    margin = GRID_MARGIN * (high - low).max() + GRID_MARGIN_RADII * radius
     low, high = low - margin, high + margin
     if not ground.flat:
         low, high = (
@@ -210,7 +212,9 @@ def grids(
         high = np.maximum(high, low)
     cell_size = spec.cell or radius
     if ground.flat and np.prod((high - low) / cell_size) > MAX_NODES:
-        low, high = _about(static, frame, low, high, RADII_BEYOND * radius)
+        low, high = _bounds_of_obstacles(
+            static, frame, low, high, GRID_MARGIN_RADII * radius
+        )
         if not (low < high).all():
             return None, None
     cell = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
@@ -222,24 +226,24 @@ def grids(
     )
     free = on_ground.ravel().copy()
     if static:
-        met, heights = Colliders(static), base.ravel()
-        within = np.flatnonzero(free)
-        tall = float(agents.heights.max(initial=radius))
-        for first in range(0, len(within), AT_ONCE):
-            some = within[first : first + AT_ONCE]
-            ones, clear = np.ones(len(some)), np.ones(len(some), bool)
-            for far, _, _ in upright(
-                met, frame, nodes[some], heights[some],
-                radius * ones, tall * ones, t, 0.0,
+        static_colliders, heights = Colliders(static), base.ravel()
+        candidates = np.flatnonzero(free)
+        height = float(agents.heights.max(initial=radius))
+        for first in range(0, len(candidates), SAMPLE_BLOCK):
+            block = candidates[first : first + SAMPLE_BLOCK]
+            unit, is_clear = np.ones(len(block)), np.ones(len(block), bool)
+            for distances, _, _ in capsule_distances(
+                static_colliders, frame, nodes[block], heights[block],
+                radius * unit, height * unit, t, 0.0,
             ):  # fmt: skip
-                # Gaps narrower than an agent are closed by walls.
-                clear &= far >= radius - cell / 2
-            free[some] = clear
+                # Gaps narrower than an agent are blocked.
+                is_clear &= distances >= radius - cell / 2
+            free[block] = is_clear
     edge = None if on_ground.all() and ground.flat else NavGrid(low, cell, on_ground)
     return NavGrid(low, cell, free.reshape(shape)), edge
 
 
-def _about(
+def _bounds_of_obstacles(
     static: Sequence[Collider],
     frame: Frame,
     low: FloatArray,
@@ -248,28 +252,27 @@ def _about(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the area around obstacles within x and z bounds ``(2,)`` [m].
 
-    Elsewhere nothing is in the way. Walls without an end are near everything; floors
-    are in nobody's way.
+    Infinite walls are near everything; floors are no obstacles.
     """
     first, last = np.full(2, np.inf), np.full(2, -np.inf)
-    for one in static:
-        if isinstance(one.shape, Plane):
+    for collider in static:
+        if isinstance(collider.shape, Plane):
             normal = so3.rotate(
-                one.poses.rows[0, 3:], np.array(one.shape.normal, float)
+                collider.poses.rows[0, 3:], np.array(collider.shape.normal, float)
             )
-            flat = frame.turned_back(normal)[[0, 2]]
-            if np.linalg.norm(flat) > UPRIGHT * np.linalg.norm(normal):
+            horizontal = frame.vector_to_local(normal)[[0, 2]]
+            if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
             continue
-        ends = bounds(one.shape)
+        ends = bounds(collider.shape)
         box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
-        corners = frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]]
+        corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
         first = np.minimum(first, corners.min(axis=0))
         last = np.maximum(last, corners.max(axis=0))
     return np.maximum(low, first - margin), np.minimum(high, last + margin)
 
 
-def lost(grid: NavGrid, x: FloatArray) -> BoolArray:
-    """Return which of x and z ``(K, 2)`` are not walkable."""
-    row, column = grid.at(x).T
+def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:
+    """Return a mask of the points x and z ``(K, 2)`` that are not walkable."""
+    row, column = grid.nearest_nodes(x).T
     return np.asarray(~grid.free[row, column])

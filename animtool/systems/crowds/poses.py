@@ -20,27 +20,27 @@ from animtool.systems.crowds.gaits import (
     Gaits,
     Walker,
     about_side,
-    eased,
-    rows,
+    sample_rows,
     standing_ankle,
+    swing_progress,
 )
 from animtool.systems.crowds.ground import about_up
-from animtool.systems.crowds.reach import AIRBORNE, MOST_LOWERED, STRAIGHT
+from animtool.systems.crowds.reach import MAX_EXTENSION, MAX_LOWERING, SWING_MARGIN
 
 # Blend time at both ends of a reaction [s].
-RAMP = 0.2
+REACTION_BLEND_TIME = 0.2
 # Largest slope that feet follow [rad].
-TILT = 0.45
-# Hips are lowered in these parts of a swing, for its foot.
-NEARING = 0.4
-# A foot blends from its last stance to its gait in this part of a swing.
-LEAVING = 0.7
-# From here on it rotates towards its landing.
-LANDING = 0.6
-# Fraction of the ankle lift that a flat foot uses.
-LOW_STEP = 0.35
-# Slope of descending soles, and the height it starts at [m].
-STEEP, CLEAR = 2.0, 0.02
+MAX_TILT = 0.45
+# Fraction at both ends of a swing in which hips are lowered for its foot.
+LOWERING_PHASE = 0.4
+# Fraction of a swing in which a foot blends from its stance to its gait.
+STANCE_BLEND_PHASE = 0.7
+# Fraction of a swing after which the foot rotates towards its landing.
+LANDING_PHASE = 0.6
+# Ankle lift of a flat foot, relative to that of the gait.
+FLAT_FOOT_LIFT = 0.35
+# Slope of descending soles, and largest clearance [m].
+SOLE_SLOPE, SOLE_CLEARANCE = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,24 +53,26 @@ class BodyPoses:
     missed: FloatArray  # distance of ankles from their targets (N, 2) [m]
 
 
-def poses_of(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> BodyPoses:
+def poses_of(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
     """Return the poses of bodies."""
     rig = bodies.gaits.walker.rig
     blend = bodies.blend(state.paces)
-    played, roots = _played(bodies, state, blend)
+    played, roots = _gait_rotations(bodies, state, blend)
     rotations = np.repeat(rig.rest_rotations[None], len(played), axis=0)
-    rotations[:, bodies.moves] = played
+    rotations[:, bodies.animated] = played
     bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
-    feet, normals, away = bodies.feet(state, going)
-    goals, soles = _ankles(bodies, state, blend, feet, normals, away)
+    feet, normals, foothold_distances = bodies.feet(state, motion)
+    goals, soles = _ankles(bodies, state, blend, feet, normals, foothold_distances)
     # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, missed = _reach(bodies.gaits.walker, rotations, roots, goals, soles, state)
+    lowered, missed = _solve_legs(
+        bodies.gaits.walker, rotations, roots, goals, soles, state
+    )
     roots[:, 1] -= lowered
     return BodyPoses(rotations, roots, lowered, missed)
 
 
-def _reach(
+def _solve_legs(
     walker: Walker,
     rotations: FloatArray,
     roots: FloatArray,
@@ -80,15 +82,15 @@ def _reach(
 ) -> tuple[FloatArray, FloatArray]:
     """Solve leg IK for ankle goals ``(N, 2, 3)`` and sole rotations, in place.
 
-    Returns how far hips are lowered for it ``(N,)``, and by how much ankles miss their
-    goals all the same ``(N, 2)`` [m].
+    Returns the lowering of hips ``(N,)``, and the remaining distances of ankles from
+    their goals ``(N, 2)`` [m].
     """
     rig = walker.rig
     translations = np.repeat(rig.rest_translations[None], len(rotations), axis=0)
     translations[:, 0] = roots
     world = forward(rig, translations, rotations)
     joints = world.positions
-    spins = {
+    world_rotations = {
         joint: so3.from_matrix(world.linear[:, joint])
         for thigh, shin, _, _ in walker.legs
         for joint in (thigh, shin, int(rig.parents[thigh]))
@@ -96,23 +98,25 @@ def _reach(
     }
     lowered = _lowered(walker, joints, goals, state)
     joints = joints - lowered[:, None, None] * UP
-    goals = _reached(walker, joints, goals, state.swings >= 0)
+    goals = _goals_in_reach(walker, joints, goals, state.swings >= 0)
     missed = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
-        above = int(rig.parents[thigh])
+        hip_parent = int(rig.parents[thigh])
         upper, lower = ankle_rotations(
             walker.person,
             SIDES[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
-            (spins[thigh], spins[shin]),
+            (world_rotations[thigh], world_rotations[shin]),
         )
         sole = so3.multiply(soles[:, k], np.broadcast_to(walker.level[k], upper.shape))
-        over = (
-            spins[above] if above >= 0 else np.broadcast_to(so3.IDENTITY, upper.shape)
+        hip_rotation = (
+            world_rotations[hip_parent]
+            if hip_parent >= 0
+            else np.broadcast_to(so3.IDENTITY, upper.shape)
         )
         for joint, parent, posed in (
-            (thigh, over, upper),
+            (thigh, hip_rotation, upper),
             (shin, upper, lower),
             (foot, lower, sole),
         ):
@@ -128,45 +132,58 @@ def _lowered(
 ) -> FloatArray:
     """Return how far hips are lowered for the legs to reach ``(N,)`` [m].
 
-    Halfway of a swing they need not.
+    In the middle of a swing hips need not be lowered.
     """
     lowered = state.lowered.copy()
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
-        bones = joints[:, [thigh, shin, foot]]
-        length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
+        leg_joints = joints[:, [thigh, shin, foot]]
+        length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
         leg = joints[:, thigh] - goals[:, k]
-        across = (leg[:, [0, 2]] ** 2).sum(axis=1)
-        high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
-        ends = (np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * NEARING) / (2 * NEARING)
-        need = leg[:, 1] - high
-        air = eased(np.clip(ends, 0.0, 1.0)) * need
-        air = np.minimum(air, state.lowered + AIRBORNE * walker.leg)
-        lowered = np.maximum(lowered, np.where(state.swings[:, k] < 0, need, air))
-    return np.minimum(lowered, MOST_LOWERED * walker.leg)
+        horizontal_squared = (leg[:, [0, 2]] ** 2).sum(axis=1)
+        max_height = np.sqrt(
+            np.maximum((MAX_EXTENSION * length) ** 2 - horizontal_squared, 0.0)
+        )
+        distance_to_landing = (
+            np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
+        ) / (2 * LOWERING_PHASE)
+        required = leg[:, 1] - max_height
+        swing_lowering = (
+            swing_progress(np.clip(distance_to_landing, 0.0, 1.0)) * required
+        )
+        swing_lowering = np.minimum(
+            swing_lowering, state.lowered + SWING_MARGIN * walker.leg
+        )
+        lowered = np.maximum(
+            lowered, np.where(state.swings[:, k] < 0, required, swing_lowering)
+        )
+    return np.minimum(lowered, MAX_LOWERING * walker.leg)
 
 
-def _reached(
-    walker: Walker, joints: FloatArray, goals: FloatArray, up: BoolArray
+def _goals_in_reach(
+    walker: Walker, joints: FloatArray, goals: FloatArray, is_swinging: BoolArray
 ) -> FloatArray:
-    """Return goals ``(N, 2, 3)``, with airborne feet moved into reach.
+    """Return goals ``(N, 2, 3)``, with swinging feet moved into reach.
 
-    As they go along below the hips, they are over the ground.
+    Feet that are moved towards the hips are raised for clearance.
     """
-    reached = goals.copy()
+    result = goals.copy()
     for k, (thigh, *_) in enumerate(walker.legs):
         leg = goals[:, k] - joints[:, thigh]
-        across = np.linalg.norm(leg[:, [0, 2]], axis=1)
-        far = (STRAIGHT * walker.leg) ** 2 - leg[:, 1] ** 2
-        over = np.maximum(across - np.sqrt(np.maximum(far, 0.0)), 0.0) * up[:, k]
-        excess = over / np.maximum(across, 1e-9)
-        reached[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
-        reached[:, k, 1] += cleared(over)
-    return reached
+        distances = np.linalg.norm(leg[:, [0, 2]], axis=1)
+        reach_squared = (MAX_EXTENSION * walker.leg) ** 2 - leg[:, 1] ** 2
+        overreach = (
+            np.maximum(distances - np.sqrt(np.maximum(reach_squared, 0.0)), 0.0)
+            * is_swinging[:, k]
+        )
+        excess = overreach / np.maximum(distances, 1e-9)
+        result[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
+        result[:, k, 1] += min_sole_height(overreach)
+    return result
 
 
-def cleared(away: FloatArray) -> FloatArray:
+def min_sole_height(distances: FloatArray) -> FloatArray:
     """Return the minimum sole height at a distance from its foothold [m]."""
-    return np.minimum(STEEP * away, CLEAR)
+    return np.minimum(SOLE_SLOPE * distances, SOLE_CLEARANCE)
 
 
 def _ankles(
@@ -175,137 +192,179 @@ def _ankles(
     blend: Blend,
     feet: FloatArray,
     normals: FloatArray,
-    away: FloatArray,
+    foothold_distances: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return ankle targets ``(N, 2, 3)``, and foot rotations."""
     gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
         begin = (state.phases - 0.5 * k) % 1.0
-        pitched = about_side(bodies.pitches(k, begin, blend, state.still))
-        lifts = standing_ankle(gaits.walker, k, pitched)
-        up = state.swings[:, k] >= 0
-        if up.any():
-            pitched[up], lifts[up] = _swung(gaits, state, blend, k, up)
-            lifts[up, 1] += _low(gaits.walker, k, pitched[up], lifts[up], away[up, k])
+        foot_rotations = about_side(bodies.pitches(k, begin, blend, state.still))
+        ankle_offsets = standing_ankle(gaits.walker, k, foot_rotations)
+        is_swinging = state.swings[:, k] >= 0
+        if is_swinging.any():
+            foot_rotations[is_swinging], ankle_offsets[is_swinging] = _swing_poses(
+                gaits, state, blend, k, is_swinging
+            )
+            ankle_offsets[is_swinging, 1] += _clearance_deficit(
+                gaits.walker,
+                k,
+                foot_rotations[is_swinging],
+                ankle_offsets[is_swinging],
+                foothold_distances[is_swinging, k],
+            )
         tilt = _tilts(normals[:, k])
         yaw = about_up(feet[:, k, 3])
-        goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, lifts))
-        soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, pitched))
+        goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, ankle_offsets))
+        soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, foot_rotations))
     return goals, soles
 
 
-def _low(
-    walker: Walker, k: int, pitched: FloatArray, lifts: FloatArray, away: FloatArray
+def _clearance_deficit(
+    walker: Walker,
+    k: int,
+    foot_rotations: FloatArray,
+    ankle_offsets: FloatArray,
+    foothold_distances: FloatArray,
 ) -> FloatArray:
-    """Return how far airborne soles are below their clearance ``(K,)`` [m].
+    """Return how far swinging soles are below their clearance ``(K,)`` [m].
 
     ``away``: distance to their nearest foothold ``(K,)`` [m].
     """
-    heel = lifts - so3.rotate(pitched, walker.ankle[k] * UP)
-    ball = lifts + so3.rotate(pitched, walker.ball[k])
-    lack = np.zeros(len(lifts))
-    for sole, at in ((heel, 0 * UP), (ball, walker.ball[k] + walker.ankle[k] * UP)):
-        off = np.linalg.norm((sole - at)[:, [0, 2]], axis=1)
-        lack = np.maximum(lack, cleared(away + off) - (sole - at)[:, 1])
-    return lack
+    heel = ankle_offsets - so3.rotate(foot_rotations, walker.ankle[k] * UP)
+    ball = ankle_offsets + so3.rotate(foot_rotations, walker.ball[k])
+    deficit = np.zeros(len(ankle_offsets))
+    for sole, rest_offset in (
+        (heel, 0 * UP),
+        (ball, walker.ball[k] + walker.ankle[k] * UP),
+    ):
+        offsets = np.linalg.norm((sole - rest_offset)[:, [0, 2]], axis=1)
+        deficit = np.maximum(
+            deficit,
+            min_sole_height(foothold_distances + offsets) - (sole - rest_offset)[:, 1],
+        )
+    return deficit
 
 
-def _swung(
-    gaits: Gaits, state: BodyState, blend: Blend, k: int, up: BoolArray
+def _swing_poses(
+    gaits: Gaits, state: BodyState, blend: Blend, k: int, is_swinging: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(K, 4)`` and ankles ``(K, 3)`` of swinging feet.
 
-    They begin as their feet were, which may lift sooner than the gait has it.
+    Swings begin with the last stance, as feet may lift earlier than in the gait.
     ``up``: of which bodies foot ``k`` does ``(N,)``.
     """
-    swings = np.clip(state.swings[up, k], 0.0, 1.0)
-    pitched, lifts = _in_swing(gaits, state, blend, k, up, swings)
-    first, begins = _in_swing(gaits, state, blend, k, up, np.zeros_like(swings))
-    stood = about_side(state.heels[up, k])
-    left = (1 - eased(np.minimum(swings / LEAVING, 1.0)))[:, None]
-    off = so3.multiply(stood, so3.conjugate(first))
-    none = np.broadcast_to(so3.IDENTITY, off.shape)
-    turned = so3.multiply(_mixed([none, off], np.hstack([1 - left, left])), pitched)
-    return turned, lifts + left * (standing_ankle(gaits.walker, k, stood) - begins)
+    swings = np.clip(state.swings[is_swinging, k], 0.0, 1.0)
+    foot_rotations, ankle_offsets = _gait_swing(
+        gaits, state, blend, k, is_swinging, swings
+    )
+    start_rotations, start_offsets = _gait_swing(
+        gaits, state, blend, k, is_swinging, np.zeros_like(swings)
+    )
+    stance_rotations = about_side(state.heels[is_swinging, k])
+    weight = (1 - swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0)))[:, None]
+    correction = so3.multiply(stance_rotations, so3.conjugate(start_rotations))
+    identity = np.broadcast_to(so3.IDENTITY, correction.shape)
+    rotations = so3.multiply(
+        _blend_rotations([identity, correction], np.hstack([1 - weight, weight])),
+        foot_rotations,
+    )
+    return rotations, ankle_offsets + weight * (
+        standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
+    )
 
 
-def _in_swing(
+def _gait_swing(
     gaits: Gaits,
     state: BodyState,
     blend: Blend,
     k: int,
-    up: BoolArray,
+    is_swinging: BoolArray,
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and ankles of swinging feet from their gaits."""
     moving = gaits.moving
-    at = swings * (PHASES - 1)
-    weights = blend.weights[up]
-    swung = _mixed([rows(one.swings[k], at) for one in moving], weights)
-    lifts = np.asarray(
+    rows = swings * (PHASES - 1)
+    weights = blend.weights[is_swinging]
+    swing_rotations = _blend_rotations(
+        [sample_rows(one.swings[k], rows) for one in moving], weights
+    )
+    ankle_offsets = np.asarray(
         sum(
-            weight[:, None] * rows(one.lifts[k], at)
+            weight[:, None] * sample_rows(one.lifts[k], rows)
             for weight, one in zip(weights.T, moving, strict=True)
         )
     )
-    # Its distance before and after the body scales with the step length.
-    ends = [
+    # Offsets along the motion are scaled with the step length.
+    end_offsets = [
         sum(
             weight * one.lifts[k, end, 2]
             for weight, one in zip(weights.T, moving, strict=True)
         )
         for end in (0, -1)
     ]
-    fraction = at / (PHASES - 1)
-    even = ends[0] + fraction * (ends[1] - ends[0])
-    long = np.minimum(blend.stride[up], 1.0)
-    lifts[:, 2] = even + long * (lifts[:, 2] - even)
-    # Bodies that just stood lift a flat foot; quick steps lift less.
-    standing = state.still[up]
-    long = state.spans[up, k] / state.rates[up]
-    typical = (1 - blend.stands[up, k]) / blend.free[up]
-    quick = 1 - np.minimum(long / typical, 1.0)
-    lands = eased(np.clip((swings - LANDING) / (1 - LANDING), 0.0, 1.0))
-    level = np.maximum(standing, quick * (1 - lands))[:, None]
-    flat = np.broadcast_to(so3.IDENTITY, swung.shape)
-    pitched = _mixed([swung, flat], np.hstack([1 - level, level]))
-    low = standing_ankle(gaits.walker, k, flat)
-    high = LOW_STEP * np.maximum(lifts[:, 1:2] - low[:, 1:2], 0.0)
-    lifts += level * (low + high * UP - lifts)
-    return pitched, lifts
+    fraction = rows / (PHASES - 1)
+    straight = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
+    stride = np.minimum(blend.stride[is_swinging], 1.0)
+    ankle_offsets[:, 2] = straight + stride * (ankle_offsets[:, 2] - straight)
+    # Feet stay flat after standing, and lift less in quick steps.
+    standing = state.still[is_swinging]
+    stride = state.spans[is_swinging, k] / state.rates[is_swinging]
+    typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free[
+        is_swinging
+    ]
+    hurry = 1 - np.minimum(stride / typical_time, 1.0)
+    landing = swing_progress(
+        np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
+    )
+    flatness = np.maximum(standing, hurry * (1 - landing))[:, None]
+    flat = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
+    pitched = _blend_rotations(
+        [swing_rotations, flat], np.hstack([1 - flatness, flatness])
+    )
+    flat_ankle = standing_ankle(gaits.walker, k, flat)
+    flat_lift = FLAT_FOOT_LIFT * np.maximum(
+        ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0
+    )
+    ankle_offsets += flatness * (flat_ankle + flat_lift * UP - ankle_offsets)
+    return pitched, ankle_offsets
 
 
-def _played(
+def _gait_rotations(
     bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local rotations of `moves` ``(N, M, 4)``, and root translations."""
-    gaits, at = bodies.gaits, state.phases * PHASES
-    tables, standing = bodies.tables
-    walked = _mixed([rows(one, at, again=True) for one in tables], blend.weights)
+    """Return local rotations of `animated` ``(N, M, 4)``, and root translations."""
+    gaits, rows = bodies.gaits, state.phases * PHASES
+    tables, idle_table = bodies.tables
+    walk_rotations = _blend_rotations(
+        [sample_rows(table, rows, cyclic=True) for table in tables], blend.weights
+    )
     hips = np.asarray(
         sum(
-            weight[:, None] * rows(one.hips, at, again=True)
-            for weight, one in zip(blend.weights.T, gaits.moving, strict=True)
+            weight[:, None] * sample_rows(table.hips, rows, cyclic=True)
+            for weight, table in zip(blend.weights.T, gaits.moving, strict=True)
         )
     )
-    at = idle_rows(gaits.idle, state.clocks)
-    idling = state.still[:, None]
-    stood = rows(standing, at)
-    rotations = _mixed([walked, stood], np.concatenate([1 - idling, idling], axis=1))
-    hips = hips + idling * (rows(gaits.idle.hips, at) - hips)
+    rows = idle_rows(gaits.idle, state.clocks)
+    idle_weight = state.still[:, None]
+    idle_rotations = sample_rows(idle_table, rows)
+    rotations = _blend_rotations(
+        [walk_rotations, idle_rotations],
+        np.concatenate([1 - idle_weight, idle_weight], axis=1),
+    )
+    hips = hips + idle_weight * (sample_rows(gaits.idle.hips, rows) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
-        since = np.maximum(state.reacts, 0.0)
-        fraction = np.minimum(since, reaction.period - since) / RAMP
-        weight = eased(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
-        at = since / reaction.period * (len(reaction.rotations) - 1)
-        played = rows(reaction.rotations[:, bodies.moves], at)
-        both = np.stack([1 - weight, weight], axis=1)
-        rotations = _mixed([rotations, played], both)
+        elapsed = np.maximum(state.reacts, 0.0)
+        fraction = np.minimum(elapsed, reaction.period - elapsed) / REACTION_BLEND_TIME
+        weight = swing_progress(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
+        rows = elapsed / reaction.period * (len(reaction.rotations) - 1)
+        reaction_rotations = sample_rows(reaction.rotations[:, bodies.animated], rows)
+        blend_weights = np.stack([1 - weight, weight], axis=1)
+        rotations = _blend_rotations([rotations, reaction_rotations], blend_weights)
         # Height of the hips; their ground position is the agent's.
-        high = rows(reaction.hips, at)[:, 1] - hips[:, 1]
-        hips[:, 1] += weight * high
+        height_change = sample_rows(reaction.hips, rows)[:, 1] - hips[:, 1]
+        hips[:, 1] += weight * height_change
     return rotations, hips
 
 
@@ -318,20 +377,20 @@ def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(cycle, 2 - cycle) * last)
 
 
-def _mixed(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
+def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
     """Return rotations ``(N, …, 4)`` blended by weights ``(N, K)``, normalised."""
     first = rotations[0]
-    wide = (-1, *[1] * (first.ndim - 1))
-    mixed = first * weights[:, 0].reshape(wide)
-    for k, one in enumerate(rotations[1:], start=1):
-        flipped = (first * one).sum(axis=-1, keepdims=True) < 0
-        mixed = mixed + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
+    shape = (-1, *[1] * (first.ndim - 1))
+    total = first * weights[:, 0].reshape(shape)
+    for k, other in enumerate(rotations[1:], start=1):
+        flipped = (first * other).sum(axis=-1, keepdims=True) < 0
+        total = total + np.where(flipped, -other, other) * weights[:, k].reshape(shape)
+    return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
 
 
 def _tilts(normals: FloatArray) -> FloatArray:
-    """Return rotations from upright to normals ``(N, 3)``, up to `TILT`."""
+    """Return rotations from upright to normals ``(N, 3)``, up to `MAX_TILT`."""
     axis = np.cross(UP, normals)
     size = np.linalg.norm(axis, axis=1)
-    angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)
+    angle = np.minimum(np.arctan2(size, normals[:, 1]), MAX_TILT)
     return so3.exp(axis * (angle / np.where(size > 1e-12, size, 1.0))[:, None])

@@ -1,6 +1,6 @@
 """Reach of legs: when a planted foot must lift, and when a pushed body must step.
 
-All is in the frame of bodies, in lengths of the rig.
+Coordinates are in the frames of bodies, at the scale of the rig.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from animtool.systems.crowds.gaits import (
     Gait,
     Gaits,
     about_side,
-    rows,
+    sample_rows,
     standing_ankle,
 )
 from animtool.systems.crowds.ground import about_up
 
 # Largest leg extension, as a fraction of its length.
-STRAIGHT = 0.998
-# Largest lowering of hips for a planted foot, over the leg length, and in poses, as
-# thighs are approximate.
-LOWERED, MOST_LOWERED = 0.09, 0.11
+MAX_EXTENSION = 0.998
+# Largest lowering of hips for a planted foot, and in poses, whose thighs are exact;
+# over the leg length.
+MAX_STANCE_LOWERING, MAX_LOWERING = 0.09, 0.11
 # Largest yaw of a planted foot against the body [rad].
-TURNED_IN, TURNED_OUT = 0.4, 0.6
-# Least margin of either [m], [rad]: slow agents do not hurry.
-LEAST_ROOM, LEAST_YAW = 0.05, 0.3
+MAX_YAW_INWARDS, MAX_YAW_OUTWARDS = 0.4, 0.6
+# Least margins of reach [m] and yaw [rad], so that slow agents do not hurry.
+MIN_MARGIN, MIN_YAW_MARGIN = 0.05, 0.3
 # Additional margin of airborne feet.
-AIRBORNE = 0.045
+SWING_MARGIN = 0.045
 # Largest cadence [cycles/s].
 MAX_RATE = 2.5
 
@@ -41,9 +41,9 @@ class Reach:
     """Thigh positions of a rig as it walks and stands.
 
     Attributes:
-        gaits: Of the rig.
-        walking: Thighs of both legs by gait and phase ``(P, 2, 3)`` [m].
-        standing: Mean thighs of the idle ``(2, 3)`` [m].
+        gaits: Gaits of the rig.
+        walking: Thigh joints of both legs by phase, for each gait ``(P, 2, 3)`` [m].
+        standing: Mean thigh joints of the idle ``(2, 3)`` [m].
     """
 
     gaits: Gaits
@@ -63,39 +63,43 @@ class Reach:
         at = phases * PHASES
         thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
-            thighs += weight[:, None, None] * rows(table, at, again=True)
+            thighs += weight[:, None, None] * sample_rows(table, at, cyclic=True)
         return np.asarray(thighs + standing[:, None, None] * (self.standing - thighs))
 
-    def room(
+    def margin(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the remaining reach of a planted foot ``(N,)``, and the direction.
+        """Return the remaining horizontal reach of a planted foot ``(N,)``.
 
-        Level, from the thigh to the ankle ``(N, 2)``.
+        Also returns the horizontal direction from the thigh to the ankle ``(N, 2)``.
 
         Args:
-            k: Which leg.
-            thighs: Where its begins ``(N, 3)``.
-            feet: x, y, z and heading of feet ``(N, 4)``.
-            pitches: How far their heels are up ``(N,)`` [rad].
+            k: Leg: 0 left, 1 right.
+            thighs: Positions of its thigh joint ``(N, 3)``.
+            feet: Position x, y, z and heading of the foot ``(N, 4)``.
+            pitches: Heel pitch of the foot ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg
         to_ankle = self._legs(k, thighs, feet, pitches)
-        high = np.maximum(-to_ankle[:, 1] - LOWERED * leg, 0.0)
-        away = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
-        outwards = to_ankle[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
-        far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
-        return np.asarray(np.sqrt(far) - away), outwards
+        heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
+        distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
+        outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
+        reach_squared = np.maximum((MAX_EXTENSION * leg) ** 2 - heights**2, 0.0)
+        return np.asarray(np.sqrt(reach_squared) - distances), outwards
 
     def lowered(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return how far hips are lowered for a planted foot ``(N,)``."""
+        """Return how far hips must be lowered for a planted foot ``(N,)``."""
         leg = self.gaits.walker.leg
         to_ankle = self._legs(k, thighs, feet, pitches)
-        across = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
-        high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
-        return np.asarray(np.clip(-to_ankle[:, 1] - high, 0.0, MOST_LOWERED * leg))
+        horizontal_squared = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
+        max_height = np.sqrt(
+            np.maximum((MAX_EXTENSION * leg) ** 2 - horizontal_squared, 0.0)
+        )
+        return np.asarray(
+            np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
+        )
 
     def _legs(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -111,17 +115,17 @@ class Stances:
     """Planted feet of N bodies at two phases.
 
     Attributes:
-        begins: Phase of each foot since its landing ``(N, 2)``.
-        stands: Fraction of the cycle that each is planted ``(N, 2)``.
-        swings: Which are in the air ``(N, 2)``.
-        feet: x, y, z and heading of each ``(N, 2, 4)``.
+        begins: Phase of each foot, from its landing ``(N, 2)``.
+        stance_fractions: Fraction of the cycle that each is planted ``(N, 2)``.
+        swings: Mask of feet in the air ``(N, 2)``.
+        feet: Position x, y, z and heading of each ``(N, 2, 4)``.
         thighs: Thigh joints ``(N, 2, 3)``.
         pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
         rate: Undisturbed cycle rate ``(N,)`` [1/s].
     """
 
     begins: FloatArray
-    stands: FloatArray
+    stance_fractions: FloatArray
     swings: BoolArray
     feet: FloatArray
     thighs: FloatArray
@@ -129,10 +133,10 @@ class Stances:
     rate: FloatArray
 
 
-def hurried(
-    reach: Reach, stances: Stances, went: FloatArray, turning: FloatArray
+def step_rates(
+    reach: Reach, stances: Stances, hip_velocities: FloatArray, yaw_rates: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return cycle rates ``(N,)`` [1/s], and which feet are out of reach ``(N, 2)``.
+    """Return cycle rates ``(N,)`` [1/s] and a mask of feet out of reach ``(N, 2)``.
 
     A foot lifts before its leg ends: at how fast the hips go from it ``went``
     ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
@@ -141,30 +145,36 @@ def hurried(
     rate = stances.rate.copy()
     ends = np.zeros((len(rate), 2), np.bool_)
     for k in range(2):
-        up = stances.swings[:, k]
-        begin, stand = stances.begins[:, k], stances.stands[:, k]
+        is_swinging = stances.swings[:, k]
+        phase, stance_fraction = stances.begins[:, k], stances.stance_fractions[:, k]
         stance = k, stances.thighs[:, k], stances.feet[:, k]
-        now, _ = reach.room(*stance, stances.pitches[0, :, k])
-        last, outwards = reach.room(*stance, stances.pitches[1, :, k])
-        leaves = -(outwards * went).sum(axis=1)
+        current_margin, _ = reach.margin(*stance, stances.pitches[0, :, k])
+        lift_margin, outwards = reach.margin(*stance, stances.pitches[1, :, k])
+        leaving_speed = -(outwards * hip_velocities).sum(axis=1)
         foot_yaw = stances.feet[:, k, 3]
-        most = np.where(foot_yaw * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
-        twists = -turning * np.sign(foot_yaw)
-        need = np.maximum(
-            _hurry(last, LEAST_ROOM, leaves),
-            _hurry(most - np.abs(foot_yaw), LEAST_YAW, twists),
-        ) * np.maximum(stand - begin, 0.0)
-        ends[:, k] = ~up & (np.maximum(now, last) < 0)
+        max_yaw = np.where(
+            foot_yaw * (1 - 2 * k) < 0, MAX_YAW_INWARDS, MAX_YAW_OUTWARDS
+        )
+        twist_rates = -yaw_rates * np.sign(foot_yaw)
+        required = np.maximum(
+            _rate_to_reach(lift_margin, MIN_MARGIN, leaving_speed),
+            _rate_to_reach(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, twist_rates),
+        ) * np.maximum(stance_fraction - phase, 0.0)
+        ends[:, k] = ~is_swinging & (np.maximum(current_margin, lift_margin) < 0)
         # A foot that lifted too early lands soon.
-        early = (up & (begin < stand)) | ends[:, k]
-        need = np.where(early, MAX_RATE, np.where(up, 0.0, need))
-        rate = np.maximum(rate, np.minimum(need, MAX_RATE))
+        lifted_early = (is_swinging & (phase < stance_fraction)) | ends[:, k]
+        required = np.where(
+            lifted_early, MAX_RATE, np.where(is_swinging, 0.0, required)
+        )
+        rate = np.maximum(rate, np.minimum(required, MAX_RATE))
     return rate, ends
 
 
-def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
+def _rate_to_reach(
+    margin: FloatArray, min_margin: float, speed: FloatArray
+) -> FloatArray:
     """Return 1 / (time until a margin is used up) at given speeds ``(N,)`` [1/s]."""
-    return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, least))
+    return np.asarray(np.maximum(speed, 0.0) / np.maximum(margin, min_margin))
 
 
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:

@@ -13,9 +13,9 @@ from animtool.core.record import dataclass
 
 # Largest number of grid nodes: larger areas get larger cells.
 MAX_NODES = 4_000_000
-# Detours shorter than this many cells count as straight: distances are first-order, and
-# agents avoid what they touch.
-STRAIGHT = 1.5
+# Detours shorter than this many cells count as straight, as distances are approximate
+# and agents avoid obstacles anyway.
+STRAIGHT_DETOUR = 1.5
 # A straight path must be free for this many cells.
 LOOKAHEAD_NODES = 8
 TINY = 1e-300
@@ -23,12 +23,12 @@ TINY = 1e-300
 
 @dataclass(frozen=True)
 class NavGrid:
-    """Nodes on the ground, and which of them are walkable.
+    """Grid of nodes on the ground, some of them walkable.
 
     Attributes:
-        low: x and z of the first ``(2,)`` [m].
-        cell: From one to the next [m].
-        free: ``(R, C)``, rows along x.
+        low: x and z of the first node ``(2,)`` [m].
+        cell: Distance between nodes [m].
+        free: Mask of walkable nodes ``(R, C)``, rows along x.
     """
 
     low: FloatArray
@@ -42,7 +42,7 @@ class NavGrid:
         return np.asarray(low + cell * np.stack([rows, columns], axis=1))
 
     @cached_property
-    def parts(self) -> IntArray:
+    def components(self) -> IntArray:
         """Return the connected component of each node ``(R, C)``, 0 for none."""
         from scipy.ndimage import label
 
@@ -50,42 +50,44 @@ class NavGrid:
 
     @cached_property
     def nearest(self) -> tuple[FloatArray, IntArray]:
-        """Return the distance to the nearest free node ``(R, C)`` [m], and which."""
+        """Return the distances ``(R, C)`` [m] to the nearest free nodes, and these."""
         from scipy.ndimage import distance_transform_edt
 
-        far, which = distance_transform_edt(~self.free, self.cell, return_indices=True)
-        return far, which[0] * self.free.shape[1] + which[1]
+        distances, nodes = distance_transform_edt(
+            ~self.free, self.cell, return_indices=True
+        )
+        return distances, nodes[0] * self.free.shape[1] + nodes[1]
 
-    def at(self, points: FloatArray) -> IntArray:
+    def nearest_nodes(self, points: FloatArray) -> IntArray:
         """Return rows and columns of the nodes nearest to x and z ``(K, 2)``."""
-        most = np.array(self.free.shape) - 1
-        near = np.floor((points - self.low) / self.cell + 0.5)
-        return np.clip(near, 0, most).astype(np.int64)
+        last = np.array(self.free.shape) - 1
+        rounded = np.floor((points - self.low) / self.cell + 0.5)
+        return np.clip(rounded, 0, last).astype(np.int64)
 
     @property
     def high(self) -> FloatArray:
         """The last node: x and z ``(2,)`` [m]."""
         return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
 
-    def depth(self, points: FloatArray) -> FloatArray:
-        """Return the distance of x and z ``(K, 2)`` to its border, negative outside."""
-        sides = np.minimum(points - self.low, self.high - points)
-        return np.asarray(sides.min(axis=1), np.float64)
+    def border_distance(self, points: FloatArray) -> FloatArray:
+        """Return distances from x and z ``(K, 2)`` to the border, negative outside."""
+        distances = np.minimum(points - self.low, self.high - points)
+        return np.asarray(distances.min(axis=1), np.float64)
 
-    def facing(self, point: FloatArray) -> IntArray:
-        """Return the border nodes on the sides that x and z ``(2,)`` lie beyond."""
-        numbers = np.arange(self.free.size).reshape(self.free.shape)
-        sides = [np.zeros(0, np.int64)]
-        for axis, edges in enumerate((numbers, numbers.T)):
+    def facing_border(self, point: FloatArray) -> IntArray:
+        """Return border nodes on the sides that face an outside point x, z ``(2,)``."""
+        indices = np.arange(self.free.size).reshape(self.free.shape)
+        border = [np.zeros(0, np.int64)]
+        for axis, edges in enumerate((indices, indices.T)):
             if point[axis] < self.low[axis] - self.cell:
-                sides.append(edges[0])
+                border.append(edges[0])
             if point[axis] > self.high[axis] + self.cell:
-                sides.append(edges[-1])
-        return np.unique(np.concatenate(sides))
+                border.append(edges[-1])
+        return np.unique(np.concatenate(border))
 
-    def free_at(self, points: FloatArray) -> IntArray:
+    def nearest_free_node(self, points: FloatArray) -> IntArray:
         """Return the free nodes nearest to x and z ``(K, 2)``."""
-        row, column = self.at(points).T
+        row, column = self.nearest_nodes(points).T
         return np.asarray(self.nearest[1][row, column])
 
     def positions_of(self, numbers: IntArray) -> FloatArray:
@@ -101,36 +103,38 @@ class NavGrid:
         far = distance_transform_edt(np.pad(self.free, 1), self.cell)
         return np.asarray(far)[1:-1, 1:-1]
 
-    def corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    def cell_corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
         """Return cells around x and z, and bilinear weights ``(K, 2, 2)``.
 
-        They are those of a bilinear interpolation: rows ``(K, 2, 1)``, columns
-        ``(K, 1, 2)``.
+        For bilinear interpolation: rows ``(K, 2, 1)`` and columns ``(K, 1, 2)``.
         """
-        most = np.array(self.free.shape) - 1
-        at = np.clip((points - self.low) / self.cell, 0, most)
-        first = np.minimum(at.astype(np.int64), np.maximum(most - 1, 0))
-        ends = np.minimum(first[:, None] + np.array([[0], [1]]), most)
-        fraction = at - first
-        sides = np.stack([1 - fraction, fraction], axis=1)
-        shares = sides[:, :, None, 0] * sides[:, None, :, 1]
-        return ends[:, :, None, 0], ends[:, None, :, 1], shares
+        last = np.array(self.free.shape) - 1
+        nearest_nodes = np.clip((points - self.low) / self.cell, 0, last)
+        first = np.minimum(nearest_nodes.astype(np.int64), np.maximum(last - 1, 0))
+        corner_indices = np.minimum(first[:, None] + np.array([[0], [1]]), last)
+        fraction = nearest_nodes - first
+        axis_weights = np.stack([1 - fraction, fraction], axis=1)
+        weights = axis_weights[:, :, None, 0] * axis_weights[:, None, :, 1]
+        return corner_indices[:, :, None, 0], corner_indices[:, None, :, 1], weights
 
     def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return distances of x and z ``(K, 2)`` to blocked nodes, and directions.
 
-        That is half a cell from the nodes that are not free: ``(K,)`` [m], ``(K, 2)``.
+        Obstacles begin half a cell from blocked nodes: ``(K,)`` [m], ``(K, 2)``.
         """
-        rows, columns, shares = self.corners(points)
-        far = self._clearances[rows, columns]
-        rises = far[:, 1] - far[:, 0], far[:, :, 1] - far[:, :, 0]
+        rows, columns, weights = self.cell_corners(points)
+        clearances = self._clearances[rows, columns]
+        slopes = (
+            clearances[:, 1] - clearances[:, 0],
+            clearances[:, :, 1] - clearances[:, :, 0],
+        )
         directions = np.stack(
-            [(rises[0] * shares.sum(axis=1)).sum(axis=1),
-             (rises[1] * shares.sum(axis=2)).sum(axis=1)], axis=1,
+            [(slopes[0] * weights.sum(axis=1)).sum(axis=1),
+             (slopes[1] * weights.sum(axis=2)).sum(axis=1)], axis=1,
         )  # fmt: skip
-        size = np.linalg.norm(directions, axis=1)[:, None]
-        directions = directions / np.where(size > 0, size, 1.0)
-        return (far * shares).sum(axis=(1, 2)) - self.cell / 2, directions
+        lengths = np.linalg.norm(directions, axis=1)[:, None]
+        directions = directions / np.where(lengths > 0, lengths, 1.0)
+        return (clearances * weights).sum(axis=(1, 2)) - self.cell / 2, directions
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ class FlowField:
     """The shortest paths to one goal from everywhere.
 
     Attributes:
-        distances: Of each node, infinite where no way leads ``(R, C)`` [m].
+        distances: Path lengths from nodes, infinite if unreachable ``(R, C)`` [m].
     """
 
     grid: NavGrid
@@ -149,8 +153,8 @@ class FlowField:
     def gradient(self) -> FloatArray:
         """Return unit vectors along the shortest path by node ``(R, C, 2)``."""
         padded = np.pad(self.distances, 1, constant_values=np.inf)
-        here = self.distances
-        descent = np.zeros((*here.shape, 2))
+        distances = self.distances
+        descent = np.zeros((*distances.shape, 2))
         inner = slice(1, -1)
         for axis in (0, 1):
             before = padded[
@@ -159,9 +163,9 @@ class FlowField:
             after = padded[
                 (slice(2, None), inner) if axis == 0 else (inner, slice(2, None))
             ]
-            least = np.minimum(before, after)
-            falls = np.isfinite(here) & (least < here)
-            drop = np.where(falls, here, 0) - np.where(falls, least, 0)
+            lower = np.minimum(before, after)
+            descends = np.isfinite(distances) & (lower < distances)
+            drop = np.where(descends, distances, 0) - np.where(descends, lower, 0)
             descent[..., axis] = np.where(before < after, -drop, drop)
         size = np.linalg.norm(descent, axis=2)[..., None]
         return descent / np.where(size > 0, size, 1.0)
@@ -169,77 +173,95 @@ class FlowField:
     def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
-        Straight to ``targets`` near the goal if nothing is between. Agents on blocked
-        nodes return to a free one first.
+        Straight to ``targets`` if the goal is near and visible. Agents on blocked nodes
+        return to a free node first.
         """
         grid = self.grid
-        rows, columns, shares = grid.corners(points)
-        along = (self.gradient[rows, columns] * shares[..., None]).sum(axis=(1, 2))
-        lost = ~along.any(axis=1)
-        if lost.any():
-            along[lost] = grid.positions_of(grid.free_at(points[lost])) - points[lost]
+        rows, columns, weights = grid.cell_corners(points)
+        directions_ = (self.gradient[rows, columns] * weights[..., None]).sum(
+            axis=(1, 2)
+        )
+        undefined = ~directions_.any(axis=1)
+        if undefined.any():
+            directions_[undefined] = (
+                grid.positions_of(grid.nearest_free_node(points[undefined]))
+                - points[undefined]
+            )
         goal = self.goal(points)
-        off = goal - points
-        far = np.linalg.norm(off, axis=1)
-        row, column = grid.at(points).T
+        offset = goal - points
+        distances = np.linalg.norm(offset, axis=1)
+        row, column = grid.nearest_nodes(points).T
         # Outside the grid, visibility is that of the nearest node.
         to_goal = np.linalg.norm(
             goal - grid.positions_of(row * grid.free.shape[1] + column), axis=1
         )
-        within = np.where(grid.depth(points) < 0, np.maximum(far, to_goal), far)
-        near = self.distances[row, column] <= within + STRAIGHT * grid.cell
+        straight_distance = np.where(
+            grid.border_distance(points) < 0, np.maximum(distances, to_goal), distances
+        )
+        is_near = (
+            self.distances[row, column]
+            <= straight_distance + STRAIGHT_DETOUR * grid.cell
+        )
         # Paths to a goal outside the grid end at its border, and go straight from
         # there.
-        near &= (grid.depth(points) < grid.cell) | (grid.depth(goal) > -grid.cell)
-        near[near] = self._sees(points[near], targets[near])
-        along[near] = (targets - points)[near]
-        size = np.linalg.norm(along, axis=1)[:, None]
-        return np.asarray(along / np.where(size > 0, size, 1.0))
+        is_near &= (grid.border_distance(points) < grid.cell) | (
+            grid.border_distance(goal) > -grid.cell
+        )
+        is_near[is_near] = self._sees(points[is_near], targets[is_near])
+        directions_[is_near] = (targets - points)[is_near]
+        lengths = np.linalg.norm(directions_, axis=1)[:, None]
+        return np.asarray(directions_ / np.where(lengths > 0, lengths, 1.0))
 
     def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
         """Return whether nearby targets ``(K, 2)`` are in line of sight."""
         grid = self.grid
-        off = targets - points
-        far = np.linalg.norm(off, axis=1)
-        reach = np.minimum(far, LOOKAHEAD_NODES * grid.cell)[:, None] / LOOKAHEAD_NODES
-        steps = np.arange(1, LOOKAHEAD_NODES + 1)[:, None, None] * reach
-        samples = points + steps * (off / np.maximum(far, TINY)[:, None])
-        rows, columns = grid.at(samples.reshape(-1, 2)).T
+        offset = targets - points
+        distances = np.linalg.norm(offset, axis=1)
+        step_lengths = (
+            np.minimum(distances, LOOKAHEAD_NODES * grid.cell)[:, None]
+            / LOOKAHEAD_NODES
+        )
+        offsets = np.arange(1, LOOKAHEAD_NODES + 1)[:, None, None] * step_lengths
+        samples = points + offsets * (offset / np.maximum(distances, TINY)[:, None])
+        rows, columns = grid.nearest_nodes(samples.reshape(-1, 2)).T
         free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
         return np.asarray(free.all(axis=0), np.bool_)
 
     def goal(self, points: FloatArray) -> FloatArray:
         """Return the ends ``(K, 2)`` of paths from x and z ``(K, 2)`` [m]."""
-        part = self.grid.parts.ravel()[self.grid.free_at(points)]
-        return self.goals[part]
+        component = self.grid.components.ravel()[self.grid.nearest_free_node(points)]
+        return self.goals[component]
 
 
 def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
     """Return the flow field to a goal at x and z ``(2,)``.
 
-    From a part of the grid that it is not in they lead to the node there that is
-    nearest to it.
+    In components of the grid without the goal, paths lead to the node nearest to it.
     """
-    number = int(grid.free_at(goal[None])[0])
-    goal_part = int(grid.parts.ravel()[number])
+    node = int(grid.nearest_free_node(goal[None])[0])
+    goal_component = int(grid.components.ravel()[node])
     nodes = np.flatnonzero(grid.free.ravel())
-    parts = grid.parts.ravel()[nodes]
-    off = np.linalg.norm(grid.positions_of(nodes) - goal, axis=1)
-    order = np.lexsort([off, parts])
-    first = order[np.flatnonzero(np.diff(parts[order], prepend=0))]
-    row, column = grid.at(goal[None])[0]
+    components = grid.components.ravel()[nodes]
+    goal_distances = np.linalg.norm(grid.positions_of(nodes) - goal, axis=1)
+    order = np.lexsort([goal_distances, components])
+    first = order[np.flatnonzero(np.diff(components[order], prepend=0))]
+    row, column = grid.nearest_nodes(goal[None])[0]
     goals = np.concatenate([np.zeros((1, 2)), grid.positions_of(nodes[first])])
-    near: Sequence[int] | IntArray = []
+    seeds_around: Sequence[int] | IntArray = []
     if grid.free[row, column]:
-        goals[goal_part] = goal
+        goals[goal_component] = goal
         # Seeded around the goal, so that paths end there and not at a node; outside the
         # grid nothing blocks the facing sides.
-        close = nodes[(parts == goal_part) & (off < 1.5 * grid.cell)]
-        sides = grid.facing(goal)
-        near = np.union1d(close, sides[grid.parts.ravel()[sides] == goal_part])
-    seeds = np.concatenate([nodes[first], near]).astype(np.int64)
+        around = nodes[
+            (components == goal_component) & (goal_distances < 1.5 * grid.cell)
+        ]
+        border = grid.facing_border(goal)
+        seeds_around = np.union1d(
+            around, border[grid.components.ravel()[border] == goal_component]
+        )
+    seeds = np.concatenate([nodes[first], seeds_around]).astype(np.int64)
     starts = np.linalg.norm(
-        grid.positions_of(seeds) - goals[grid.parts.ravel()[seeds]], axis=1
+        grid.positions_of(seeds) - goals[grid.components.ravel()[seeds]], axis=1
     )
     distances = _kernels.travel_distances(grid.free, grid.cell, seeds, starts)
     return FlowField(grid, goals, distances)

@@ -1,7 +1,7 @@
 """Shoulder yaw of agents, to slip past each other in a jam.
 
-Angles are of the line of the shoulders about up, from straight ahead: more than 0 is to
-the left, as headings are.
+Angles are yaws of the shoulder line relative to the heading; positive is to the left,
+as of headings.
 """
 
 from __future__ import annotations
@@ -19,39 +19,37 @@ if TYPE_CHECKING:
     from animtool.retarget.roled_skeleton import RoledSkeleton
 
 # Largest yaw [rad].
-MOST = 0.9
+MAX_YAW = 0.9
 # Depth of agents over their shoulder width.
-DEPTH = 0.6
+DEPTH_RATIO = 0.6
 # Time constants of yaw, and of its return [s].
-TURNING, BACK = 0.25, 0.6
+YAW_TIME, RETURN_TIME = 0.25, 0.6
 # Smaller yaws, over the largest, count as none.
-LEAST = 0.02
+NEGLIGIBLE_YAW = 0.02
 
 
-def lines(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
+def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
     """Return vectors along the shoulders, longer with more yaw, 1 at most ``(N, 2)``.
 
     ``headings`` and ``shoulders`` ``(N,)`` [rad].
     """
     angles = headings + shoulders
     along = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
-    return np.asarray(along * (np.abs(shoulders) / MOST)[:, None])
+    return np.asarray(along * (np.abs(shoulders) / MAX_YAW)[:, None])
 
 
-def turned_shoulders(
-    shoulders: FloatArray, pressed: FloatArray, dt: float
-) -> FloatArray:
+def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> FloatArray:
     """Return shoulder yaws after a step ``(N,)`` [rad].
 
     ``pressed`` ``(N,)``: target yaw over the largest; negative is to the right. Yawed
     shoulders keep their side.
     """
-    side = np.where(shoulders != 0, np.sign(shoulders), np.sign(pressed))
-    target = MOST * side * np.abs(pressed)
-    time = np.where(np.abs(target) > np.abs(shoulders), TURNING, BACK)
-    next_yaws = shoulders + (target - shoulders) * -np.expm1(-dt / time)
-    back = (pressed == 0) & (np.abs(next_yaws) < LEAST * MOST)
-    return np.where(back, 0.0, next_yaws)
+    side = np.where(shoulders != 0, np.sign(shoulders), np.sign(targets))
+    target = MAX_YAW * side * np.abs(targets)
+    time_constant = np.where(np.abs(target) > np.abs(shoulders), YAW_TIME, RETURN_TIME)
+    next_yaws = shoulders + (target - shoulders) * -np.expm1(-dt / time_constant)
+    returned = (targets == 0) & (np.abs(next_yaws) < NEGLIGIBLE_YAW * MAX_YAW)
+    return np.where(returned, 0.0, next_yaws)
 
 
 @dataclass(frozen=True)
@@ -64,11 +62,13 @@ class Trunk:
     @staticmethod
     def of(person: RoledSkeleton) -> Trunk:
         """Return the trunk of a skeleton; without a spine nothing rotates."""
-        named = {
+        joints_by_role = {
             role: tuple(j for j, actual in enumerate(person.roles) if actual == role)
             for role in ("spine", "neck", "head")
         }
-        return Trunk(named["spine"], named["neck"] + named["head"])
+        return Trunk(
+            joints_by_role["spine"], joints_by_role["neck"] + joints_by_role["head"]
+        )
 
     @property
     def joints(self) -> IntArray:
@@ -82,23 +82,25 @@ class Trunk:
 
         ``rotations`` ``(N, J, 4)`` are local; the head keeps facing forward.
         """
-        some = np.flatnonzero(angles)
-        if not len(some) or not self.spine:
+        rows = np.flatnonzero(angles)
+        if not len(rows) or not self.spine:
             return
-        posed, angle = rotations[some], angles[some]
-        each = [(j, 1 / len(self.spine)) for j in self.spine]
-        each += [(j, -1 / len(self.neck)) for j in self.neck]
-        for joint, fraction in each:
-            above = np.broadcast_to(so3.IDENTITY, (len(some), 4))
-            for j in _above(parents, joint):
-                above = so3.multiply(above, posed[:, j])
+        local, angle = rotations[rows], angles[rows]
+        joint_fractions = [(j, 1 / len(self.spine)) for j in self.spine]
+        joint_fractions += [(j, -1 / len(self.neck)) for j in self.neck]
+        for joint, fraction in joint_fractions:
+            parent_rotation = np.broadcast_to(so3.IDENTITY, (len(rows), 4))
+            for j in _ancestors(parents, joint):
+                parent_rotation = so3.multiply(parent_rotation, local[:, j])
             yaw = about_up(fraction * angle)
-            back = so3.multiply(so3.conjugate(above), so3.multiply(yaw, above))
-            posed[:, joint] = so3.multiply(back, posed[:, joint])
-        rotations[some] = posed
+            local_yaw = so3.multiply(
+                so3.conjugate(parent_rotation), so3.multiply(yaw, parent_rotation)
+            )
+            local[:, joint] = so3.multiply(local_yaw, local[:, joint])
+        rotations[rows] = local
 
 
-def _above(parents: IntArray, joint: int) -> list[int]:
+def _ancestors(parents: IntArray, joint: int) -> list[int]:
     """Return the ancestors of a joint, root first."""
     chain: list[int] = []
     while (joint := int(parents[joint])) >= 0:

@@ -46,7 +46,7 @@ class GroundModel(PlacedModel):
 
 
 class QueueModel(FileModel):
-    """A line of those who wait."""
+    """A queue of waiting agents."""
 
     direction: Vector = key(
         "Direction from the goal to the end of the queue.", [0, 0, -1]
@@ -55,7 +55,7 @@ class QueueModel(FileModel):
 
 
 class CrowdGoalModel(FileModel):
-    """A place on the ground that agents go to."""
+    """A goal of agents on the ground."""
 
     name: Name = key("Name, for routes.", "fountain")
     at: Vector = key("Position [m].", [12, 0, 3])
@@ -72,7 +72,7 @@ class CrowdGoalModel(FileModel):
 
 
 class DoorModel(FileModel):
-    """An opening that is shut at times."""
+    """An opening that is closed at times."""
 
     name: Name = key("For messages.", "gate", default="door")
     begin: Vector = key("One end [m].", [-1, 0, 4])
@@ -83,7 +83,7 @@ class DoorModel(FileModel):
 
 
 class WalkingSpeedModel(FileModel):
-    """How fast agents like to walk: normally distributed."""
+    """Preferred walking speed of agents, normally distributed."""
 
     mean: Positive = key("Mean [m/s].", 1.2, default=1.34)
     spread: NotNegative = key(
@@ -101,7 +101,7 @@ class WalkingSpeedModel(FileModel):
 
 
 class PopulationModel(PlacedModel):
-    """Agents that begin at one place and have one route."""
+    """Agents that start in the same region and have the same route."""
 
     name: Name = key("Its name.", "commuters")
     count: Annotated[Integer, Ge(0), Le(10**6)] = key("How many.", 200, default=50)
@@ -146,7 +146,7 @@ class PopulationModel(PlacedModel):
 
 
 class AgentAvoidanceModel(FileModel):
-    """How agents keep clear of each other."""
+    """Rules by which agents avoid each other."""
 
     sight: Positive = key("Range of sight [m].", 5, default=3.0)
     nearest: Annotated[Integer, Ge(1), Le(100)] = key(
@@ -176,7 +176,7 @@ class AgentAvoidanceModel(FileModel):
 
 
 class ImpactModel(FileModel):
-    """What becomes of agents that something hits: how fast it comes [m/s]."""
+    """Reactions of agents to impacts, by impact speed [m/s]."""
 
     stagger: Positive = key(
         "Impact speed above which they react, if a clip does [m/s].", 0.6, default=1.0
@@ -229,5 +229,5 @@ class CrowdsModel(SystemSpec):
 
     @property
     def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
+        """Number of entries by kind."""
         return {"populations": len(self.populations), "goals": len(self.goals)}

@@ -14,17 +14,17 @@ from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.routes import FlowField, NavGrid, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel
 
-# Time constant of stopping at a goal, and of returning to a slot in a group or queue
-# [s].
-STOPPING = 0.5
+# Time constant of stopping at a goal, and of returning to the own position in a group
+# or queue [s].
+STOPPING_TIME = 0.5
 # Speed of returning to a group, over the preferred speed.
-CATCHING_UP = 0.5
+CATCH_UP_SPEED = 0.5
 # Distance at which agents join a queue's end, over its spacing.
-JOINING = 2.0
-# Packing fraction of agents at a goal, whose radius grows with them.
-PACKED = 0.5
+JOINING_DISTANCE = 2.0
+# Packing density of agents at a goal, whose radius grows with their number.
+PACKING_FRACTION = 0.5
 # Fraction of a goal's radius that staying agents enter.
-INNER = 0.5
+INNER_RADIUS = 0.5
 NO_TICKET = -1
 GONE = -1
 
@@ -46,11 +46,11 @@ class Progress:
 
 @dataclass(frozen=True)
 class Steering:
-    """Goals of agents, and their flow fields.
+    """Computes preferred velocities from goals and flow fields.
 
     Attributes:
         points: x and z of each goal ``(G, 2)`` [m].
-        lines: Of each, from one to the next of its queue ``(G, 2)``, 0 of none [m].
+        lines: Offset between positions of its queue ``(G, 2)`` [m]; 0 without a queue.
     """
 
     agents: Agents
@@ -65,19 +65,21 @@ class Steering:
         return [] if self.grid is None else routes_to(self.grid, self.points)
 
     @cached_property
-    def _plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
+    def _route_plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
         """Return each agent's route, its length, and whether it repeats or leaves."""
         populations = self.agents.entries
         names = [goal.name for goal in self.goals]
-        longest = max((len(one.route) for one in populations), default=0)
+        longest = max((len(population.route) for population in populations), default=0)
         table = np.full((len(populations), longest + 1), -1)
-        for i, one in enumerate(populations):
-            table[i, : len(one.route)] = [names.index(name) for name in one.route]
-        counts = np.array([len(one.route) for one in populations])
-        again = np.array([one.then == "repeat" for one in populations])
-        leaves = np.array([one.then == "leave" for one in populations])
+        for i, population in enumerate(populations):
+            table[i, : len(population.route)] = [
+                names.index(name) for name in population.route
+            ]
+        counts = np.array([len(population.route) for population in populations])
+        repeats = np.array([population.then == "repeat" for population in populations])
+        leaves = np.array([population.then == "leave" for population in populations])
         kinds = self.agents.kinds
-        return table[kinds], counts[kinds], again[kinds], leaves[kinds]
+        return table[kinds], counts[kinds], repeats[kinds], leaves[kinds]
 
     def first(self) -> Progress:
         """Return the initial progress."""
@@ -86,157 +88,179 @@ class Steering:
             np.zeros(count, np.int64), np.zeros(count), np.full(count, NO_TICKET)
         )
 
-    def heading_for(self, progress: Progress) -> IntArray:
+    def current_goals(self, progress: Progress) -> IntArray:
         """Return the current goal of each agent ``(N,)``, -1 for none."""
-        table, counts, again, _ = self._plans
+        table, counts, repeats, _ = self._route_plans
         stages = progress.stages
-        stage = np.where(
-            again, stages % np.maximum(counts, 1), np.minimum(stages, counts)
+        route_index = np.where(
+            repeats, stages % np.maximum(counts, 1), np.minimum(stages, counts)
         )
-        goal = table[np.arange(len(stages)), np.maximum(stage, 0)]
+        goal = table[np.arange(len(stages)), np.maximum(route_index, 0)]
         return np.where(stages == GONE, -1, goal)
 
     def targets(
         self, progress: Progress, goal: IntArray, x: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Return each agent's final position ``(N, 2)`` [m], and who queues."""
+        """Return each agent's target ``(N, 2)`` [m], and a mask of queuing agents."""
         if not len(self.points):
             return x, np.zeros(len(x), np.bool_)
-        at = self._middles(goal, x)
+        positions = self._reachable_goals(goal, x)
         radii = np.array([one.radius for one in self.goals])
         next_to_goal = (
-            at + self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
+            positions
+            + self.agents.goal_offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
         )
         if self.grid is None:
-            at = next_to_goal
+            positions = next_to_goal
         else:
-            # Only if it is reachable from the centre.
-            nodes = self.grid.at(np.stack([at, next_to_goal]).reshape(-1, 2))
-            parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
-            at = np.where((parts[0] == parts[1])[:, None], next_to_goal, at)
-        queued = progress.tickets != NO_TICKET
-        for g in np.unique(goal[queued]).tolist():
-            line = np.flatnonzero(queued & (goal == g))
+            # Offsets only apply if they are reachable from the centre.
+            nodes = self.grid.nearest_nodes(
+                np.stack([positions, next_to_goal]).reshape(-1, 2)
+            )
+            parts = self.grid.components[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
+            positions = np.where(
+                (parts[0] == parts[1])[:, None], next_to_goal, positions
+            )
+        is_queued = progress.tickets != NO_TICKET
+        for g in np.unique(goal[is_queued]).tolist():
+            line = np.flatnonzero(is_queued & (goal == g))
             line = line[np.argsort(progress.tickets[line], kind="stable")]
-            at[line] = self.points[g] + np.arange(len(line))[:, None] * self.lines[g]
-        return at, queued
+            positions[line] = (
+                self.points[g] + np.arange(len(line))[:, None] * self.lines[g]
+            )
+        return positions, is_queued
 
-    def _middles(self, goal: IntArray, x: FloatArray) -> FloatArray:
+    def _reachable_goals(self, goal: IntArray, x: FloatArray) -> FloatArray:
         """Return each agent's reachable goal ``(N, 2)`` [m]; without one, x."""
-        at = np.where((goal >= 0)[:, None], self.points[goal], x)
+        positions = np.where((goal >= 0)[:, None], self.points[goal], x)
         for g, route in enumerate(self.routes):
             assigned = goal == g
-            at[assigned] = route.goal(x[assigned])
-        return np.asarray(at)
+            positions[assigned] = route.goal(x[assigned])
+        return np.asarray(positions)
 
     def preferred(
         self, t: float, begin: float, progress: Progress, x: FloatArray
     ) -> FloatArray:
         """Return preferred velocities at a time [s] ``(N, 2)`` [m/s]."""
         agents = self.agents
-        goal = self.heading_for(progress)
-        target, queued = self.targets(progress, goal, x)
-        off = target - x
-        far = np.linalg.norm(off, axis=1)
-        directions = off / np.maximum(far, np.finfo(float).tiny)[:, None]
+        goal = self.current_goals(progress)
+        target, is_queued = self.targets(progress, goal, x)
+        offset = target - x
+        distances = np.linalg.norm(offset, axis=1)
+        directions = offset / np.maximum(distances, np.finfo(float).tiny)[:, None]
         for g, route in enumerate(self.routes):
-            assigned = (goal == g) & ~queued
+            assigned = (goal == g) & ~is_queued
             if assigned.any():
                 directions[assigned] = route.directions(x[assigned], target[assigned])
-        speeds = np.minimum(agents.speeds, far / STOPPING)
+        speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
         # Waiting agents make room for those behind, and stay.
-        waits = (progress.waited > 0) & ~queued
-        if waits.any():
+        is_waiting = (progress.waited > 0) & ~is_queued
+        if is_waiting.any():
             radius = self._radius(goal, progress.waited > 0)
-            inside = np.maximum(far - INNER * radius, 0.0) / STOPPING
-            speeds = np.where(waits, np.minimum(speeds, inside), speeds)
+            inward_speeds = (
+                np.maximum(distances - INNER_RADIUS * radius, 0.0) / STOPPING_TIME
+            )
+            speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
         preferred = directions * speeds[:, None]
-        return self._in_groups(preferred, queued | waits, x)
+        return self._in_groups(preferred, is_queued | is_waiting, x)
 
     def _in_groups(
-        self, preferred: FloatArray, alone: BoolArray, x: FloatArray
+        self, preferred: FloatArray, excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep groups side by side."""
         groups = self.agents.groups
-        members = np.flatnonzero((groups >= 0) & ~alone & preferred.any(axis=1))
+        members = np.flatnonzero((groups >= 0) & ~excluded & preferred.any(axis=1))
         if not len(members):
             return preferred
-        number = groups[members]
-        count = np.bincount(number)[number][:, None]
+        group_of_member = groups[members]
+        count = np.bincount(group_of_member)[group_of_member][:, None]
 
         def mean(values: FloatArray) -> FloatArray:
-            sums = [np.bincount(number, column)[number] for column in values.T]
+            sums = [
+                np.bincount(group_of_member, column)[group_of_member]
+                for column in values.T
+            ]
             return np.asarray(np.stack(sums, axis=1) / count)
 
         forward = mean(preferred[members])
         size = np.linalg.norm(forward, axis=1)[:, None]
         forward = forward / np.where(size > 0, size, 1.0)
         side = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
-        slot = mean(x[members]) + side * self.agents.sides[members, None]
-        back = (slot - x[members]) / STOPPING
-        sizes = np.linalg.norm(back, axis=1)[:, None]
-        most = CATCHING_UP * self.agents.speeds[members, None]
-        back = back * np.minimum(1.0, most / np.where(sizes > 0, sizes, 1.0))
+        slot = mean(x[members]) + side * self.agents.lateral_offsets[members, None]
+        correction = (slot - x[members]) / STOPPING_TIME
+        lengths = np.linalg.norm(correction, axis=1)[:, None]
+        max_correction = CATCH_UP_SPEED * self.agents.speeds[members, None]
+        correction = correction * np.minimum(
+            1.0, max_correction / np.where(lengths > 0, lengths, 1.0)
+        )
         adjusted = preferred.copy()
-        adjusted[members] = preferred[members] + back
+        adjusted[members] = preferred[members] + correction
         return adjusted
 
-    def advanced(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
+    def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
         """Return progress after a step [s], with agents at x and z."""
         if not len(self.points):
             return progress
-        _, counts, again, leaves = self._plans
-        goal = self.heading_for(progress)
-        has = goal >= 0
+        _, counts, repeats, leaves = self._route_plans
+        goal = self.current_goals(progress)
+        has_goal = goal >= 0
         wait, queues = (
-            np.array(each)[goal]
-            for each in (
+            np.array(values)[goal]
+            for values in (
                 [one.wait for one in self.goals],
                 [one.queue is not None for one in self.goals],
             )
         )
         radius = self._radius(goal, progress.waited > 0)
-        tickets = self._joined(progress.tickets, goal, has & queues, x)
-        target, queued = self.targets(replace(progress, tickets=tickets), goal, x)
-        far = np.linalg.norm(target - x, axis=1)
-        near = np.linalg.norm(self._middles(goal, x) - x, axis=1)
-        first = queued & (far <= radius) & (target == self.points[goal]).all(axis=1)
-        there = has & np.where(queues, first, near <= radius)
-        waited = np.where(there | ((progress.waited > 0) & has & ~queues),
+        tickets = self._with_new_tickets(progress.tickets, goal, has_goal & queues, x)
+        target, is_queued = self.targets(replace(progress, tickets=tickets), goal, x)
+        target_distances = np.linalg.norm(target - x, axis=1)
+        goal_distances = np.linalg.norm(self._reachable_goals(goal, x) - x, axis=1)
+        is_served = (
+            is_queued
+            & (target_distances <= radius)
+            & (target == self.points[goal]).all(axis=1)
+        )
+        arrived = has_goal & np.where(queues, is_served, goal_distances <= radius)
+        waited = np.where(arrived | ((progress.waited > 0) & has_goal & ~queues),
                           progress.waited + dt, 0.0)  # fmt: skip
-        last = ~again & ~leaves & (progress.stages + 1 >= counts)
-        # Agents that stay at their last goal never leave it.
-        done = there & (waited >= wait) & ~(last & ~queues)
-        stages = progress.stages + done
-        stages = np.where(done & leaves & (stages >= counts), GONE, stages)
+        is_last = ~repeats & ~leaves & (progress.stages + 1 >= counts)
+        # Agents that stay at their last goal never pass it.
+        passed = arrived & (waited >= wait) & ~(is_last & ~queues)
+        stages = progress.stages + passed
+        stages = np.where(passed & leaves & (stages >= counts), GONE, stages)
         return Progress(
-            stages, np.where(done, 0.0, waited), np.where(done, NO_TICKET, tickets)
+            stages, np.where(passed, 0.0, waited), np.where(passed, NO_TICKET, tickets)
         )
 
-    def _radius(self, goal: IntArray, there: BoolArray) -> FloatArray:
+    def _radius(self, goal: IntArray, arrived: BoolArray) -> FloatArray:
         """Return each goal's arrival radius ``(N,)`` [m], larger when crowded."""
         radii = np.array([one.radius for one in self.goals])[goal]
-        count = np.bincount(goal[there & (goal >= 0)], minlength=len(self.goals))[goal]
+        count = np.bincount(goal[arrived & (goal >= 0)], minlength=len(self.goals))[
+            goal
+        ]
         return np.asarray(
-            np.maximum(radii, self.agents.radii * np.sqrt(count / PACKED))
+            np.maximum(radii, self.agents.radii * np.sqrt(count / PACKING_FRACTION))
         )
 
-    def _joined(
+    def _with_new_tickets(
         self, tickets: IntArray, goal: IntArray, queues: BoolArray, x: FloatArray
     ) -> IntArray:
-        """Return tickets, with new ones for agents who reach the end of a queue."""
-        joined = tickets
+        """Return tickets, with new ones for agents that reach the end of a queue."""
+        result = tickets
         for g in np.unique(goal[queues]).tolist():
             queuing = queues & (goal == g)
-            waiting = queuing & (joined != NO_TICKET)
-            end = self.points[g] + int(waiting.sum()) * self.lines[g]
+            waiting = queuing & (result != NO_TICKET)
+            queue_end = self.points[g] + int(waiting.sum()) * self.lines[g]
             spacing = float(np.linalg.norm(self.lines[g]))
-            far = np.linalg.norm(x - end, axis=1)
-            near = np.flatnonzero(queuing & ~waiting & (far < JOINING * spacing))
-            if len(near):
-                joined = joined.copy()
+            distances = np.linalg.norm(x - queue_end, axis=1)
+            joining = np.flatnonzero(
+                queuing & ~waiting & (distances < JOINING_DISTANCE * spacing)
+            )
+            if len(joining):
+                result = result.copy()
                 # The nearest comes first; equal ones in order.
-                order = near[np.argsort(far[near], kind="stable")]
-                joined[order] = joined.max() + 1 + np.arange(len(order))
-        return joined
+                order = joining[np.argsort(distances[joining], kind="stable")]
+                result[order] = result.max() + 1 + np.arange(len(order))
+        return result

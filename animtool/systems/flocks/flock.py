@@ -12,30 +12,30 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
-from animtool.sim.checks import check_fit
+from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
-from animtool.systems.flocks.rules import FlockRule, flocking, rules_of
-from animtool.systems.flocks.spacing import FIRST_PASSES, Spacing
+from animtool.systems.flocks.rules import FlockRule, rule_accelerations, rules_of
+from animtool.systems.flocks.spacing import START_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance,
+    clamp_speeds,
     goal_accelerations,
-    kept_speeds,
-    steered,
+    limit_steering,
 )
-from animtool.systems.framework.interacting import integrated
+from animtool.systems.framework.interacting import integrate_step
 from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.emitter import uniforms
 from animtool.systems.particles.forces.base import Force
 
 GRAVITY = 9.81  # [m/s²]
 # Time constant of banking [s].
-LEANING = 0.15
+BANKING_TIME = 0.15
 _UP = np.array([0.0, 1.0, 0.0])
 _TINY = 1e-9  # shorter vectors have no direction
 
@@ -55,10 +55,10 @@ def first_heading(members: Members, v: FloatArray) -> Heading:
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
         uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
-        for species, rows in zip(members.entries, members.parted, strict=True)
+        for species, rows in zip(members.entries, members.rows_by_entry, strict=True)
     ]
     return Heading(
-        _along(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
+        _look_rotations(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
     )
 
 
@@ -67,48 +67,54 @@ def next_heading(
 ) -> Heading:
     """Return orientations after a step [s]: ``v0`` and ``v1`` ``(N, 3)``.
 
-    What carries a wing is at right angles to the way, and makes up for gravity and for
-    the turn: so is the up that they lean to.
+    Members bank like aircraft: their up vector follows the lift, which is perpendicular
+    to the velocity and compensates gravity and the turn.
     """
     banking = members.each([one.banking for one in members.entries])[:, None]
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
-    # Across the velocity; along it is speed gain.
+    # Only the component perpendicular to the velocity is lift.
     directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
     lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
-    size = np.linalg.norm(lift, axis=1)[:, None]
-    leaned = up + (lift / np.maximum(size, _TINY) - up) * -np.expm1(-dt / LEANING)
-    turned = _along(heading.rotations, v1, np.where(size > _TINY, leaned, up))
-    rotations = so3.align_signs(turned[None], heading.rotations)[0]
-    change = so3.multiply(rotations, so3.conjugate(heading.rotations))
-    spins = so3.log(change) / dt
+    length = np.linalg.norm(lift, axis=1)[:, None]
+    banked_up = up + (lift / np.maximum(length, _TINY) - up) * -np.expm1(
+        -dt / BANKING_TIME
+    )
+    aligned = _look_rotations(
+        heading.rotations, v1, np.where(length > _TINY, banked_up, up)
+    )
+    rotations = so3.align_signs(aligned[None], heading.rotations)[0]
+    step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
+    spins = so3.log(step_rotation) / dt
     beats = members.each([one.beat / one.speed.cruise for one in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return Heading(rotations, spins, heading.phases + beats * speeds * dt)
 
 
-def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
-    """Return rotations ``(N, 4)`` with z along velocities, and y near an up vector.
+def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
+    """Return rotations ``(N, 4)`` with z along velocities and y near an up vector.
 
     Members at rest keep their rotation.
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
     forward = v / np.maximum(speeds, _TINY)
-    side = so3.cross(np.broadcast_to(up, v.shape), forward)
-    # Straight up or down, it keeps its right side.
-    size = np.linalg.norm(side, axis=1)[:, None]
-    right = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
-    right = right - (right * forward).sum(axis=1)[:, None] * forward
-    side = np.where(size > 1e-6, side / np.maximum(size, _TINY), right)
-    side = side / np.maximum(np.linalg.norm(side, axis=1)[:, None], _TINY)
-    axes = np.stack([side, so3.cross(forward, side), forward], axis=-1)
+    left = so3.cross(np.broadcast_to(up, v.shape), forward)
+    # In vertical flight, members keep their left axis.
+    length = np.linalg.norm(left, axis=1)[:, None]
+    previous_left = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
+    previous_left = (
+        previous_left - (previous_left * forward).sum(axis=1)[:, None] * forward
+    )
+    left = np.where(length > 1e-6, left / np.maximum(length, _TINY), previous_left)
+    left = left / np.maximum(np.linalg.norm(left, axis=1)[:, None], _TINY)
+    axes = np.stack([left, so3.cross(forward, left), forward], axis=-1)
     return np.where(speeds > _TINY, so3.from_matrix(axes), before)
 
 
-def shown(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
+def mesh_indices(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
     """Return the mesh index of each member ``(N,)``, by its species and phase.
 
-    ``meshes``: first of each species, and how many it has ``(S, 2)``.
+    ``meshes``: index of the first mesh and number of meshes of each species ``(S, 2)``.
     """
     first, counts = meshes[members.kinds].T
     return np.asarray(
@@ -145,49 +151,48 @@ class FlockForces(SecondOrder):
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
         members = self.members
-        accelerations = flocking(self.rules, self.domain, x, v)
+        accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
         if self.colliders.rigid:
             accelerations += avoidance(members, self.colliders, t, x, v)
-        accelerations = steered(members, v, accelerations)
+        accelerations = limit_steering(members, v, accelerations)
         if self.forces:
             particles = members.particles
-            pushed = sum(force.force(t, x, v, particles) for force in self.forces)
-            accelerations = accelerations + pushed / particles.masses[:, None]
+            external = sum(force.force(t, x, v, particles) for force in self.forces)
+            accelerations = accelerations + external / particles.masses[:, None]
         return accelerations
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state within speed limits, spacing and colliders."""
+        """Return the state after speed limits, spacing and collisions."""
         x, v = after[0], after[1]
         if self.spacing is not None:
-            v = self._braked(h, before[1], x, v)
-            x, _ = self.spacing.separated(x)
-        v = kept_speeds(self.members, v)
+            v = self._brake_velocities(h, before[1], x, v)
+            x, _ = self.spacing.separate(x)
+        v = clamp_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
-            done = collide(x, v, before, self.colliders, t - h, t, radii)
-            x, v = done.points, done.velocities
+            collided = collide(x, v, before, self.colliders, t - h, t, radii)
+            x, v = collided.points, collided.velocities
         return after if x is after[0] and v is after[1] else np.stack([x, v])
 
-    def _braked(
+    def _brake_velocities(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
     ) -> FloatArray:
-        """Return velocities after braking for others ``(N, 3)``."""
+        """Return velocities after braking for other members ``(N, 3)``."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
-        braking = steered(self.members, before, (v - before) / h + brakes)
-        acts = (brakes != 0).any(axis=1, keepdims=True)
-        return np.where(acts, before + h * braking, v)
+        braking = limit_steering(self.members, before, (v - before) / h + brakes)
+        is_braking = (brakes != 0).any(axis=1, keepdims=True)
+        return np.where(is_braking, before + h * braking, v)
 
 
 def build(spec: FlocksModel, context: SimContext) -> Flock:
-    """Return the flock of a spec, its members apart and out of colliders.
+    """Return the flock of a spec, with separated members outside of colliders.
 
     Raises:
-        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
-            SIM060).
+        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM060).
     """
     check_species(spec)
     options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
@@ -203,11 +208,11 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     parts = context.parts["species"]
     members = Members.of(spec, parts, context.begin)
     spacing = Spacing.of(members, spec.domain)
-    points, notices = members.outside(colliders)
+    points, notices = members.clear_positions(colliders)
     if spacing is not None:
-        points, overlap = spacing.separated(points, FIRST_PASSES)
-        notices += members.spread(points, overlap)
-        points, _ = replace(members, points=points).outside(colliders)
+        points, overlap = spacing.separate(points, START_PASSES)
+        notices += members.separation_notices(points, overlap)
+        points, _ = replace(members, points=points).clear_positions(colliders)
     system = FlockForces(
         members,
         spec.domain,
@@ -217,18 +222,23 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         wrapped(np.stack([points, members.velocities]), spec.domain),
         spacing,
     )
-    check_fit(Equations(system), integrator)
-    shows = [part.get("shows") for part in parts]
-    # Species with the same meshes share them.
-    cycles = {show: show() for show in shows if show is not None}
-    ends = dict(zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True))
+    check_supported(Equations(system), integrator)
+    mesh_sources = [part.get("shows") for part in parts]
+    # Species that show the same meshes share them.
+    cycles = {show: show() for show in mesh_sources if show is not None}
+    mesh_ends = dict(
+        zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True)
+    )
     return Flock(
         system,
         options,
         notices,
         tuple(mesh for cycle in cycles.values() for mesh in cycle),
         np.array(
-            [(ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0) for s in shows]
+            [
+                (mesh_ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0)
+                for s in mesh_sources
+            ]
         ),
     )
 
@@ -245,13 +255,13 @@ def wrapped(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Flock:
-    """A flock, in steps."""
+    """Simulation of a flock."""
 
     system: FlockForces  # members and their forces at the start
     options: IntegrateOptions
     notices: Sequence[Fault]
     meshes: tuple[MeshFrame, ...]  # of all species
-    shown: IntArray  # first mesh and number of meshes of each species (S, 2)
+    mesh_indices: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
         """Return the initial state."""
@@ -264,10 +274,10 @@ class Flock:
         """Return the state after a step [s].
 
         Raises:
-            StoppedError: The method could not go on (SIM102 to SIM105).
+            StoppedError: Integration stopped early (SIM102 to SIM105).
         """
         system = replace(self.system, motion=state.motion)
-        motion = integrated(system, replace(self.options, step=dt), t, dt)
+        motion = integrate_step(system, replace(self.options, step=dt), t, dt)
         heading = state.heading
         if heading is not None:
             heading = next_heading(
@@ -280,8 +290,8 @@ class Flock:
         members, heading = self.system.members, state.heading
         points, velocities = state.motion
         ids = np.arange(len(members))
-        several = len(members.entries) > 1
-        primvars = {"species": members.kinds} if several else {}
+        has_many_species = len(members.entries) > 1
+        primvars = {"species": members.kinds} if has_many_species else {}
         if heading is None:
             return PointsFrame(ids, points, velocities, members.radii, primvars)
         return TransformsFrame(
@@ -291,7 +301,7 @@ class Flock:
             heading.rotations,
             heading.spins,
             np.ones((len(members), 3)),
-            shown(members, self.shown, heading.phases),
+            mesh_indices(members, self.mesh_indices, heading.phases),
             self.meshes,
             primvars,
         )

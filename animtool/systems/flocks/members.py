@@ -27,12 +27,12 @@ from animtool.systems.framework.matter import check_distinct
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
-# Passes that move members out of colliders at the start; more means several overlap.
-MOVES = 20
+# Passes that move members out of colliders at the start; then colliders overlap.
+MAX_PASSES = 20
 # Clearance beyond the surface, over the radius [1].
-CLEAR = 1e-6
+CLEARANCE = 1e-6
 # Least displacement, over the radius, that is reported.
-MOVED = 4e-3
+REPORTED_MOVE = 4e-3
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,15 @@ class Members(Groups):
         spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
         """Return the members of a spec; duplicate positions are refused."""
-        drawn, refusals = [], Refusals()
+        motions, refusals = [], Refusals()
         for species, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
-                drawn.append(_start_motion(species, part, begin))
+                motions.append(_start_motion(species, part, begin))
         refusals.check()
-        points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
-        ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
+        points, velocities = (
+            np.concatenate(columns) for columns in zip(*motions, strict=True)
+        )
+        ends = np.cumsum([len(columns[0]) for columns in motions]).tolist()
         members = Members(spec.species, ends, parts, begin, points, velocities)
         members.check_distinct()
         return members
@@ -73,63 +75,63 @@ class Members(Groups):
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_distinct(
             self.points,
-            lambda i, j: f"{self.named(i)} and {self.named(j)}",
+            lambda i, j: f"{self.label(i)} and {self.label(j)}",
             "SIM060",
             "species",
             hint,
         )
 
-    def outside(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
+    def clear_positions(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
         """Return start positions outside all colliders ``(N, 3)`` [m].
 
-        Who would begin inside is moved out, which is a warning (SIM124).
+        Members that start inside are moved out with a warning (SIM124).
         """
         points, moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MOVES if colliders.rigid else 0):
+        for _ in range(MAX_PASSES if colliders.rigid else 0):
             volumes = colliders.volumes.sample(points, self.begin)
             depths = self.radii - volumes.distances
-            worst = np.argmax(depths, axis=0)
-            all_of_them = np.arange(len(self))
-            depth = depths[worst, all_of_them]
-            within = depth > 0
-            if not within.any():
+            deepest = np.argmax(depths, axis=0)
+            every_member = np.arange(len(self))
+            depth = depths[deepest, every_member]
+            is_inside = depth > 0
+            if not is_inside.any():
                 break
-            moved |= within
-            normal = volumes.normals[worst, all_of_them]
+            moved |= is_inside
+            normal = volumes.normals[deepest, every_member]
             points = points + (
-                normal * ((depth + CLEAR * self.radii) * within)[:, None]
+                normal * ((depth + CLEARANCE * self.radii) * is_inside)[:, None]
             )
         else:
             if colliders.rigid:
-                name = self.named(int(np.argmax(within)))
+                name = self.label(int(np.argmax(is_inside)))
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"
                 refuse("SIM060", message, "species", hint)
         if not moved.any():
             return points, []
         message = f"{counted(int(moved.sum()), 'member')} would start inside a "
-        message += f"collider, {self.named(int(np.argmax(moved)))} first: moved out"
+        message += f"collider, {self.label(int(np.argmax(moved)))} first: moved out"
         hint = "begin elsewhere"
         return points, [warning("SIM124", message, hint)]
 
-    def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
+    def separation_notices(self, points: FloatArray, overlap: float) -> list[Fault]:
         """Return warnings about members that were separated ``(N, 3)``.
 
-        Members with positions from a file are named, and so is a remaining overlap [m]
-        (SIM147).
+        One warning names moved members with positions from a file, another reports the
+        remaining overlap [m] (SIM147).
         """
         moved = np.linalg.norm(points - self.points, axis=1)
         from_points = np.array([part.get("points") is not None for part in self.parts])
-        moved_far = (moved > MOVED * self.radii) & from_points[self.kinds]
+        moved_far = (moved > REPORTED_MOVE * self.radii) & from_points[self.kinds]
         faults = []
         if moved_far.any():
             message = f"{counted(int(moved_far.sum()), 'member')} would start closer "
             message += "to each other than allowed, "
-            message += f"{self.named(int(np.argmax(moved_far)))} first: moved apart by "
+            message += f"{self.label(int(np.argmax(moved_far)))} first: moved apart by "
             message += f"up to {moved.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
-        if overlap > MOVED * float(self.radii.max()):
+        if overlap > REPORTED_MOVE * float(self.radii.max()):
             message = f"members start {overlap:.3g} m closer to each other than "
             message += "allowed: too many for their region"
             hint = "use a larger region, fewer members, or a smaller repulsion.least"
@@ -155,9 +157,9 @@ def _start_motion(
         seed=species.seed,
     )
     count = species.count if points is None else len(points)
-    drawn, velocities_drawn = emitter.drawn_at(begin, count)
+    points_drawn, velocities_drawn = emitter.sample_at(begin, count)
     if points is None:
-        return drawn, velocities_drawn
+        return points_drawn, velocities_drawn
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
@@ -197,13 +199,15 @@ def _problems(spec: FlocksModel) -> Iterator[Problem]:
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
-    least = min(domain.size)
+    smallest_side = min(domain.size)
     for species in spec.species:
         radius, what = species.radius, "its radius"
         if domain.wrap:
-            radius, what = farthest(species), "what it sees"
-        if least < 2 * radius:
-            message = f"the domain is {least:g} m wide, but {species.name!r} needs "
+            radius, what = interaction_radius(species), "what it sees"
+        if smallest_side < 2 * radius:
+            message = (
+                f"the domain is {smallest_side:g} m wide, but {species.name!r} needs "
+            )
             message += f"{2 * radius:g} m: twice {what}"
             yield message, "domain", "use a larger domain, or a smaller radius"
 
@@ -214,7 +218,7 @@ def max_speed(species: SpeciesModel) -> float:
     return 2 * speed.cruise if speed.most is None else speed.most
 
 
-def farthest(species: SpeciesModel) -> float:
+def interaction_radius(species: SpeciesModel) -> float:
     """Return the largest interaction distance of members [m]."""
     others = [*species.flees, *species.chases]
     return max(species.vision.radius, *(one.radius for one in others), 0.0)

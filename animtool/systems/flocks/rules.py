@@ -16,10 +16,10 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 Indices: TypeAlias = npt.NDArray[np.int32]
-# Neighbour pairs per member on average, and in total: beyond both a step takes minutes,
-# as if thousands see each other.
+# Neighbour pairs per member on average, and in total. Beyond both, thousands of members
+# see each other and a step takes minutes.
 MAX_PAIRS_EACH, MAX_PAIRS = 20_000, 2_000_000_000
-_NEVER = (0.0, 0.0)
+_OFF = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,28 +41,40 @@ def rules_of(members: Members) -> list[FlockRule]:
     """Return the rules of all species, without those that have no effect."""
     rules = []
     names = [species.name for species in members.entries]
-    for number, species in enumerate(members.entries):
-        subjects = _some(members, [number])
-        mates = [number, *(names.index(name) for name in species.joins)]
-        rules.append(_flocking(species, subjects, _some(members, sorted({*mates}))))
+    for index, species in enumerate(members.entries):
+        subject_members = _members_of(members, [index])
+        flock_members = [index, *(names.index(name) for name in species.joins)]
+        rules.append(
+            _flocking(
+                species, subject_members, _members_of(members, sorted({*flock_members}))
+            )
+        )
         for flee in species.flees:
-            those = _some(members, [names.index(flee.species)])
+            targets = _members_of(members, [names.index(flee.species)])
             push = (flee.weight, flee.radius)
             rules.append(
                 FlockRule(
-                    subjects, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
+                    subject_members, targets, flee.radius, -1.0, 0, _OFF, _OFF, push,
                     species.repulsion.softening,
                 )
             )  # fmt: skip
         for chase in species.chases:
-            those = _some(members, [names.index(chase.species)])
+            targets = _members_of(members, [names.index(chase.species)])
             pull = (chase.weight, chase.radius)
             rules.append(
                 FlockRule(
-                    subjects, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0
+                    subject_members,
+                    targets,
+                    chase.radius,
+                    -1.0,
+                    1,
+                    pull,
+                    _OFF,
+                    _OFF,
+                    0.0,
                 )
             )
-    return [rule for rule in rules if _acts(rule)]
+    return [rule for rule in rules if _has_effect(rule)]
 
 
 def _flocking(
@@ -86,21 +98,25 @@ def _flocking(
     )
 
 
-def _acts(rule: FlockRule) -> bool:
+def _has_effect(rule: FlockRule) -> bool:
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
-    sizes = [len(some) for some in (rule.members, rule.others) if some is not None]
+    sizes = [
+        len(indices) for indices in (rule.members, rule.others) if indices is not None
+    ]
     return any(weights) and 0 not in sizes
 
 
-def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
-    """Return the members of some species ``(M,)``; None for all."""
-    if len(numbers) == len(members.entries):
+def _members_of(members: Members, species: Sequence[int]) -> Indices | None:
+    """Return the members of selected species ``(M,)``; None for all species."""
+    if len(species) == len(members.entries):
         return None
-    every = [np.arange(len(members))[members.parted[number]] for number in numbers]
-    return np.concatenate(every).astype(np.int32)
+    ranges = [
+        np.arange(len(members))[members.rows_by_entry[number]] for number in species
+    ]
+    return np.concatenate(ranges).astype(np.int32)
 
 
-def wrapping(domain: DomainModel | None) -> FloatArray:
+def periodic_box(domain: DomainModel | None) -> FloatArray:
     """Return the origin and period of each axis ``(2, 3)`` [m]; 0 is not periodic."""
     period = np.zeros((2, 3))
     if domain is not None and domain.wrap:
@@ -114,7 +130,7 @@ def max_pairs(count: int) -> float:
     return float(max(MAX_PAIRS_EACH * count, MAX_PAIRS))
 
 
-def flocking(
+def rule_accelerations(
     rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Return accelerations from members in sight ``(N, 3)`` [m/s²].
@@ -125,18 +141,18 @@ def flocking(
         ToleranceError: Too many members are so close that a step would take minutes
             (SIM107).
     """
-    period = wrapping(domain)
+    period = periodic_box(domain)
     total = np.zeros_like(x)
     for rule in rules:
-        size = len(x) if rule.members is None else len(rule.members)
-        most = max_pairs(size)
-        accelerations, _, looked = _kernels.flock_accelerations(
+        count = len(x) if rule.members is None else len(rule.members)
+        limit = max_pairs(count)
+        accelerations, _, pairs = _kernels.flock_accelerations(
             x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
             np.array(rule.attraction), np.array(rule.alignment),
-            np.array(rule.repulsion), rule.softening, period, most,
+            np.array(rule.repulsion), rule.softening, period, limit,
         )  # fmt: skip
-        if looked > most:
-            message = f"{size} members are so close that each has thousands of "
+        if pairs > limit:
+            message = f"{count} members are so close that each has thousands of "
             message += "neighbours"
             hint = "reduce their range of sight, or strengthen the repulsion"
             raise ToleranceError(Fault("SIM107", message, hint=hint))

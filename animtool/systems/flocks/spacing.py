@@ -9,29 +9,29 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import max_pairs, wrapping
+from animtool.systems.flocks.rules import max_pairs, periodic_box
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 # Members brake for others within this many minimum distances.
-SIGHT = 2.0
+BRAKING_RANGE = 2.0
 # Least braking room, over the minimum distance.
-ROOM = 0.1
+MIN_BRAKING_ROOM = 0.1
 # Separation passes in a step, and at the start; each moves by this fraction.
-PASSES, FIRST_PASSES, RELAXATION = 24, 400, 0.6
+STEP_PASSES, START_PASSES, RELAXATION = 24, 400, 0.6
 # Extra clearance, over the minimum distance.
-CLEAR = 1e-4
+CLEARANCE = 1e-4
 
 
-def least_distance(species: SpeciesModel) -> float:
+def min_distance(species: SpeciesModel) -> float:
     """Return the minimum distance of a species [m]; 0 for none.
 
-    Twice the radius; members without a stated radius or shape are points.
+    Default: twice the radius; members without an explicit radius or mesh are points.
     """
     repulsion = species.repulsion
     if repulsion.least is not None:
         return repulsion.least
-    sized = "radius" in species.model_fields_set or species.shows is not None
-    return 2 * species.radius if sized and repulsion.weight else 0.0
+    has_size = "radius" in species.model_fields_set or species.shows is not None
+    return 2 * species.radius if has_size and repulsion.weight else 0.0
 
 
 @dataclass(frozen=True)
@@ -44,44 +44,44 @@ class Spacing:
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
-        distances = members.each([least_distance(one) for one in members.entries])
-        keeps = len(distances) > 1 and distances.max() > 0
-        return Spacing(distances, wrapping(domain)) if keeps else None
+        distances = members.each([min_distance(one) for one in members.entries])
+        has_distances = len(distances) > 1 and distances.max() > 0
+        return Spacing(distances, periodic_box(domain)) if has_distances else None
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return braking accelerations ahead of others ``(N, 3)`` [m/s²].
 
-        Of two that close in each takes half: the square of their speed over twice the
-        room that is left, the more the nearer they are.
+        Each of two approaching members contributes half of the deceleration: the
+        squared closing speed over twice the remaining gap, weighted by proximity.
 
         Raises:
             ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
-        most = max_pairs(len(x))
-        brakes, looked = _kernels.flock_braking(
-            x, v, self.distances, SIGHT, ROOM, self.period, most
+        limit = max_pairs(len(x))
+        accelerations, pairs = _kernels.flock_braking(
+            x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_ROOM, self.period, limit
         )
-        self._check(len(x), looked, most)
-        return np.asarray(brakes)
+        self._check(len(x), pairs, limit)
+        return np.asarray(accelerations)
 
-    def separated(
-        self, x: FloatArray, rounds: int = PASSES
+    def separate(
+        self, x: FloatArray, passes: int = STEP_PASSES
     ) -> tuple[FloatArray, float]:
         """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
 
         Raises:
             ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
-        most = max_pairs(len(x))
-        moved, overlap, looked = _kernels.flock_separate(
-            x, self.distances, rounds, RELAXATION, CLEAR, self.period, most
+        limit = max_pairs(len(x))
+        moved, overlap, pairs = _kernels.flock_separate(
+            x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit
         )
-        self._check(len(x), looked, most)
+        self._check(len(x), pairs, limit)
         return moved, overlap
 
     @staticmethod
-    def _check(count: int, looked: float, most: float) -> None:
-        if looked > most:
+    def _check(count: int, pairs: float, limit: float) -> None:
+        if pairs > limit:
             message = f"{count} members are so close that each has thousands of "
             message += "neighbours"
             hint = "use a larger start region, or a smaller distance"

@@ -24,7 +24,7 @@ from animtool.systems.framework.spec import ForcedSpec
 
 
 class VisionModel(FileModel):
-    """Whom a member sees."""
+    """Perception of members."""
 
     radius: Positive = key("Range of sight [m].", 3, default=2.0)
     angle: Annotated[Real, Gt(0), Le(360)] = key(
@@ -40,7 +40,7 @@ class VisionModel(FileModel):
 
 
 class PullModel(FileModel):
-    """How strongly a member does something, and by those how near."""
+    """Strength and range of an interaction with neighbours."""
 
     weight: NotNegative = key("Weight; 0 switches it off.", 1.5)
     radius: Positive | None = key(
@@ -52,7 +52,7 @@ class PullModel(FileModel):
 
 
 class RepulsionModel(PullModel):
-    """How strongly a member keeps away from each other one."""
+    """Strength of the repulsion between members."""
 
     softening: NotNegative = key(
         "Distance below which the push stops growing [m].", 0.05, default=0.1
@@ -67,7 +67,7 @@ class RepulsionModel(PullModel):
 
 
 class OtherModel(FileModel):
-    """Another species, and how members heed it."""
+    """Reaction to another species."""
 
     species: Name = key("Its name.", "hawk")
     weight: NotNegative = key("How strongly.", 40)
@@ -75,7 +75,7 @@ class OtherModel(FileModel):
 
 
 class SpeedModel(FileModel):
-    """How fast members go."""
+    """Speeds of members."""
 
     cruise: Positive = key("Preferred speed [m/s].", 8, default=3.0)
     weight: NotNegative = key(
@@ -91,7 +91,7 @@ class SpeedModel(FileModel):
 
 
 class FlockGoalModel(PlacedModel):
-    """Where members are drawn to; it may move, or go with a prim."""
+    """A goal that attracts members; it may move or follow a prim."""
 
     weight: Real = key(
         "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.", 0.1
@@ -101,7 +101,7 @@ class FlockGoalModel(PlacedModel):
 
 
 class PathModel(FileModel):
-    """A path through given points for members to follow."""
+    """A path through points that members follow."""
 
     points: Annotated[list[Vector], Len(2, 10_000)] = key(
         "Its points [m].", [[0, 5, 0], [20, 5, 0]]
@@ -119,7 +119,7 @@ class PathModel(FileModel):
 
 
 class AvoidanceModel(FileModel):
-    """How members keep clear of what they could run into."""
+    """How members avoid colliders."""
 
     distance: Positive = key("Distance at which it starts [m].", 3, default=1.5)
     weight: NotNegative = key(
@@ -131,7 +131,7 @@ class AvoidanceModel(FileModel):
 
 
 class SpeciesModel(PlacedModel):
-    """Members of one kind: where they begin, and what they do."""
+    """Members of one species: their start and behaviour."""
 
     name: Name = key("Its name.", "starling")
     count: Annotated[Integer, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
@@ -215,7 +215,7 @@ class SpeciesModel(PlacedModel):
 
 
 class DomainModel(FileModel):
-    """A box that members stay in."""
+    """A box that bounds the flock."""
 
     at: Vector = key("Centre [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
     size: Annotated[list[Positive], Len(3, 3)] = key("Side lengths [m].", [40, 10, 40])

@@ -17,35 +17,34 @@ from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
-# Largest number of tried lattice points for each kept one.
-SPARSE = 8
+# Largest number of lattice points for each particle.
+MAX_REJECTED = 8
 # Closer particles count as coincident, in spacings.
 MIN_SPACING = 0.25
-# Least distance of inflow to other particles, in spacings.
-ROOM = 0.6
+# Least distance of entering particles from others, in spacings.
+MIN_INFLOW_DISTANCE = 0.6
 # Rounding tolerance of a radius, or of the time between layers.
 ROUNDING = 1e-6
-# Radius in spacings above which a drop's tension is right within 10 %.
-RESOLVED = 5.0
-# Radius of a jet's drops over the jet's (Rayleigh 1879).
-JET = 1.89
+# Radius of a drop, in spacings, above which the error of its tension is below 10 %.
+RESOLVED_RADIUS = 5.0
+# Radius of the drops of a jet relative to that of the jet (Rayleigh 1879).
+JET_DROP_RATIO = 1.89
 # Interval for measuring the motion of a nozzle [s].
-BRIEF = 1e-4
+VELOCITY_INTERVAL = 1e-4
 
 
-def filled(
+def initial_fluid(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
 ) -> FloatArray:
     """Return positions and velocities of the initial fluid ``(2, N, 3)``.
 
     Raises:
-        OptionError: A fill is too large, has nothing, or begins where it cannot be
-            (SIM064).
+        OptionError: A fill is too large, empty, or starts inside something (SIM064).
     """
     fills, refusals = [np.zeros((2, 0, 3))], Refusals()
     for i, part in enumerate(parts):
         with refusals.collect():
-            fills.append(_filled(spec, i, part, colliders, t))
+            fills.append(_fill_motion(spec, i, part, colliders, t))
     refusals.check()
     state = np.concatenate(fills, axis=1)
     _check_count(spec, state.shape[1], "fills")
@@ -60,28 +59,31 @@ def coarse_drops(
     if not spec.tension:
         return
     radii = [
-        (_named(spec, i), float(np.diff(bounds(part["shape"]), axis=0).min()) / 2)
+        (_fill_label(spec, i), float(np.diff(bounds(part["shape"]), axis=0).min()) / 2)
         for i, part in enumerate(parts)
         if isinstance(part.get("shape"), Sphere | Capsule)
     ]
     nozzles = [one.radius for one in spec.emitters if one.radius is not None]
-    radii += [(f"a drop of nozzle {i}", JET * r) for i, r in enumerate(nozzles)]
+    radii += [
+        (f"a drop of nozzle {i}", JET_DROP_RATIO * r) for i, r in enumerate(nozzles)
+    ]
     for name, radius in radii:
-        count = radius / spec.spacing
-        if count >= RESOLVED * (1 - ROUNDING):
+        radius_in_spacings = radius / spec.spacing
+        if radius_in_spacings >= RESOLVED_RADIUS * (1 - ROUNDING):
             continue
-        message = f"{name} has a radius of {radius:.3g} m, {count:.2g} spacings: below "
-        message += f"{RESOLVED:g}, surface tension may be off by a tenth or more"
-        hint = f"spacing: {plain(floored(radius / RESOLVED))}"
+        message = f"{name} has a radius of {radius:.3g} m, {radius_in_spacings:.2g} "
+        message += "spacings: below "
+        message += f"{RESOLVED_RADIUS:g}, surface tension may be off by a tenth or more"
+        hint = f"spacing: {plain(floored(radius / RESOLVED_RADIUS))}"
         yield warning("SIM175", message, hint, "spacing")
         return
 
 
-def _filled(
+def _fill_motion(
     spec: FluidModel, i: int, part: Mapping[str, Any], colliders: Colliders, t: float
 ) -> FloatArray:
     """Return positions and velocities of one fill ``(2, N, 3)``."""
-    name, fill = _named(spec, i), spec.fills[i]
+    name, fill = _fill_label(spec, i), spec.fills[i]
     if part.get("points") is not None:
         state = _points_of_file(fill, part, name)
         _check_outside(state[0], colliders, t, name)
@@ -98,7 +100,7 @@ def _filled(
     return np.stack([points, speeds])
 
 
-def _named(spec: FluidModel, i: int) -> str:
+def _fill_label(spec: FluidModel, i: int) -> str:
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
@@ -126,17 +128,19 @@ def _check_outside(
     if not colliders.rigid or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
-    within = gaps < 0
-    if not within.any():
+    is_inside = gaps < 0
+    if not is_inside.any():
         return
-    c, i = (int(k) for k in np.argwhere(within)[0])
+    c, i = (int(k) for k in np.argwhere(is_inside)[0])
     bodies = [one for system in colliders.bodies for one in system.colliders]
     collider = [*colliders, *bodies][c]
-    what = repr(collider.name) if collider.name else f"colliders[{c}]"
+    collider_name = repr(collider.name) if collider.name else f"colliders[{c}]"
     where = "outside the container" if collider.container else "inside"
-    message = f"particle {i} of {name} starts {-gaps[c, i]:g} m {where} {what}"
-    more = int(within.any(axis=0).sum()) - 1
-    message += f", and {counted(more, 'other')} start in colliders too" if more else ""
+    message = f"particle {i} of {name} starts {-gaps[c, i]:g} m {where} {collider_name}"
+    others = int(is_inside.any(axis=0).sum()) - 1
+    message += (
+        f", and {counted(others, 'other')} start in colliders too" if others else ""
+    )
     refuse("SIM064", message, "fills", "move it, or remove it")
 
 
@@ -151,13 +155,13 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
     )
     if not len(pairs):
         return
-    one, other = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
+    first, second = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
     names = []
-    for i in (one, other):
+    for i in (first, second):
         k = int(np.searchsorted(ends, i, side="right"))
         begin = int(ends[k - 1]) if k else 0
-        names.append(f"particle {i - begin} of {_named(spec, k)}")
-    gap = float(np.linalg.norm(points[one] - points[other]))
+        names.append(f"particle {i - begin} of {_fill_label(spec, k)}")
+    gap = float(np.linalg.norm(points[first] - points[second]))
     message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "
     message += f"{spec.spacing:g} m"
     refuse(
@@ -169,8 +173,10 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
     if count > spec.max_particles:
         message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
         message += f"m, but the limit is {spec.max_particles:,}"
-        wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
-        hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
+        min_spacing = spec.spacing * (count / spec.max_particles) ** (1 / 3)
+        hint = (
+            f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise max_particles"
+        )
         refuse("SIM064", message, key, hint)
 
 
@@ -178,7 +184,7 @@ def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray
     """Return lattice points inside a shape ``(N, 3)`` [m]."""
     low, high = bounds(shape)
     sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
-    _check_count(spec, float(np.prod(sizes)) / SPARSE, "fills")
+    _check_count(spec, float(np.prod(sizes)) / MAX_REJECTED, "fills")
     axes = [
         (np.arange(int(n)) + 0.5 - n / 2) * spec.spacing + (a + b) / 2
         for n, a, b in zip(sizes, low, high, strict=True)
@@ -195,7 +201,7 @@ class Inflow:
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
     births: FloatArray  # birth times (N,) [s]
-    missed: int  # number that found no room
+    missed: int  # number of particles above the limit
 
 
 class Nozzle:
@@ -215,9 +221,9 @@ class Nozzle:
     ) -> FloatArray:
         """Return the positions in a layer ``(M, 3)`` [m]."""
         radius = emitter.radius
-        wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
-        counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
-        _check_count(spec, float(counts[0]) * counts[1] / SPARSE, "emitters")
+        width, depth = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
+        counts = [max(round(side / spec.spacing), 1) for side in (width, depth)]
+        _check_count(spec, float(counts[0]) * counts[1] / MAX_REJECTED, "emitters")
         x, z = ((np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts)
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
@@ -226,60 +232,74 @@ class Nozzle:
 
     def _layer_count(self, span: Sequence[float], t: float) -> int:
         """Return the number of layers released before a time."""
-        lasts = min(t, span[1]) - span[0]
-        return max(math.ceil(lasts / self._period - ROUNDING), 0)
+        duration = min(t, span[1]) - span[0]
+        return max(math.ceil(duration / self._period - ROUNDING), 0)
 
-    def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
+    def inflow(
+        self, start: float, end: float, gravity: FloatArray, capacity: int
+    ) -> Inflow:
         """Return fluid released between two times [s], under gravity ``(3,)``."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         size, missed = len(self._layer_points), 0
         for span in self._spans:
-            first, last = self._layer_count(span, after), self._layer_count(span, until)
-            kept = min(last - first, room // size)
-            missed += (last - first - kept) * size
-            room -= kept * size
-            if kept <= 0:
+            first_layer, last_layer = (
+                self._layer_count(span, start),
+                self._layer_count(span, end),
+            )
+            count = min(last_layer - first_layer, capacity // size)
+            missed += (last_layer - first_layer - count) * size
+            capacity -= count * size
+            if count <= 0:
                 continue
-            layers = first + np.arange(kept)
+            layers = first_layer + np.arange(count)
             times: FloatArray = span[0] + np.float64(self._period) * layers
-            states.append(self._layers(times, until, pull))
+            states.append(self._layers(times, end, gravity))
             births.append(np.repeat(times, size))
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
 
-    def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
-        """Return layers released at given times, at a later one ``(2, K M, 3)``."""
-        now, before = self._poses.over(times), self._poses.over(times - BRIEF)
+    def _layers(self, times: FloatArray, end: float, gravity: FloatArray) -> FloatArray:
+        """Return layers that were released at ``times``, at ``end`` ``(2, K M, 3)``."""
+        poses, earlier_poses = (
+            self._poses.at_times(times),
+            self._poses.at_times(times - VELOCITY_INTERVAL),
+        )
         size, emitter_velocity = (
             len(self._layer_points),
-            (now[:, :3] - before[:, :3]) / BRIEF,
+            (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL,
         )
         rotations, emitter_velocity = (
-            np.repeat(now[:, 3:], size, axis=0),
+            np.repeat(poses[:, 3:], size, axis=0),
             np.repeat(emitter_velocity, size, axis=0),
         )
         positions = np.tile(self._layer_points, (len(times), 1))
         outflow = np.broadcast_to([0.0, self._speed, 0.0], positions.shape)
-        x = so3.rotate(rotations, positions) + np.repeat(now[:, :3], size, axis=0)
+        x = so3.rotate(rotations, positions) + np.repeat(poses[:, :3], size, axis=0)
         v = so3.rotate(rotations, outflow) + emitter_velocity
-        since = np.repeat(until - times, size)[:, None]
-        return np.stack([x + since * (v + since / 2 * pull), v + since * pull])
+        elapsed = np.repeat(end - times, size)[:, None]
+        return np.stack(
+            [x + elapsed * (v + elapsed / 2 * gravity), v + elapsed * gravity]
+        )
 
 
 def has_room(
-    points: FloatArray, others: FloatArray, colliders: Colliders, t: float, space: float
+    points: FloatArray,
+    others: FloatArray,
+    colliders: Colliders,
+    t: float,
+    spacing: float,
 ) -> Any:
-    """Return which points ``(M, 3)`` keep a distance from others ``(N, 3)``."""
+    """Return a mask of points ``(M, 3)`` that are far enough from others ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
-    kept = np.ones(len(points), bool)
+    mask = np.ones(len(points), bool)
     if not len(points):
-        return kept
-    low, high = points.min(axis=0) - space, points.max(axis=0) + space
-    near = others[((others >= low) & (others <= high)).all(axis=1)]
-    if len(near):
-        gaps, _ = cKDTree(near).query(points)
-        kept = gaps >= ROOM * space
+        return mask
+    low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
+    neighbours = others[((others >= low) & (others <= high)).all(axis=1)]
+    if len(neighbours):
+        gaps, _ = cKDTree(neighbours).query(points)
+        mask = gaps >= MIN_INFLOW_DISTANCE * spacing
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances
-        kept = kept & (gaps >= 0).all(axis=0)
-    return kept
+        mask = mask & (gaps >= 0).all(axis=0)
+    return mask

@@ -15,9 +15,14 @@ from animtool.core.quantities import floored, plain
 from animtool.core.record import dataclass
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
-from animtool.sim.colliders.bodies import Wrenches, by_system, owners_of, pushed_rows
+from animtool.sim.colliders.bodies import (
+    Wrenches,
+    body_owners,
+    by_system,
+    pushable_rows,
+)
 from animtool.sim.system import Energy
-from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
+from animtool.systems.fluid.filling import Nozzle, coarse_drops, has_room, initial_fluid
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.framework.colours import Colouring, Quantities
@@ -31,18 +36,17 @@ from animtool.systems.framework.simulation import (
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
 
-# Mean compression above which a fluid has collapsed, and likewise over the requested
-# compression.
-COLLAPSED, TIMES = 0.1, 5
-# Fraction of the energy in play that may appear without a source.
-GROWTH = 0.05
-# Substeps are doubled as long as compression falls below this fraction.
-HELPS = 0.8
-# If a step must be this many times shorter, the step is not the cause.
+# Mean compression above which a fluid has collapsed, and its ratio to the limit.
+COLLAPSE_COMPRESSION, COLLAPSE_RATIO = 0.1, 5
+# Largest energy gain without a source, relative to the exchanged energy.
+MAX_ENERGY_GROWTH = 0.05
+# Substeps are doubled as long as compression falls to less than this fraction.
+DOUBLING_GAIN = 0.8
+# If a step must be this many times shorter, its length is not the cause.
 MAX_SHORTENING = 1000
-# Step divisors that are tried for a hint, and trial steps of each.
-ROOM, TRIED = (2.0, 4.0, 8.0, 16.0), 4
-LESS = "use weaker forces, a larger spacing, or slower colliders"
+# Divisors of the step to try for a hint, and the number of trial steps of each.
+STEP_DIVISORS, TRIAL_STEPS = (2.0, 4.0, 8.0, 16.0), 4
+REMEDIES = "use weaker forces, a larger spacing, or slower colliders"
 _NONE = np.zeros((2, 0, 3))
 
 
@@ -64,13 +68,13 @@ class FluidState:
 
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
-    """Return the fluid of a spec, its fills made.
+    """Return the fluid of a spec, with its initial particles.
 
     Raises:
-        OptionError: Something of the spec makes no sense (SIM064).
+        OptionError: The spec is invalid (SIM064).
     """
     parts, colliders, begin = context.parts, context.colliders, context.begin
-    start = filled(spec, parts.get("fills", ()), colliders, begin)
+    start = initial_fluid(spec, parts.get("fills", ()), colliders, begin)
     emitters = zip(spec.emitters, parts.get("emitters", ()), strict=True)
     nozzles = [Nozzle(spec, one, part["poses"], begin) for one, part in emitters]
     notices = colliders.notices()
@@ -92,7 +96,7 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
 
 
 class Fluid:
-    """An incompressible fluid of particles, in steps."""
+    """Simulation of an incompressible fluid of particles."""
 
     def __init__(
         self,
@@ -114,7 +118,9 @@ class Fluid:
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # No energy can enter: the initial energy is an upper bound.
         static = not colliders.bodies and not colliders.sheets
-        self._closed = static and all(len(c.poses.sample_times) == 1 for c in colliders)
+        self._conserves_energy = static and all(
+            len(c.poses.sample_times) == 1 for c in colliders
+        )
 
     def initial(self) -> FluidState:
         """Return the initial state."""
@@ -126,8 +132,8 @@ class Fluid:
             np.zeros(count),
             made=count,
         )
-        pull = self._pull(state, self._begin)
-        sound = self._substeps.first_sound(self._start[0], pull)
+        accelerations = self._accelerations(state, self._begin)
+        sound = self._substeps.first_sound(self._start[0], accelerations)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def incompatibility(self, state: FluidState, t: float) -> str:
@@ -141,25 +147,27 @@ class Fluid:
         Raises:
             StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
         """
-        until, notices = t + dt, list[Fault]()
-        pull = self._pull(state, t)
-        if not np.isfinite(pull).all():
-            self._stop("SIM102", until, "a force is not finite", "weaker forces")
+        end, notices = t + dt, list[Fault]()
+        accelerations = self._accelerations(state, t)
+        if not np.isfinite(accelerations).all():
+            self._stop("SIM102", end, "a force is not finite", "weaker forces")
         wrenches: Sequence[Wrenches] = [
             Wrenches.none(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
-            state, wrenches = self._pressed(state, t, dt, pull, notices)
-        state = self._drained(state, until)
-        state = self._fed(state, t, until, pull, notices)
+            state, wrenches = self._after_pressure(state, t, dt, accelerations, notices)
+        state = self._without_drained(state, end)
+        state = self._with_inflow(state, t, end, accelerations, notices)
         return Stepped(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as particles, for forces."""
-        half, points = self._spec.spacing / 2, state.motion[0]
-        return ParticleState.lasting(state.ids, self._mass, half, state.births, points)
+        half_step_text, points = self._spec.spacing / 2, state.motion[0]
+        return ParticleState.lasting(
+            state.ids, self._mass, half_step_text, state.births, points
+        )
 
-    def _pull(self, state: FluidState, t: float) -> FloatArray:
+    def _accelerations(self, state: FluidState, t: float) -> FloatArray:
         """Return accelerations of forces ``(N, 3)`` [m/s²]."""
         (x, v), particles = state.motion, self._particles(state)
         accelerations: FloatArray = np.zeros_like(x)
@@ -182,113 +190,130 @@ class Fluid:
             total += self._spec.tension * area
         return total, kinetic, known
 
-    def _pressed(
+    def _after_pressure(
         self,
         state: FluidState,
         t: float,
         dt: float,
-        pull: FloatArray,
+        accelerations: FloatArray,
         notices: list[Fault] | None = None,
     ) -> tuple[FluidState, Sequence[Wrenches]]:
-        """Return the state after a step, in as many substeps as density needs.
+        """Return the state after a step, in as many substeps as compression requires.
 
-        Without a list of notices it is a trial, which looks for no shorter step.
+        Without a list of notices it is a trial, which suggests no shorter step.
         """
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
-        max_pull = float(np.linalg.norm(pull, axis=1).max())
-        fastest = float(speeds.max()) + max_pull * dt
+        max_pull = float(np.linalg.norm(accelerations, axis=1).max())
+        max_speed = float(speeds.max()) + max_pull * dt
         sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
-        needed = self._substeps.parts(dt, fastest, sound)
-        if needed > self._substeps.most:
-            most, spacing = self._substeps.most, self._spec.spacing
-            message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m, a step of "
-            message += f"{dt:g} s needs more than {most} substeps"
-            self._stop_long(state, t, dt, message, needed / most, notices)
-        parts, allowed = int(needed), self._spec.compression
-        pressed = self._kernel(state, t, dt, pull, sound, parts)
-        while pressed.compression > allowed and 2 * parts <= self._substeps.most:
-            again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
-            if again.compression > HELPS * pressed.compression:
+        needed_substeps = self._substeps.parts(dt, max_speed, sound)
+        if needed_substeps > self._substeps.max_substeps:
+            max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
+            message = (
+                f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step of "
+            )
+            message += f"{dt:g} s needs more than {max_substeps} substeps"
+            self._stop_too_long(
+                state, t, dt, message, needed_substeps / max_substeps, notices
+            )
+        substeps, max_compression = int(needed_substeps), self._spec.compression
+        result = self._run_kernel(state, t, dt, accelerations, sound, substeps)
+        while (
+            result.compression > max_compression
+            and 2 * substeps <= self._substeps.max_substeps
+        ):
+            refined = self._run_kernel(
+                state, t, dt, accelerations, 2 * sound, 2 * substeps
+            )
+            if refined.compression > DOUBLING_GAIN * result.compression:
                 break
-            pressed, sound, parts = again, 2 * sound, 2 * parts
-        if not np.isfinite(pressed.motion).all():
+            result, sound, substeps = refined, 2 * sound, 2 * substeps
+        if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
-        dense = pressed.compression
-        if dense > max(COLLAPSED, TIMES * allowed):
-            message = f"it is {dense:.1%} denser than at rest: there is too little room"
+        compression = result.compression
+        if compression > max(COLLAPSE_COMPRESSION, COLLAPSE_RATIO * max_compression):
+            message = (
+                f"it is {compression:.1%} denser than at rest: there is too little room"
+            )
             hint = "enlarge its container, open a drain, or close an emitter earlier"
             self._stop("SIM108", t + dt, message, hint)
-        if dense > allowed and notices is not None:
-            message = f"it is {dense:.2%} denser than at rest at "
-            message += f"{t + dt:g} s; the limit is {allowed:.2%}"
+        if compression > max_compression and notices is not None:
+            message = f"it is {compression:.2%} denser than at rest at "
+            message += f"{t + dt:g} s; the limit is {max_compression:.2%}"
             notices.append(
                 warning("SIM137", message, "give it more room: it is compressed")
             )
         after = replace(
             state,
-            motion=pressed.motion,
-            pressures=pressed.pressures,
+            motion=result.motion,
+            pressures=result.pressures,
             sound=sound,
-            compression=dense,
-            densest=max(state.densest, dense),
-            parts=parts,
+            compression=compression,
+            densest=max(state.densest, compression),
+            parts=substeps,
         )
-        if self._gains(after):
+        if self._gains_energy(after):
             message = f"its energy changed to {self._energy(after)[0]:.3g} J, from "
             message += f"{state.energy:.3g} J"
-            self._stop_long(state, t, dt, message, 1.0, notices)
-        return after, pressed.wrenches
+            self._stop_too_long(state, t, dt, message, 1.0, notices)
+        return after, result.wrenches
 
-    def _kernel(
+    def _run_kernel(
         self,
         state: FluidState,
         t: float,
         dt: float,
-        pull: FloatArray,
+        accelerations: FloatArray,
         sound: float,
-        parts: int,
-    ) -> Pressed:
-        """Return the state after some substeps; sheets collide between pieces."""
-        around, motion = self._colliders, state.motion
-        pieces = self._substeps.collision_substeps(around, parts, dt)
-        each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
-        wrenches = [Wrenches.none(system.count) for system in around.bodies]
-        for k in range(pieces):
-            t0 = t + k * each
+        substeps: int,
+    ) -> PressureResult:
+        """Return the state after substeps; sheets collide a few times in between."""
+        colliders, motion = self._colliders, state.motion
+        collision_steps = self._substeps.collision_substeps(colliders, substeps, dt)
+        substep, pressures, compression = (
+            dt / collision_steps,
+            np.zeros(len(state.ids)),
+            0.0,
+        )
+        wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
+        for k in range(collision_steps):
+            t0 = t + k * substep
             before = motion
-            solid = self._solid(t0)
-            motion, pressed, pushes, dense = _kernels.fluid_steps(
-                solid.arrays(t0, t0 + each),
-                owners_of(around.bodies, len(solid)),
-                pushed_rows(around.bodies, t0, t0 + each),
-                motion,
-                pull,
-                self._spec.spacing,
-                self._spec.density,
-                self._spec.viscosity,
-                self._spec.tension,
-                sound,
-                each,
-                -(-parts // pieces),
+            solid = self._solid_colliders(t0)
+            motion, step_pressures, body_impulses, step_compression = (
+                _kernels.fluid_steps(
+                    solid.arrays(t0, t0 + substep),
+                    body_owners(colliders.bodies, len(solid)),
+                    pushable_rows(colliders.bodies, t0, t0 + substep),
+                    motion,
+                    accelerations,
+                    self._spec.spacing,
+                    self._spec.density,
+                    self._spec.viscosity,
+                    self._spec.tension,
+                    sound,
+                    substep,
+                    -(-substeps // collision_steps),
+                )
             )
-            pressures += pressed / pieces
-            compression = max(compression, dense)
-            if around.sheets:
-                sheets = Colliders((), around.sheets)
+            pressures += step_pressures / collision_steps
+            compression = max(compression, step_compression)
+            if colliders.sheets:
+                sheets = Colliders((), colliders.sheets)
                 radius = self._spec.spacing / 2
                 x, v = motion
-                met = collide(x, v, before, sheets, t0, t0 + each, radius)
-                motion = np.stack([met.points, met.velocities])
+                collided = collide(x, v, before, sheets, t0, t0 + substep, radius)
+                motion = np.stack([collided.points, collided.velocities])
             wrenches = [
-                Wrenches.sum([one.after(each), Wrenches(*system)])
+                Wrenches.sum([one.after(substep), Wrenches(*system)])
                 for one, system in zip(
-                    wrenches, by_system(around.bodies, pushes), strict=True
+                    wrenches, by_system(colliders.bodies, body_impulses), strict=True
                 )
             ]
-        return Pressed(motion, pressures, compression, wrenches)
+        return PressureResult(motion, pressures, compression, wrenches)
 
-    def _solid(self, t: float) -> Colliders:
-        """Return the colliders of the pressure solve: rigid ones, and current skins."""
+    def _solid_colliders(self, t: float) -> Colliders:
+        """Return the colliders of the pressure solve: rigid and closed surfaces."""
         around = self._colliders
         skins = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
@@ -297,18 +322,18 @@ class Fluid:
         ]
         return Colliders([*around, *skins], (), around.bodies) if skins else around
 
-    def _gains(self, state: FluidState) -> bool:
+    def _gains_energy(self, state: FluidState) -> bool:
         """Return whether energy grew without a source."""
         total, kinetic, known = self._energy(state)
-        if not known or not self._closed:
+        if not known or not self._conserves_energy:
             return False
         gain = total - state.energy
-        # Potential energy is in play as well.
+        # Potential energy is exchanged as well.
         in_play = max(kinetic, state.energy - (total - kinetic))
         in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
-        return gain > GROWTH * in_play
+        return gain > MAX_ENERGY_GROWTH * in_play
 
-    def _stop_long(
+    def _stop_too_long(
         self,
         state: FluidState,
         t: float,
@@ -321,25 +346,27 @@ class Fluid:
         step = None
         if notices is not None and shorter < MAX_SHORTENING:
             step = self._working_step(state, t, dt, shorter)
-        hint = LESS if step is None else f"step: {plain(step)}, or {LESS}"
+        hint = REMEDIES if step is None else f"step: {plain(step)}, or {REMEDIES}"
         self._stop("SIM102", t + dt, message, hint)
 
     def _working_step(
-        self, state: FluidState, t: float, dt: float, shorter: float
+        self, state: FluidState, t: float, dt: float, ratio: float
     ) -> float | None:
         """Return a shorter step that works from a state; None if none does.
 
         At least ``shorter`` times shorter, with a margin.
         """
-        steps = (floored(dt / (shorter * room)) for room in ROOM)
-        return next((step for step in steps if self._goes_on(state, t, step)), None)
+        steps = (floored(dt / (ratio * divisor)) for divisor in STEP_DIVISORS)
+        return next((step for step in steps if self._succeeds(state, t, step)), None)
 
-    def _goes_on(self, state: FluidState, t: float, step: float) -> bool:
-        """Return whether the first steps of a length [s] succeed from a state."""
+    def _succeeds(self, state: FluidState, t: float, step: float) -> bool:
+        """Return whether the first steps of a length [s] from a state succeed."""
         try:
-            for k in range(TRIED):
-                now = t + k * step
-                state, _ = self._pressed(state, now, step, self._pull(state, now))
+            for k in range(TRIAL_STEPS):
+                time = t + k * step
+                state, _ = self._after_pressure(
+                    state, time, step, self._accelerations(state, time)
+                )
         except StoppedError:
             return False
         return True
@@ -349,64 +376,66 @@ class Fluid:
         message = f"{self._spec.name} {what} at {t:g} s: {why}"
         raise StoppedError([Fault(code, message, hint=hint)])
 
-    def _drained(self, state: FluidState, t: float) -> FluidState:
+    def _without_drained(self, state: FluidState, t: float) -> FluidState:
         """Return a state without the particles in drains."""
         kept = np.ones(len(state.ids), bool)
         for drain in self._drains:
             kept &= drain.sample(state.motion[0], t).distances[0] >= 0
-        return state if kept.all() else self._kept(state, kept)
+        return state if kept.all() else self._select(state, kept)
 
-    def _kept(self, state: FluidState, kept: BoolArray) -> FluidState:
-        left = replace(
+    def _select(self, state: FluidState, mask: BoolArray) -> FluidState:
+        remaining = replace(
             state,
-            ids=state.ids[kept],
-            motion=np.ascontiguousarray(state.motion[:, kept]),
-            births=state.births[kept],
-            pressures=state.pressures[kept],
+            ids=state.ids[mask],
+            motion=np.ascontiguousarray(state.motion[:, mask]),
+            births=state.births[mask],
+            pressures=state.pressures[mask],
         )
-        gone = self._energy(state)[0] - self._energy(left)[0]
-        return replace(left, energy=state.energy - gone)
+        removed_energy = self._energy(state)[0] - self._energy(remaining)[0]
+        return replace(remaining, energy=state.energy - removed_energy)
 
-    def _fed(
+    def _with_inflow(
         self,
         state: FluidState,
         t: float,
-        until: float,
-        pull: FloatArray,
+        end: float,
+        accelerations: FloatArray,
         notices: list[Fault],
     ) -> FluidState:
         """Return a state with the inflow of a step, at its end."""
         for nozzle in self._nozzles:
-            room = max(self._spec.max_particles - len(state.ids), 0)
-            mean = pull.mean(axis=0) if len(pull) else np.zeros(3)
-            new = nozzle.inflow(t, until, mean, room)
-            if new.missed:
-                most = self._spec.max_particles
-                message = f"the limit of {most:,} particles is reached at {until:g} s "
+            capacity = max(self._spec.max_particles - len(state.ids), 0)
+            mean = accelerations.mean(axis=0) if len(accelerations) else np.zeros(3)
+            inflow = nozzle.inflow(t, end, mean, capacity)
+            if inflow.missed:
+                limit = self._spec.max_particles
+                message = f"the limit of {limit:,} particles is reached at {end:g} s "
                 hint = "raise max_particles, open a drain, or close an emitter"
                 notices.append(
                     warning("SIM121", f"{message}and stops the emitters", hint)
                 )
             others, spacing = state.motion[0], self._spec.spacing
-            free = has_room(new.state[0], others, self._colliders, until, spacing)
-            blocked = int((~free).sum())
+            is_free = has_room(inflow.state[0], others, self._colliders, end, spacing)
+            blocked = int((~is_free).sum())
             if blocked:
                 message = f"{counted(blocked, 'particle')} could not be emitted until "
-                message += f"{until:g} s: fluid or a collider blocks the nozzle"
+                message += f"{end:g} s: fluid or a collider blocks the nozzle"
                 hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
-            count = int(free.sum())
-            grown = replace(
+            count = int(is_free.sum())
+            result = replace(
                 state,
                 ids=np.concatenate([state.ids, state.made + np.arange(count)]),
-                motion=np.concatenate([state.motion, new.state[:, free]], axis=1),
-                births=np.concatenate([state.births, new.births[free]]),
+                motion=np.concatenate([state.motion, inflow.state[:, is_free]], axis=1),
+                births=np.concatenate([state.births, inflow.births[is_free]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
-                held=state.held + new.missed + blocked,
+                held=state.held + inflow.missed + blocked,
             )
-            gained = self._energy(grown)[0] - self._energy(state)[0] if count else 0.0
-            state = replace(grown, energy=state.energy + gained)
+            energy_gain = (
+                self._energy(result)[0] - self._energy(state)[0] if count else 0.0
+            )
+            state = replace(result, energy=state.energy + energy_gain)
         return state
 
     def _quantities(self, state: FluidState, t: float) -> Quantities:
@@ -414,7 +443,7 @@ class Fluid:
         return {
             "age": lambda: t - state.births,
             "density": lambda: _kernels.fluid_densities(
-                self._solid(t).arrays(t, t), points, self._spec.spacing
+                self._solid_colliders(t).arrays(t, t), points, self._spec.spacing
             ),
             "pressure": lambda: state.pressures,
             "speed": lambda: np.linalg.norm(state.motion[1], axis=1),
@@ -424,7 +453,7 @@ class Fluid:
         """Return the particles, or their surface mesh."""
         spec, (points, velocities) = self._spec, state.motion
         quantities = self._quantities(state, t)
-        primvars: dict[str, Any] = {one: quantities[one]() for one in spec.primvars}
+        primvars: dict[str, Any] = {name: quantities[name]() for name in spec.primvars}
         if self._colouring is not None:
             primvars["displayColor"] = self._colouring.colours(quantities)
         if spec.surface is not None:
@@ -451,12 +480,16 @@ class Fluid:
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid in any frame"
         nobody = warning("SIM188", message, hint)
-        energy = Energy(kinetic, total - kinetic) if known and self._closed else None
+        energy = (
+            Energy(kinetic, total - kinetic)
+            if known and self._conserves_energy
+            else None
+        )
         return Diagnostics(energy, values, self._notices, [nobody])
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class PressureResult:
     """The result of a pressure step."""
 
     motion: FloatArray  # (2, N, 3)

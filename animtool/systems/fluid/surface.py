@@ -14,10 +14,10 @@ from animtool.core.errors import Fault, OptionError
 from animtool.motion.frames import MeshFrame
 from animtool.systems.fluid.spec import FluidModel
 
-# Iso level: a single particle has a surface too.
-LEVEL = 0.35
+# Iso level, low enough for the surface of a single particle.
+ISO_LEVEL = 0.35
 # Default cell size, in spacings.
-CELL = 0.75
+DEFAULT_CELL = 0.75
 # Integral of H. Wendland's C2 function over a ball of radius 1.
 KERNEL_INTEGRAL = 2 * np.pi / 21
 
@@ -45,7 +45,7 @@ def surface_of(
     Velocities and primvars are those of the nearest particle.
 
     Raises:
-        OptionError: It takes more cells than are allowed (SIM064).
+        OptionError: It needs more cells than allowed (SIM064).
     """
     assert spec.surface is not None
     if not len(points):
@@ -53,7 +53,7 @@ def surface_of(
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
 
-    cell = spec.surface.cell or CELL * spec.spacing
+    cell = spec.surface.cell or DEFAULT_CELL * spec.spacing
     radius = (1 + spec.surface.smoothing) * spec.spacing
     low = points.min(axis=0) - radius - 2 * cell
     sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
@@ -64,12 +64,12 @@ def surface_of(
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
-    if not values.max() > LEVEL:
-        vertex_primvars = {name: one[:0] for name, one in primvars.items()}
+    if not values.max() > ISO_LEVEL:
+        vertex_primvars = {name: array[:0] for name, array in primvars.items()}
         return _mesh(
             points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
         )
-    vertices, faces, _, _ = marching_cubes(values, LEVEL)
+    vertices, faces, _, _ = marching_cubes(values, ISO_LEVEL)
     # Winding so that the field decreases outwards.
     vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
     _, nearest = cKDTree(points).query(vertices)
@@ -98,17 +98,17 @@ def field(
 
     Sums of H. Wendland's C2 function over particles ``(N, 3)``; 1 within.
     """
-    middle = np.floor((points - low) / cell).astype(np.int64)
-    reach = int(np.ceil(radius / cell))
+    nodes = np.floor((points - low) / cell).astype(np.int64)
+    cell_range = int(np.ceil(radius / cell))
     values = np.zeros(int(np.prod(shape)))
-    steps = np.array([shape[1] * shape[2], shape[2], 1])
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
     scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
-    for offset in product(range(-reach, reach + 2), repeat=3):
-        corner = middle + offset
+    for offset in product(range(-cell_range, cell_range + 2), repeat=3):
+        corner = nodes + offset
         q = np.linalg.norm(corner * cell + low - points, axis=1) / radius
-        near = q < 1
-        if near.any():
-            q = q[near]
+        is_near = q < 1
+        if is_near.any():
+            q = q[is_near]
             weights = scale * (1 - q) ** 4 * (4 * q + 1)
-            values += np.bincount(corner[near] @ steps, weights, len(values))
+            values += np.bincount(corner[is_near] @ strides, weights, len(values))
     return values.reshape(shape)

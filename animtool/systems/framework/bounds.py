@@ -10,9 +10,9 @@ from animtool.core.quantities import floored, plain
 from animtool.motion.frames import Frame, TransformsFrame
 
 # Largest number of a frame; files hold up to 3e38 in any unit.
-BOUND = 1e30
+MAX_VALUE = 1e30
 # Checked arrays besides primvars, with their units.
-UNITS = {
+ARRAY_UNITS = {
     "points": "m",
     "velocities": "m/s",
     "spins": "rad/s",
@@ -24,17 +24,20 @@ UNITS = {
 
 def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
     """Raise if a frame contains a number out of bounds (SIM102)."""
-    primvars = {f"primvars:{key}": rows for key, rows in _primvars(frame)}
-    arrays = {what: getattr(frame, what, None) for what in UNITS} | primvars
-    for what, rows in arrays.items():
-        if rows is None or not rows.size or rows.dtype.kind != "f":
+    primvars = {f"primvars:{key}": values for key, values in _primvars(frame)}
+    arrays = {
+        array_name: getattr(frame, array_name, None) for array_name in ARRAY_UNITS
+    } | primvars
+    for array_name, values in arrays.items():
+        if values is None or not values.size or values.dtype.kind != "f":
             continue
-        if rows.min() >= -BOUND and rows.max() <= BOUND:
+        if values.min() >= -MAX_VALUE and values.max() <= MAX_VALUE:
             continue
-        index = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(index)]):.3g} {UNITS.get(what, '')}".rstrip()
-        message = f"{name} blew up at {t:g} s: {what}[{int(index[0])}] is {value}"
-        hint = f"use step: {half(step)}, or weaker forces"
+        index = np.argwhere(~(np.abs(values) <= MAX_VALUE))[0]
+        number, unit = float(values[tuple(index)]), ARRAY_UNITS.get(array_name, "")
+        value = f"{number:.3g} {unit}".rstrip()
+        message = f"{name} blew up at {t:g} s: {array_name}[{int(index[0])}] is {value}"
+        hint = f"use step: {half_step_text(step)}, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
@@ -49,13 +52,13 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
     if all(np.isfinite(array).all() for array in arrays):
         return
     finite = np.isfinite(np.concatenate(arrays, axis=1))
-    (bad,) = np.nonzero(~finite.all(axis=1))
-    message = f"{name} blew up at {t:g} s: point {int(bad[0])} is not finite"
-    hint = f"use step: {half(step)}, or weaker forces"
+    (rows,) = np.nonzero(~finite.all(axis=1))
+    message = f"{name} blew up at {t:g} s: point {int(rows[0])} is not finite"
+    hint = f"use step: {half_step_text(step)}, or weaker forces"
     raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def half(step: float) -> str:
+def half_step_text(step: float) -> str:
     """Return half a step [s] as text."""
     return plain(floored(step / 2))
 

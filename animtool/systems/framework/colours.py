@@ -22,9 +22,9 @@ Quantities: TypeAlias = Mapping[str, Callable[[], FloatArray | IntArray]]
 RAMP = ((0.05, 0.03, 0.25), (0.45, 0.1, 0.5), (0.87, 0.33, 0.3), (1.0, 0.9, 0.6))
 PALETTE = ((0.3, 0.55, 0.95), (0.95, 0.6, 0.25), (0.4, 0.8, 0.45), (0.85, 0.35, 0.6))
 # Default colour range as quantiles, to ignore outliers.
-LOW, HIGH = 0.02, 0.98
+LOW_QUANTILE, HIGH_QUANTILE = 0.02, 0.98
 # Number of neighbours for density estimates.
-NEAREST = 16
+DENSITY_NEIGHBOURS = 16
 
 
 class ColourModel(FileModel):
@@ -69,14 +69,18 @@ class Colouring:
     ramp: FloatArray  # (C, 3)
 
     @staticmethod
-    def of(model: ColourModel, first: Quantities) -> Colouring:
+    def of(model: ColourModel, quantities: Quantities) -> Colouring:
         """Return the colouring of a model, with ranges from the first state."""
-        kinds = model.by == "species"
-        ramp = np.array(model.ramp or (PALETTE if kinds else RAMP), np.float64)
+        is_palette = model.by == "species"
+        ramp = np.array(model.ramp or (PALETTE if is_palette else RAMP), np.float64)
         if model.range is not None:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
-        values = first[model.by]()
-        low, high = np.quantile(values, [LOW, HIGH]) if len(values) else (0.0, 1.0)
+        values = quantities[model.by]()
+        low, high = (
+            np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
+            if len(values)
+            else (0.0, 1.0)
+        )
         return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:
@@ -86,9 +90,10 @@ class Colouring:
             return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
         low, high = self.range
         fractions = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
-        marks = np.linspace(0, 1, len(self.ramp))
+        positions = np.linspace(0, 1, len(self.ramp))
         return np.stack(
-            [np.interp(fractions, marks, one) for one in self.ramp.T], axis=1
+            [np.interp(fractions, positions, channel) for channel in self.ramp.T],
+            axis=1,
         )
 
 
@@ -101,7 +106,7 @@ def log_density(
     """
     from scipy.spatial import cKDTree
 
-    count = min(NEAREST, len(points) - 1)
+    count = min(DENSITY_NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros(len(points))
     tree = cKDTree(points, boxsize=box)

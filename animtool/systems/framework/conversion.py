@@ -1,8 +1,8 @@
-"""Numbers of scenes that state their units, brought into metres and degrees.
+"""Conversion of scene numbers with other units to metres and degrees.
 
-Systems count metres, kilograms, seconds and degrees. What a key counts is said in
-brackets by its description, or by `RECORD_UNITS`; every length in that, of newtons and
-pascals too, is one of the scene's unit.
+Systems use metres, kilograms, seconds and degrees. The unit of a key is in brackets in
+its description, or in `RECORD_UNITS`. Every power of a length in it is converted, also
+in newtons and pascals.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel
 from animtool.systems.framework.fields import TimedVector
 
-# Powers of the length in units with a name; of all others it is 0.
+# Powers of the length in named units; 0 in all others.
 _POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}
 _SUPERSCRIPTS = {"²": 2, "³": 3}
 _BRACKETS = re.compile(r"\[([^\]]+)\]")
 _FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
 
-# Of options that have no description: what each number counts, empty without a unit.
+# Units of options without a description; empty for numbers without a unit.
 RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
     "box": {"size": "m"},
     "capsule": {"radius": "m", "length": "m", "axis": "", "centre": "m"},
@@ -52,7 +52,7 @@ RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
     "wind": {"velocity": "m/s", "drag": "kg/s"},
     "field": {},
 }
-# Options of passes that count in metres.
+# Units of the options of passes.
 PASS_UNITS: Mapping[str, Mapping[str, str]] = {
     "ragdoll": {
         "density": "kg/m³",
@@ -68,7 +68,7 @@ PASS_UNITS: Mapping[str, Mapping[str, str]] = {
         "thickness": "m",
     },
 }
-# What points may be coloured by.
+# Units of the quantities that points can be coloured by.
 _COLOURS = {
     "speed": "m/s",
     "acceleration": "m/s²",
@@ -87,12 +87,12 @@ def powers(unit: str) -> tuple[int, int]:
     ((-3, 0), (2, 0), (3, 0), (0, 1))
     """
     length = angle = 0
-    above, _, below = unit.partition(",")[0].partition("/")
-    for text, sign in ((above, 1), (below, -1)):
-        for name, raised in _FACTOR.findall(text):
-            times = sign * _SUPERSCRIPTS.get(raised, 1)
-            length += times * _POWERS.get(name, 0)
-            angle += times * (name == "deg")
+    numerator, _, denominator = unit.partition(",")[0].partition("/")
+    for text, sign in ((numerator, 1), (denominator, -1)):
+        for name, superscript in _FACTOR.findall(text):
+            exponent = sign * _SUPERSCRIPTS.get(superscript, 1)
+            length += exponent * _POWERS.get(name, 0)
+            angle += exponent * (name == "deg")
     return length, angle
 
 
@@ -101,8 +101,8 @@ class SceneUnits:
     """Units of the numbers in a scene's systems and passes.
 
     Attributes:
-        length: A length of 1 [m].
-        angle: An angle of 1 [deg].
+        length: Metres in a length of 1 [m].
+        angle: Degrees in an angle of 1 [deg].
         stated: Length unit given in the scene; None if not given.
     """
 
@@ -147,14 +147,14 @@ class SceneUnits:
         kind = str(getattr(model, "type", kind))
         update: dict[str, Any] = {}
         for key in model.model_fields_set:
-            declared, value = type(model).model_fields[key], getattr(model, key)
+            info, value = type(model).model_fields[key], getattr(model, key)
             inherited = weight if key == "weight" else ""
-            units = _BRACKETS.findall(declared.description or "") or [inherited]
+            units = _BRACKETS.findall(info.description or "") or [inherited]
             unit = units[min(len(units) - 1, int(kind == "prismatic"))]
             if key == "range" and hasattr(model, "ramp"):
                 unit = _COLOURS.get(str(getattr(model, "by", "")), "")
-            timed = _holds(declared.annotation, TimedVector)
-            update[key] = self._value(value, unit, kind, timed=timed)
+            is_timed = _contains(info.annotation, TimedVector)
+            update[key] = self._value(value, unit, kind, timed=is_timed)
         return model.model_copy(update=update)
 
     def _value(self, value: Any, unit: str, kind: str, *, timed: bool) -> Any:
@@ -166,9 +166,9 @@ class SceneUnits:
                 for name, options in value.items()
             }
         if isinstance(value, list) and any(
-            isinstance(one, FileModel | dict) for one in value
+            isinstance(item, FileModel | dict) for item in value
         ):
-            return [self._value(one, unit, kind, timed=timed) for one in value]
+            return [self._value(item, unit, kind, timed=timed) for item in value]
         if timed and value:
             return [[row[0], *self._scaled(row[1:], unit)] for row in value]
         return self._scaled(value, unit)
@@ -209,7 +209,7 @@ class SceneUnits:
         if isinstance(value, (int, float)):
             return value * factor
         if isinstance(value, (list, tuple)):
-            return [self._scaled(one, unit) for one in value]
+            return [self._scaled(item, unit) for item in value]
         return value
 
     def array_factor(self, description: str | None) -> float:
@@ -218,9 +218,9 @@ class SceneUnits:
         return self.factor(units[0]) if units else 1.0
 
 
-def _holds(annotation: Any, marker: Any) -> bool:
+def _contains(annotation: Any, marker: Any) -> bool:
     return annotation == marker or any(
-        _holds(one, marker) for one in get_args(annotation)
+        _contains(arg, marker) for arg in get_args(annotation)
     )
 
 

@@ -1,4 +1,4 @@
-"""Keys that several kinds of systems have, as types and models of a spec."""
+"""Keys shared by several kinds of systems, as types and models of a spec."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from animtool.documents.fields import (
 from animtool.documents.forms import Forms
 from animtool.sim.contact import Contact, Material
 
-# One name of a table, and its options.
+# A name of a table with its options.
 Named = Annotated[
     dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
 ]
@@ -92,7 +92,7 @@ Preroll = Annotated[
 
 
 class FollowedPrimModel(FileModel):
-    """A prim of a USD file, as that moves and turns."""
+    """A moving prim of a USD file."""
 
     file: UsdFile = Field(examples=["props.usda"])
     prim: PrimPath = Field(examples=["/Set/hook"])
@@ -104,9 +104,9 @@ class FollowedPrimModel(FileModel):
 
 
 class PrimMeshModel(FileModel):
-    """A mesh of a USD file, as at its first frame.
+    """A mesh of a USD file at its first frame.
 
-    A part is the mesh: its points [m], y up, and faces.
+    It is read as a mesh with points [m], y up, and faces.
     """
 
     file: UsdFile = Field(examples=["table.usda"])
@@ -114,7 +114,7 @@ class PrimMeshModel(FileModel):
 
 
 class _CarrierModel(FileModel):
-    """What carries others; a part is for `SimContext.poses`."""
+    """Base of entries that carry particles; they are read for `SimContext.poses`."""
 
     offset: Vector | None = key(
         "Position in its frame where the particles are held [m]; the whole system is "
@@ -133,7 +133,7 @@ class CarryingJointModel(_CarrierModel):
 
 
 class CarryingVertexModel(_CarrierModel):
-    """A vertex of a mesh of a character in motion; its frame does not turn."""
+    """A vertex of a moving character's mesh; its frame does not rotate."""
 
     file: CharacterFile = None
     source: SceneCharacter = False
@@ -142,11 +142,11 @@ class CarryingVertexModel(_CarrierModel):
 
 
 class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
-    """A prim of a USD file, as that moves."""
+    """A moving prim of a USD file that carries particles."""
 
 
 class CarryingBodyModel(_CarrierModel):
-    """A rigid body of the scene, which bears what the particles pull."""
+    """A rigid body of the scene, which is pulled by the particles."""
 
     system: Name = key("Name of its system, of kind `rigid`.", "crates")
     body: Name = key(
@@ -167,7 +167,7 @@ class RecordModel(FileModel):
 
 
 class PlacementModel(FileModel):
-    """Where something is, and how it is turned."""
+    """A position and an orientation."""
 
     at: Vector = key("Position [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
     rotate: Quaternion = key(
@@ -178,7 +178,7 @@ class PlacementModel(FileModel):
 
 
 class PlacedModel(PlacementModel):
-    """What stands somewhere, or moves."""
+    """A placement that may move."""
 
     code: ClassVar[str] = "SIM020"  # of an invalid placement
 
@@ -211,7 +211,7 @@ class _MaterialModel(FileModel):
 @with_fields(Contact)
 @with_fields(Contact, "name", before="shape")
 class SystemColliderModel(PlacedModel, _MaterialModel):
-    """What particles run into, or where they are removed."""
+    """A collider, or a region in which particles are removed."""
 
     shape: ShapeEntry = key(
         "`plane`, `sphere`, `capsule`, `box`, `mesh` or `height_field`.",
@@ -233,7 +233,7 @@ ColliderEntries = Annotated[Sequence[Any], _Entries]
 
 @with_fields(Contact, "margin", before="mesh")
 class CharacterModel(_MaterialModel):
-    """A character in motion that particles run into: capsules of its rig, or a mesh."""
+    """A moving character to collide with: capsules of its rig, or a mesh."""
 
     file: CharacterFile = None
     source: SceneCharacter = False
@@ -253,7 +253,7 @@ class CharacterModel(_MaterialModel):
 
 
 class SystemSurfaceModel(_MaterialModel):
-    """Cloth, a volume or rigid bodies of the same scene that are run into."""
+    """Cloth, a volume or rigid bodies of the same scene to collide with."""
 
     system: Name = key("Its name.", "flag")
     two_way: bool = key(
@@ -262,7 +262,7 @@ class SystemSurfaceModel(_MaterialModel):
 
 
 class MovingMeshModel(FollowedPrimModel, _MaterialModel):
-    """A mesh of a USD file that particles run into, as it moves and changes shape."""
+    """A moving and deforming mesh of a USD file to collide with."""
 
     radius: Annotated[Real, above(0, "SIM020")] = key(
         "Half its thickness [m].", 0.01, default=0.005
@@ -275,10 +275,11 @@ class MovingMeshModel(FollowedPrimModel, _MaterialModel):
 
 
 class PrototypeModel(FileModel):
-    """A mesh that copies are made of; its cycle, where it moves.
+    """A mesh to instance; a cycle of meshes if it moves.
 
-    A part is a function without arguments to its meshes, one for each phase of the
-    cycle: `animtool.motion.frames.MeshFrame`, about the origin of its file, y up [m].
+    It is read as a function without arguments that returns its meshes, one for each
+    phase of the cycle: `animtool.motion.frames.MeshFrame`, about the origin of its
+    file, y up [m].
     """
 
     file: Name = key(
@@ -297,9 +298,9 @@ class PrototypeModel(FileModel):
 
 
 class GaitsModel(FileModel):
-    """A rig, and clips of who walks, runs and stands on it.
+    """A rig, and clips of walking, running and standing on it.
 
-    A part is a function without arguments to `Gaits` of crowds.
+    It is read as a function without arguments that returns `Gaits` of crowds.
     """
 
     rig: Name = key("A rig file, or a USD file with a rig.", "biped.rig.yaml")
@@ -312,12 +313,12 @@ class GaitsModel(FileModel):
 
 
 class PhysicsStageModel(FollowedPrimModel):
-    """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
+    """Bodies, joints and colliders of a USD stage, read as `physics.Physics`."""
 
     prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
-# Keys of what a system collides with; listed in `AROUND`.
+# Keys of obstacles of a system; listed in `AROUND`.
 Colliders = Annotated[
     list[SystemColliderModel],
     shared_key(

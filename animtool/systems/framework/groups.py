@@ -18,7 +18,7 @@ class Groups:
     """N individuals, entry by entry.
 
     Attributes:
-        noun: What one is called in messages.
+        noun: Word for an individual in messages.
         entries: Models with a name and a radius.
         ends: End index of each entry.
     """
@@ -32,29 +32,29 @@ class Groups:
         return self.ends[-1]
 
     @cached_property
-    def parted(self) -> list[slice]:
-        """Return the individuals of each entry."""
+    def rows_by_entry(self) -> list[slice]:
+        """Return the index range of each entry."""
         starts = [0, *self.ends[:-1]]
         return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
 
     @cached_property
     def kinds(self) -> IntArray:
-        """Return the entry of each ``(N,)``."""
+        """Return the entry index of each individual ``(N,)``."""
         return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.ends]))
 
     def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a value per entry for each individual ``(N,)``."""
+        """Return values of entries, repeated for their individuals ``(N,)``."""
         return np.asarray(values, np.float64)[self.kinds]
 
     @cached_property
     def radii(self) -> FloatArray:
         """Return the radius of each ``(N,)`` [m]."""
-        return self.each([one.radius for one in self.entries])
+        return self.each([entry.radius for entry in self.entries])
 
-    def named(self, i: int) -> str:
-        """Return the name of one, for messages."""
+    def label(self, i: int) -> str:
+        """Return the name of an individual for messages."""
         kind = int(self.kinds[i])
-        number = i - self.parted[kind].start
+        number = i - self.rows_by_entry[kind].start
         return f"{self.noun} {number} of {self.entries[kind].name!r}"
 
 

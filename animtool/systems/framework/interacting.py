@@ -15,7 +15,7 @@ import numpy.typing as npt
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.motion.frames import PointsFrame
-from animtool.sim.checks import check_fit
+from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Poses
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import integrate
@@ -27,7 +27,7 @@ from animtool.systems.framework.matter import PointMasses
 from animtool.systems.framework.simulation import Diagnostics, SimContext, StoppedError
 
 # Relative energy change that counts as blow-up.
-GROWTH = 0.5
+MAX_ENERGY_GROWTH = 0.5
 
 
 class HasMotion(Protocol):
@@ -42,8 +42,8 @@ Sums = TypeVar("Sums")
 State = TypeVar("State", bound=HasMotion)
 
 
-def integrated(
-    system: SecondOrder, options: IntegrateOptions, begin: float, lasts: float
+def integrate_step(
+    system: SecondOrder, options: IntegrateOptions, begin: float, duration: float
 ) -> FloatArray:
     """Integrate a system over a duration [s] and return its final state.
 
@@ -51,9 +51,11 @@ def integrated(
         StoppedError: It blew up (SIM102), or the method failed (SIM103 to SIM105).
     """
     start = Checkpoint(begin, system.state)
-    trajectory = integrate(system, (begin, begin + lasts), options, start)
+    trajectory = integrate(system, (begin, begin + duration), options, start)
     if trajectory.stats.status is not Status.OK:
-        faults = [replace(one, severity=Severity.ERROR) for one in trajectory.notices]
+        faults = [
+            replace(fault, severity=Severity.ERROR) for fault in trajectory.notices
+        ]
         raise StoppedError(faults, trajectory.stats)
     return np.asarray(trajectory.states[-1])
 
@@ -64,7 +66,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
     Args:
         bodies: The interaction.
         motion: Positions and velocities ``(2, N, 3)``.
-        known: Sums at these positions.
+        cached: Sums at these positions.
         check: Called with time, positions and sums.
     """
 
@@ -74,11 +76,11 @@ class StepSystem(SecondOrder, Generic[Sums]):
         self,
         bodies: Interacting[Any, Sums],
         motion: FloatArray,
-        known: Sums,
+        cached: Sums,
         check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
     ) -> None:
         self._bodies, self._motion, self._check = bodies, motion, check
-        self._known = motion[0], known
+        self._cached = motion[0], cached
 
     @property
     def state(self) -> FloatArray:
@@ -87,10 +89,10 @@ class StepSystem(SecondOrder, Generic[Sums]):
 
     def at(self, x: FloatArray) -> Sums:
         """Return the sums at positions ``(N, 3)``, cached."""
-        known, sums = self._known
-        if x is not known and not np.array_equal(x, known):
-            sums = self._bodies.summed(np.ascontiguousarray(x), sums)
-        self._known = x, sums
+        cached, sums = self._cached
+        if x is not cached and not np.array_equal(x, cached):
+            sums = self._bodies.compute_sums(np.ascontiguousarray(x), sums)
+        self._cached = x, sums
         return sums
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -99,7 +101,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
             return np.full_like(x, np.nan)
         sums = self.at(x)
         self._check(t, x, sums)
-        return self._bodies.accelerated(t, x, sums)
+        return self._bodies.accelerations_from(t, x, sums)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return what makes a state hard to integrate."""
@@ -115,45 +117,48 @@ class Interacting(ABC, Generic[State, Sums]):
     defines a step.
 
     Attributes:
-        checked: Steps check that numbers stay finite.
+        checked: Whether steps check that all numbers are finite.
         unit: Unit of energies in messages.
-        placed: External forces with their poses.
+        external_forces: External forces with their poses.
         bodies: Initial positions, velocities and masses.
-        radii: Drawn radii ``(N,)`` [m].
+        radii: Displayed radii ``(N,)`` [m].
         species: Entry index of each body ``(N,)``.
-        several: Whether there are several entries.
-        shown: Written bodies ``(M,)``.
-        inertia: Accelerations are forces over this ``(N, 1)``; None is 1.
+        has_many_species: Whether there is more than one entry.
+        shown: Indices of written bodies ``(M,)``.
+        inertia: Divisor from forces to accelerations ``(N, 1)``; None is 1.
         box: Size of the periodic box ``(3,)``; None without.
     """
 
     checked = True
     unit = "J"
     bodies: PointMasses
-    placed: Sequence[tuple[Any, Poses]]
+    external_forces: Sequence[tuple[Any, Poses]]
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
-    several: bool
+    has_many_species: bool
     shown: IntArray
     box: FloatArray | None = None
     inertia: FloatArray | None = None
 
     def __init__(
-        self, spec: Any, context: SimContext, placed: str, pace: float = 1.0
+        self, spec: Any, context: SimContext, forces_key: str, time_scale: float = 1.0
     ) -> None:
-        """``placed``: key of external forces; ``pace``: integrator time per second."""
-        self._spec, self._begin, self._pace = spec, context.begin, pace
-        poses = [parts["poses"] for parts in context.parts.get(placed, ())]
-        self.placed = list(zip(getattr(spec, placed), poses, strict=True))
+        """Read options; ``time_scale`` is the integrator's time per second.
+
+        ``forces_key`` is the key of external forces in the spec.
+        """
+        self._spec, self._begin, self._time_scale = spec, context.begin, time_scale
+        poses = [parts["poses"] for parts in context.parts.get(forces_key, ())]
+        self.external_forces = list(zip(getattr(spec, forces_key), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
-        self._options = IntegrateOptions(spec.method, spec.step * pace, tolerance)
+        self._options = IntegrateOptions(spec.method, spec.step * time_scale, tolerance)
         self._integrator = check_options(self._options)
         self._colouring: Colouring | None = None
 
     def begin(self) -> None:
         """Check the method, and set colour ranges from the first state."""
         first = self.initial()
-        check_fit(Equations(self._system(first)), self._integrator)
+        check_supported(Equations(self._system(first)), self._integrator)
         if self._spec.colour is not None:
             quantities = self._quantities(first, self._begin)
             self._colouring = Colouring.of(self._spec.colour, quantities)
@@ -167,25 +172,25 @@ class Interacting(ABC, Generic[State, Sums]):
         """Return the sums of a state."""
 
     @abstractmethod
-    def summed(self, x: FloatArray, before: Sums) -> Sums:
+    def compute_sums(self, x: FloatArray, before: Sums) -> Sums:
         """Return interaction sums at positions ``(N, 3)``; ``before`` are the last."""
 
     @abstractmethod
     def _forces(self, sums: Sums) -> FloatArray:
         """Return forces from sums ``(N, 3)``, to be divided by `inertia`."""
 
-    def accelerated(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
+    def accelerations_from(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
         """Return accelerations ``(N, 3)`` at a time of the integrator."""
         forces = self._forces(sums)
-        if self.placed:
-            forces = forces + self.outside(t / self._pace, x)[0]
+        if self.external_forces:
+            forces = forces + self.external_accelerations(t / self._time_scale, x)[0]
         return np.asarray(forces if self.inertia is None else forces / self.inertia)
 
     @abstractmethod
-    def from_placed(
-        self, one: Any, at: FloatArray, x: FloatArray
+    def external_effect(
+        self, force: Any, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return acceleration and energy from one of `placed` at ``(3,)``."""
+        """Return accelerations and energies by an external force at ``(3,)``."""
 
     def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
         """Return what makes positions hard to integrate; may be empty."""
@@ -199,12 +204,12 @@ class Interacting(ABC, Generic[State, Sums]):
     def _values(self, state: State, t: float) -> Mapping[str, float]:
         """Return reported values."""
 
-    def _in_play(self, state: State, now: Energy) -> float:  # noqa: ARG002
+    def _exchanged_energy(self, state: State, energy: Energy) -> float:  # noqa: ARG002
         """Return energy exchanged in addition to the initial energy."""
         return abs(self._bath_energy(state))
 
     @abstractmethod
-    def _advised(self, state: State, t: float) -> float:
+    def _suggested_step(self, state: State, t: float) -> float:
         """Return an advised step [s]."""
 
     def _bath_energy(self, state: State) -> float:  # noqa: ARG002
@@ -212,7 +217,7 @@ class Interacting(ABC, Generic[State, Sums]):
         return 0.0
 
     @cached_property
-    def _first(self) -> State:
+    def _initial_state(self) -> State:
         return self._start(np.stack([self.bodies.points, self.bodies.velocities]))
 
     def _system(
@@ -224,42 +229,53 @@ class Interacting(ABC, Generic[State, Sums]):
         return StepSystem(self, state.motion, self._sums(state), check)
 
     @cached_property
-    def _moves(self) -> bool:
+    def _is_driven(self) -> bool:
         """Whether an external force moves, and so may supply energy."""
-        return any(one.moves or one.prim for one, _ in self.placed)
+        return any(force.moves or force.prim for force, _ in self.external_forces)
 
-    def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def external_accelerations(
+        self, t: float, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return external accelerations ``(N, 3)`` and energies ``(N,)`` at a time."""
         accelerations, energies = np.zeros_like(x), np.zeros(len(x))
-        for one, poses in self.placed:
-            pull, energy = self.from_placed(one, poses.at(t)[:3], x)
-            accelerations += pull
+        for force, poses in self.external_forces:
+            acceleration, energy = self.external_effect(force, poses.at(t)[:3], x)
+            accelerations += acceleration
             energies += energy
         return accelerations, energies
 
     def initial(self) -> State:
         """Return the initial state."""
-        return self._first
+        return self._initial_state
 
-    def _integrated(
+    def _integrate(
         self, system: StepSystem[Sums], t: float, dt: float, step: float
     ) -> FloatArray:
-        """Return the motion after a duration, in steps [s], as `integrated`."""
-        options = replace(self._options, step=step * self._pace)
-        return integrated(system, options, t * self._pace, dt * self._pace)
+        """Return the motion after a duration, in steps [s], as `integrate_step`."""
+        options = replace(self._options, step=step * self._time_scale)
+        return integrate_step(
+            system, options, t * self._time_scale, dt * self._time_scale
+        )
 
-    def _watch(self, state: State, t: float) -> None:
+    def _check_energy(self, state: State, t: float) -> None:
         """Stop if energy is not conserved (SIM102)."""
-        begin, now = self._begun, self._energy(state, t)
-        scale = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
-        supplied = self._moves or not scale
-        if not supplied and not abs(self._gained(state, now)) <= GROWTH * scale:
-            message = f"its energy changed to {now.total:.4g} {self.unit}, from "
-            self._stop(state, t, f"{message}{begin.total:.4g} {self.unit}")
+        initial, energy = self._initial_energy, self._energy(state, t)
+        scale = max(
+            initial.kinetic,
+            abs(initial.potential),
+            self._exchanged_energy(state, energy),
+        )
+        supplied = self._is_driven or not scale
+        if (
+            not supplied
+            and not abs(self._energy_gain(state, energy)) <= MAX_ENERGY_GROWTH * scale
+        ):
+            message = f"its energy changed to {energy.total:.4g} {self.unit}, from "
+            self._stop(state, t, f"{message}{initial.total:.4g} {self.unit}")
 
     def _stop(self, state: State, t: float, reason: str) -> None:
         message = f"{self._spec.name} blew up at {t:g} s: {reason}"
-        step = min(self._advised(state, t), self._spec.step / 4)
+        step = min(self._suggested_step(state, t), self._spec.step / 4)
         raise StoppedError([Fault("SIM102", message, hint=f"use step: {step:.2g}")])
 
     def _kinetic(self, motion: FloatArray) -> float:
@@ -269,19 +285,21 @@ class Interacting(ABC, Generic[State, Sums]):
         return Energy(self._kinetic(state.motion), self._potential(state, t))
 
     @cached_property
-    def _begun(self) -> Energy:
-        return self._energy(self._first, self._begin)
+    def _initial_energy(self) -> Energy:
+        return self._energy(self._initial_state, self._begin)
 
-    def _gained(self, state: State, now: Energy) -> float:
+    def _energy_gain(self, state: State, energy: Energy) -> float:
         """Return the unexplained energy gain."""
-        return now.total - self._bath_energy(state) - self._begun.total
+        return energy.total - self._bath_energy(state) - self._initial_energy.total
 
-    def _drift(self, state: State, now: Energy) -> float:
+    def _drift(self, state: State, energy: Energy) -> float:
         """Return the unexplained gain relative to the initial energy [1]."""
-        scale = max(abs(self._begun.total), self._begun.kinetic, 1e-300)
-        return self._gained(state, now) / scale
+        scale = max(
+            abs(self._initial_energy.total), self._initial_energy.kinetic, 1e-300
+        )
+        return self._energy_gain(state, energy) / scale
 
-    def _placed(self, motion: FloatArray) -> FloatArray:
+    def _to_scene(self, motion: FloatArray) -> FloatArray:
         """Return positions [m] and velocities [m/s] in the scene ``(2, N, 3)``."""
         return motion
 
@@ -289,9 +307,9 @@ class Interacting(ABC, Generic[State, Sums]):
     def frame(self, state: State, t: float) -> PointsFrame:
         """Return the frame of the shown bodies."""
         shown = self.shown
-        points, velocities = self._placed(state.motion)[:, shown]
+        points, velocities = self._to_scene(state.motion)[:, shown]
         primvars: dict[str, Any] = {}
-        if self.several:
+        if self.has_many_species:
             primvars["species"] = self.species[shown]
         if self._colouring is not None:
             colours = self._colouring.colours(self._quantities(state, t))
@@ -312,11 +330,15 @@ class Interacting(ABC, Generic[State, Sums]):
     def values(self, state: State, t: float) -> Mapping[str, float]:
         """Return reported values that are finite."""
         values = self._values(state, t)
-        return {key: one for key, one in values.items() if math.isfinite(one)}
+        return {key: value for key, value in values.items() if math.isfinite(value)}
 
     @np.errstate(all="ignore")
     def diagnostics(self, state: State, t: float) -> Diagnostics:
         """Return reported values, and the conserved energy."""
-        now = self._energy(state, t)
-        kept = replace(now, potential=now.potential - self._bath_energy(state))
-        return Diagnostics(None if self._moves else kept, self.values(state, t))
+        energy = self._energy(state, t)
+        conserved = replace(
+            energy, potential=energy.potential - self._bath_energy(state)
+        )
+        return Diagnostics(
+            None if self._is_driven else conserved, self.values(state, t)
+        )

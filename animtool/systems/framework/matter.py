@@ -36,35 +36,37 @@ class UnitFrame:
     at: FloatArray  # origin (3,) [m]
     rotation: FloatArray  # a quaternion x, y, z, w
     scale: float = 1.0  # metres per local length unit
-    pace: float = 1.0  # local time units per second
+    time_scale: float = 1.0  # local time units per second
 
     @staticmethod
-    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> UnitFrame:
+    def of(
+        pose: PlacementModel, scale: float = 1.0, time_scale: float = 1.0
+    ) -> UnitFrame:
         """Return the frame of a placement.
 
         Raises:
             OptionError: Its rotation is zero (SIM020).
         """
         rotation = unit_quaternion(pose.rotate)
-        return UnitFrame(np.array(pose.at), rotation, scale, pace)
+        return UnitFrame(np.array(pose.at), rotation, scale, time_scale)
 
-    def inwards(self, points: FloatArray) -> FloatArray:
+    def to_local(self, points: FloatArray) -> FloatArray:
         """Transform scene points ``(…, 3)`` [m] to local units."""
-        turned = so3.rotate(so3.conjugate(self.rotation), points - self.at)
-        return np.asarray(turned / self.scale)
+        rotated = so3.rotate(so3.conjugate(self.rotation), points - self.at)
+        return np.asarray(rotated / self.scale)
 
-    def outwards(self, x: FloatArray) -> FloatArray:
+    def to_scene(self, x: FloatArray) -> FloatArray:
         """Transform local points ``(…, 3)`` to the scene [m]."""
         return np.asarray(self.at + so3.rotate(self.rotation, self.scale * x))
 
-    def velocities_in(self, v: FloatArray) -> FloatArray:
+    def velocities_to_local(self, v: FloatArray) -> FloatArray:
         """Transform scene velocities ``(…, 3)`` [m/s] to local units."""
-        turned = so3.rotate(so3.conjugate(self.rotation), v)
-        return np.asarray(turned / (self.scale * self.pace))
+        rotated = so3.rotate(so3.conjugate(self.rotation), v)
+        return np.asarray(rotated / (self.scale * self.time_scale))
 
-    def velocities_out(self, v: FloatArray) -> FloatArray:
+    def velocities_to_scene(self, v: FloatArray) -> FloatArray:
         """Transform local velocities ``(…, 3)`` to the scene [m/s]."""
-        return np.asarray(so3.rotate(self.rotation, self.scale * self.pace * v))
+        return np.asarray(so3.rotate(self.rotation, self.scale * self.time_scale * v))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ class PointMasses(Rows):
         return PointMasses(points, velocities, masses)
 
 
-def normals(u: FloatArray) -> FloatArray:
+def normal_samples(u: FloatArray) -> FloatArray:
     """Return normal random numbers from uniform ones in [0, 1), of the same shape."""
     from scipy.special import ndtri
 
@@ -104,11 +106,11 @@ def normals(u: FloatArray) -> FloatArray:
     return np.asarray(ndtri(np.clip(u, 2.0**-53, 1 - 2.0**-53)))
 
 
-def directions(u: FloatArray) -> FloatArray:
+def random_directions(u: FloatArray) -> FloatArray:
     """Return uniform directions ``(N, 3)`` from numbers in [0, 1) ``(N, 2)``."""
-    up = 2 * u[:, 0] - 1
-    flat, angle = np.sqrt(np.maximum(1 - up**2, 0.0)), 2 * np.pi * u[:, 1]
-    return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
+    y = 2 * u[:, 0] - 1
+    horizontal, angle = np.sqrt(np.maximum(1 - y**2, 0.0)), 2 * np.pi * u[:, 1]
+    return np.stack([horizontal * np.sin(angle), y, horizontal * np.cos(angle)], axis=1)
 
 
 def check_distinct(
@@ -133,9 +135,9 @@ def check_distinct(
         OptionError: Two points coincide.
     """
     order = np.lexsort(points.T)
-    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if same.any():
-        i = int(np.argmax(same))
+    coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
+    if coincident.any():
+        i = int(np.argmax(coincident))
         names = pair(*sorted(order[[i, i + 1]].tolist()))
         message = f"{names} start at the same position{': ' if why else ''}{why}"
         refuse(code, message, where, hint)

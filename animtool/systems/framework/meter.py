@@ -14,9 +14,9 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders, Mesh
 
 # Depth in a skin or a collider that is visible in a picture [m].
-DEEP = 2e-3
+VISIBLE_DEPTH = 2e-3
 # Visible strain of cloth: 99th percentile and maximum [1].
-STRAINED_99, STRAINED = 0.08, 0.15
+VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +52,13 @@ class ClosedSurface:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sides:
-    """Measured particles, triangles and sides of a surface."""
+class MeasuredSurface:
+    """Particles, triangles and edges of a surface to measure."""
 
     free: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
-    ends: IntArray  # ends of its sides ``(S, 2)``
-    rests: FloatArray  # rest lengths of these, above 0 ``(S,)`` [m]
+    edges: IntArray  # particles of each edge ``(S, 2)``
+    rest_lengths: FloatArray  # rest lengths of the edges, above 0 ``(S,)`` [m]
 
 
 @dataclass(slots=True)
@@ -72,11 +72,11 @@ class ContactMeter:
     strain: Peak = field(default_factory=Peak)  # largest strain of a side [1]
     strain_99: Peak = field(default_factory=Peak)  # 99th percentile of strain [1]
 
-    def look(
+    def measure(
         self,
         frame: float,
         points: FloatArray,
-        sides: Sides,
+        surface: MeasuredSurface,
         solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
         layers: Sequence[ClosedSurface] = (),
@@ -86,40 +86,44 @@ class ContactMeter:
         Args:
             frame: Time code, or time [s].
             points: Particle positions ``(N, 3)`` [m].
-            sides: Sides and triangles to measure.
+            surface: Sides and triangles to measure.
             solids: Closed surfaces to stay outside of.
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
-            layers: Other open surfaces, for piercing alone.
+            layers: Other open surfaces, only tested for piercing.
         """
-        deep = np.zeros(len(points)) if depths is None else depths.copy()
-        free = sides.free
+        max_depths = np.zeros(len(points)) if depths is None else depths.copy()
+        free = surface.free
         for solid in solids:
-            deep[free] = np.maximum(deep[free], depths_in(solid, points[free]))
+            max_depths[free] = np.maximum(
+                max_depths[free], depths_in(solid, points[free])
+            )
         if len(free):
-            worst = int(free[deep[free].argmax()])
-            depth = float(deep[worst])
-            self.depth = self._worse(self.depth, depth, frame, points, worst)
-        if len(sides.triangles):
-            pairs = pierced_pairs(points, sides.triangles, [*solids, *layers])
-            first = int(sides.triangles[0, 0])
+            deepest = int(free[max_depths[free].argmax()])
+            depth = float(max_depths[deepest])
+            self.depth = self._larger(self.depth, depth, frame, points, deepest)
+        if len(surface.triangles):
+            pairs = pierced_pairs(points, surface.triangles, [*solids, *layers])
+            first = int(surface.triangles[0, 0])
             count = float(pairs)
-            self.pierced = self._worse(self.pierced, count, frame, points, first)
-        if len(sides.rests):
-            i, j = sides.ends.T
+            self.pierced = self._larger(self.pierced, count, frame, points, first)
+        if len(surface.rest_lengths):
+            i, j = surface.edges.T
             lengths = np.linalg.norm(points[j] - points[i], axis=1)
-            strains = np.abs(lengths / sides.rests - 1)
-            most = int(strains.argmax())
-            where = int(i[most])
-            value, quantile = float(strains[most]), float(np.quantile(strains, 0.99))
-            self.strain = self._worse(self.strain, value, frame, points, where)
-            self.strain_99 = self._worse(self.strain_99, quantile, frame, points, where)
+            strains = np.abs(lengths / surface.rest_lengths - 1)
+            largest = int(strains.argmax())
+            where = int(i[largest])
+            value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
+            self.strain = self._larger(self.strain, value, frame, points, where)
+            self.strain_99 = self._larger(
+                self.strain_99, quantile, frame, points, where
+            )
 
-    def _worse(
-        self, known: Peak, value: float, frame: float, points: FloatArray, point: int
+    def _larger(
+        self, peak: Peak, value: float, frame: float, points: FloatArray, point: int
     ) -> Peak:
         """Return the larger of the peak so far and a frame's value."""
-        if not value > known.value:
-            return known
+        if not value > peak.value:
+            return peak
         x, y, z = points[point].tolist()
         code, t = (None, frame) if self.seconds else (frame, None)
         return Peak(value, code, point, (x, y, z), t)
@@ -148,7 +152,7 @@ class ContactMeter:
     def notices(self, what: str) -> list[Fault]:
         """Return warnings about visible faults (SIM180, SIM181, SIM182)."""
         notices, finer = [], "a shorter step" if self.seconds else "a higher rate"
-        if self.depth.value > DEEP:
+        if self.depth.value > VISIBLE_DEPTH:
             message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
             hint = f"use a larger radius or {finer}, or a slower motion"
@@ -159,7 +163,10 @@ class ContactMeter:
             message += f"intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
-        if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
+        if (
+            self.strain_99.value > VISIBLE_STRAIN_99
+            or self.strain.value > VISIBLE_STRAIN
+        ):
             message = f"{what} is strained by up to {percent(self.strain.value)} "
             message += f"({self.strain.text}), 99th percentile "
             message += f"{percent(self.strain_99.value)}"
@@ -172,9 +179,9 @@ class ContactMeter:
 def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
     """Return the closed moving surfaces of colliders at a time [s]."""
     return [
-        ClosedSurface(one.motion.points(t), one.motion.triangles(t))
-        for one in colliders.sheets
-        if one.closed
+        ClosedSurface(sheet.motion.points(t), sheet.motion.triangles(t))
+        for sheet in colliders.sheets
+        if sheet.closed
     ]
 
 
@@ -195,12 +202,14 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     [0.1, 0.0]
     """
     low, high = solid.points.min(axis=0), solid.points.max(axis=0)
-    within = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    inside = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     depths = np.zeros(len(points))
-    if len(within):
-        met = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
-        distances = met.sample(points[within], 0.0, 1.0).distances[0]
-        depths[within] = np.maximum(-distances, 0.0)
+    if len(inside):
+        collider = Colliders(
+            [Collider(Mesh(solid.points, solid.triangles, closed=True))]
+        )
+        distances = collider.sample(points[inside], 0.0, 1.0).distances[0]
+        depths[inside] = np.maximum(-distances, 0.0)
     return depths
 
 
@@ -211,24 +220,16 @@ def pierced_pairs(
 
     Pairs within solids are not counted.
     """
-    count = _pierced(points, triangles)
+    own = np.ascontiguousarray(triangles, np.int64)
+    count = _kernels.pierced_edges(np.ascontiguousarray(points), own)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
-        near = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
-        close = solid.triangles[near.all(axis=1)]
-        if not len(close):
+        nearby = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
+        faces = solid.triangles[nearby.all(axis=1)]
+        if not len(faces):
             continue
-        used, close = np.unique(close, return_inverse=True)
-        close = close.reshape(-1, 3)
-        both = np.concatenate([points, solid.points[used]])
-        every = np.concatenate([triangles, close + len(points)])
-        count += _pierced(both, every) - _pierced(solid.points[used], close)
-        count -= _pierced(points, triangles)
+        all_points = np.concatenate([points, solid.points])
+        others = np.asarray(faces + len(points), np.int64)
+        count += _kernels.pierced_edges(all_points, own, others)
     return count
-
-
-def _pierced(points: FloatArray, triangles: IntArray) -> int:
-    return _kernels.pierced_edges(
-        np.ascontiguousarray(points), np.ascontiguousarray(triangles, np.int64)
-    )

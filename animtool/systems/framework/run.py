@@ -1,4 +1,4 @@
-"""Runs a simulation in even steps, and samples it at any time."""
+"""Runs a simulation in steps of equal length, and samples it at any time."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from animtool.systems.framework.surfaces import (
 )
 from animtool.systems.framework.tied import TiedBodies
 
-Watcher = TypeVar("Watcher", SystemSurface, BodyColliders)
+Observer = TypeVar("Observer", SystemSurface, BodyColliders)
 
 # Tolerance for a time at the end of a step [steps].
-ON_STEP = 1e-9
+STEP_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Reached(Generic[State]):
-    """A state and the number of steps taken."""
+    """A state and its number of steps."""
 
     steps: int
     state: State
@@ -49,7 +49,8 @@ class EntryRun:
         name: Name of the entry.
         run: Run of the entry and of all entries joined to it.
         simulation: View of the entry; for a single entry the simulation itself.
-        speaks: Whether it reports warnings of steps: the first of joined entries.
+        reports_steps: Whether it reports warnings of steps, as the first of joined
+            entries does.
     """
 
     def __init__(
@@ -58,11 +59,11 @@ class EntryRun:
         run: SimulationRun,
         view: SystemView[Any],
         *,
-        speaks: bool = True,
+        reports_steps: bool = True,
     ) -> None:
-        self.name, self.run, self.speaks = name, run, speaks
+        self.name, self.run, self.reports_steps = name, run, reports_steps
         self.simulation: Any = view
-        self._empty: bool | None = None  # None before the first look
+        self._was_empty: bool | None = None  # None before the first look
 
     def at(self, t: float) -> Frame:
         """Return the frame at a time [s] not before the last requested one.
@@ -73,7 +74,7 @@ class EntryRun:
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
         check_bounds(self.name, frame, t, self.run.step_length)
-        self._empty = self._empty is not False and not len(frame.points)
+        self._was_empty = self._was_empty is not False and not len(frame.points)
         return frame
 
     @property
@@ -86,7 +87,7 @@ class EntryRun:
     ) -> BodyColliders:
         """Return its bodies as colliders of others, which push them if two-way."""
         assert isinstance(self.simulation, RigidSystem)
-        return self.run.watched_by(
+        return self.run.add_observer(
             BodyColliders(
                 self.run, self.simulation, restitution, friction, two_way=two_way
             )
@@ -96,12 +97,12 @@ class EntryRun:
         """Return its bodies as carriers of particles of others."""
         run, simulation = self.run, self.simulation
         bodies = TiedBodies(run, simulation, run.begin, run.step_length)
-        run.watched_by(bodies)
+        run.add_observer(bodies)
         return bodies
 
     def surface(self) -> SystemSurface:
         """Return its surface as a collider of others."""
-        return self.run.watched_by(SystemSurface(self.run, self.simulation))
+        return self.run.add_observer(SystemSurface(self.run, self.simulation))
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -113,11 +114,11 @@ class EntryRun:
     def notices(self) -> list[Fault]:
         """Warnings collected so far."""
         diagnostics = self.diagnostics
-        step_notices = self.run.step_notices if self.speaks else ()
+        step_notices = self.run.step_notices if self.reports_steps else ()
         return [
             *diagnostics.notices,
             *step_notices,
-            *(diagnostics.if_empty if self._empty else ()),
+            *(diagnostics.if_empty if self._was_empty else ()),
         ]
 
     def report(self) -> dict[str, object]:
@@ -125,7 +126,7 @@ class EntryRun:
         values = dict(self.diagnostics.values)
         if not values:
             return {}
-        steps = {} if "steps" in values else {"steps": self.run.taken}
+        steps = {} if "steps" in values else {"steps": self.run.steps_taken}
         return {"name": self.name, **steps, **values}
 
 
@@ -142,8 +143,8 @@ class SimulationRun(EntryRun):
         begin: Time of the first step [s].
         step_length: Length of every step [s].
         state: State at the end of the last full step.
-        taken: Steps and partial steps so far.
-        step_notices: Warnings of these, the first of each code.
+        steps_taken: Number of steps and partial steps so far.
+        step_notices: Warnings of steps, the first of each code.
     """
 
     def __init__(
@@ -157,107 +158,122 @@ class SimulationRun(EntryRun):
         super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
-        self.taken = 0
+        self.steps_taken = 0
         self.step_notices: list[Fault] = []
         # States that observers may still request.
-        self._kept: list[Reached[Any]] | None = None
-        self._watchers: list[SystemSurface | BodyColliders] = []
+        self._past_states: list[Reached[Any]] | None = None
+        self._observers: list[SystemSurface | BodyColliders] = []
         self._pushed_bodies: Sequence[MovingBodies] = ()
-        # Who pushes it: when, who, and with what.
+        # Systems that push it; and queued pushes: time, index of the pusher, impulses.
         self._pushers: list[Pusher] = []
-        self._pushes: list[tuple[float, int, Wrenches]] = []
-        # Systems that hang on its bodies and pull them during a step.
+        self._queued_pushes: list[tuple[float, int, Wrenches]] = []
+        # Systems with particles attached to its bodies, which pull them during a step.
         self._pullers: list[tuple[TiedBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
-        self._begun: dict[int, Reached[Any]] = {}
+        self._pushed_states: dict[int, Reached[Any]] = {}
         self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
-        self._asked: float | None = None  # last requested time [s]
+        self._last_time: float | None = None  # last requested time [s]
         many = simulation if isinstance(simulation, ManySteps) else None
-        self._steps = None if many is None else many.steps
+        self._many_steps = None if many is None else many.steps
 
     def reach(self, t: float) -> tuple[Any, float]:
         """Return the state at a time [s] not before the last one, and its time."""
-        if t == self._asked:
+        if t == self._last_time:
             return self.observed
         count = self.advance(t)
-        begun = self.state
-        if count < begun.steps:
-            # Systems that collide with it or hang on it may be ahead of the frame.
-            kept = [one for one in self._kept or () if one.steps <= count]
-            if not kept:
+        start = self.state
+        if count < start.steps:
+            # Systems coupled to it may have advanced it beyond the frame.
+            earlier = [
+                reached for reached in self._past_states or () if reached.steps <= count
+            ]
+            if not earlier:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
-            begun = kept[-1]
-        now = self.time(count)
-        state = self._part(begun, t)
-        if state is begun and self._pullers:
-            state = self._pushed(begun)
-        elif state is not begun:
+            start = earlier[-1]
+        time = self.time(count)
+        state = self._partial_step(start, t)
+        if state is start and self._pullers:
+            state = self._with_pushes(start)
+        elif state is not start:
             for bodies, puller in self._pullers:
                 state = replace(state, state=bodies.pulled_by(puller, state.state, t))
-        self.observed, self._asked = (state.state, max(t, now)), t
+        self.observed, self._last_time = (state.state, max(t, time)), t
         return self.observed
 
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
         """Return the pull on bodies in the step at a time [s].
 
-        With begin and end of the step [s]; None if it pulls none.
+        Also returns start and end of the step [s]; None without a pull.
         """
         count = self.advance(t)
-        now = self.time(count)
-        part = t - now > ON_STEP * self.step_length
-        if not part or count != self.state.steps or t < self.begin:
+        start = self.time(count)
+        is_within = t - start > STEP_TOLERANCE * self.step_length
+        if not is_within or count != self.state.steps or t < self.begin:
             return None
-        until = self.time(count + 1)
-        wrenches = self.simulation.pulls(self.state.state, now)
-        number = [pushed is bodies for pushed in self._pushed_bodies].index(True)
-        return wrenches[number], now, until
+        end = self.time(count + 1)
+        wrenches = self.simulation.pulls(self.state.state, start)
+        index = [pushed is bodies for pushed in self._pushed_bodies].index(True)
+        return wrenches[index], start, end
 
     def advance(self, t: float) -> int:
-        """Take all full steps that end at a time [s] or before; return their number."""
-        end_step = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
-        alone = self._kept is None and not self._pushed_bodies and not self._pushers
-        if self._steps is not None and alone and self.state.steps < end_step:
+        """Take all full steps up to a time [s]; return the number of steps."""
+        end_step = max(
+            math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE), 0
+        )
+        is_independent = (
+            self._past_states is None and not self._pushed_bodies and not self._pushers
+        )
+        if (
+            self._many_steps is not None
+            and is_independent
+            and self.state.steps < end_step
+        ):
             steps, count = self.state.steps, end_step - self.state.steps
             step = self.step_length
-            stepped = self._steps(self.state.state, self.time(steps), step, count)
-            self.state, self.taken = (
+            stepped = self._many_steps(self.state.state, self.time(steps), step, count)
+            self.state, self.steps_taken = (
                 Reached(end_step, stepped.state),
-                self.taken + count,
+                self.steps_taken + count,
             )
-            self._tell(stepped.notices)
+            self._record_notices(stepped.notices)
         while self.state.steps < end_step:
-            self._go_on()
+            self._full_step()
         return end_step
 
-    def _go_on(self) -> None:
+    def _full_step(self) -> None:
         """Take a full step."""
-        begin, until = self.receive(), self.time(self.state.steps + 1)
-        self.state, wrenches = self._stepped(begin, until)
-        if self._kept is None:
-            self._begun.clear()
-        if self._kept is not None:
-            self._kept.append(self.state)
+        begin, end = self.receive(), self.time(self.state.steps + 1)
+        self.state, wrenches = self._step_until(begin, end)
+        if self._past_states is None:
+            self._pushed_states.clear()
+        if self._past_states is not None:
+            self._past_states.append(self.state)
         for bodies, pushes in zip(self._pushed_bodies, wrenches, strict=False):
-            bodies.push(until, pushes)
+            bodies.push(end, pushes)
         for bodies in self._pushed_bodies:
-            bodies.forget(until)
+            bodies.forget(end)
 
-    def _part(self, state: Reached[Any], t: float) -> Reached[Any]:
+    def _partial_step(self, state: Reached[Any], t: float) -> Reached[Any]:
         """Return a state advanced by a partial step to a time [s]."""
-        if t <= self.time(state.steps) + ON_STEP * self.step_length:
+        if t <= self.time(state.steps) + STEP_TOLERANCE * self.step_length:
             return state
-        return self._stepped(self._pushed(state), t)[0]
+        return self._step_until(self._with_pushes(state), t)[0]
 
-    def _pushed(self, state: Reached[Any]) -> Reached[Any]:
+    def _with_pushes(self, state: Reached[Any]) -> Reached[Any]:
         """Return a state with pushes applied, as the next step starts."""
         current = state.steps == self.state.steps
-        return self.receive() if current else self._begun.get(state.steps, state)
+        return (
+            self.receive() if current else self._pushed_states.get(state.steps, state)
+        )
 
     def push(self, t: float, who: int, wrenches: Wrenches) -> None:
         """Queue a push of bodies at a time [s] by the pusher's index."""
-        if wrenches.now.any() and t > self.begin + ON_STEP * self.step_length:
-            self._pushes.append((t, who, wrenches))
+        if (
+            wrenches.impulses.any()
+            and t > self.begin + STEP_TOLERANCE * self.step_length
+        ):
+            self._queued_pushes.append((t, who, wrenches))
 
     def receive(self) -> Reached[Any]:
         """Return the last state with all pushes until then applied.
@@ -268,100 +284,109 @@ class SimulationRun(EntryRun):
         steps = self.state.steps
         if not self._pushers:
             return self.state
-        if steps in self._begun:
-            return self._begun[steps]
+        if steps in self._pushed_states:
+            return self._pushed_states[steps]
         assert isinstance(self.simulation, RigidSystem)
-        now = self.time(steps)
+        time = self.time(steps)
         for pusher in self._pushers:
-            pusher.advance(now)
-        until = now + ON_STEP * self.step_length
-        due = sorted(
-            (push for push in self._pushes if push[0] <= until), key=lambda one: one[:2]
+            pusher.advance(time)
+        limit = time + STEP_TOLERANCE * self.step_length
+        pushes = sorted(
+            (push for push in self._queued_pushes if push[0] <= limit),
+            key=lambda push: push[:2],
         )
-        self._pushes = [push for push in self._pushes if push[0] > until]
-        self._begun[steps] = self.state
-        if due:
+        self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
+        self._pushed_states[steps] = self.state
+        if pushes:
             pushed = self.simulation.pushed(
                 self.state.state,
-                Wrenches.sum([push[2].after(now - push[0]) for push in due]),
+                Wrenches.sum([push[2].after(time - push[0]) for push in pushes]),
             )
-            self._begun[steps] = Reached(steps, pushed)
-        return self._begun[steps]
+            self._pushed_states[steps] = Reached(steps, pushed)
+        return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
         """Register bodies of other systems that it pushes."""
         self._pushed_bodies = bodies
         for pushed in bodies:
-            pushed.pushed_by(self)
+            pushed.register_pusher(self)
 
-    def pushed_by(self, pusher: Pusher) -> int:
+    def register_pusher(self, pusher: Pusher) -> int:
         """Register a pusher of its bodies; return its index."""
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
-    def pulled_by(self, bodies: TiedBodies, puller: Any) -> None:
-        """Register a system that hangs on its bodies."""
+    def add_puller(self, bodies: TiedBodies, puller: Any) -> None:
+        """Register a system whose particles are attached to its bodies."""
         self._pullers.append((bodies, puller))
 
-    def watched_by(self, watcher: Watcher) -> Watcher:
-        """Register an observer of past states, and keep states from now on."""
-        if self._kept is None:
-            self._kept = [self.state]
-        self._watchers.append(watcher)
+    def add_observer(self, watcher: Observer) -> Observer:
+        """Register an observer of past states; states are kept from now on."""
+        if self._past_states is None:
+            self._past_states = [self.state]
+        self._observers.append(watcher)
         return watcher
 
-    def _tell(self, notices: Sequence[Fault]) -> None:
+    def _record_notices(self, notices: Sequence[Fault]) -> None:
         """Keep warnings of a step with new codes."""
-        for one in notices:
-            if one.code not in {each.code for each in self.step_notices}:
-                self.step_notices.append(one)
+        for notice in notices:
+            if notice.code not in {known.code for known in self.step_notices}:
+                self.step_notices.append(notice)
 
     def time(self, steps: int) -> float:
         """Return the end time of a number of steps [s]."""
         return self.begin + steps * self.step_length
 
-    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return a kept state at a time [s], and its time.
+    def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+        """Return a past or current state at a time [s], and its time.
 
         Times before the begin return the first state. With ``begins``, pushes until
         then are applied.
         """
-        assert self._kept is not None
+        assert self._past_states is not None
         count = self.advance(t)
         # A resumed run has no earlier states.
-        earlier = (one for one in reversed(self._kept) if one.steps <= count)
-        state = next(earlier, self._kept[0])
-        now, observed = self.time(state.steps), self._part(state, t)
+        candidates = (
+            reached for reached in reversed(self._past_states) if reached.steps <= count
+        )
+        state = next(candidates, self._past_states[0])
+        time, observed = self.time(state.steps), self._partial_step(state, t)
         if begins and observed is state:
-            observed = self._pushed(state)
-        return observed.state, max(t, now)
+            observed = self._with_pushes(state)
+        return observed.state, max(t, time)
 
     def forget(self) -> None:
-        """Drop the states that no observer needs any more."""
-        assert self._kept is not None
-        t = min(one.since for one in self._watchers)
+        """Drop past states that no observer needs."""
+        assert self._past_states is not None
+        t = min(observer.since for observer in self._observers)
         if t == -math.inf:
             return
-        count = math.floor((t - self.begin) / self.step_length + ON_STEP)
-        first = [k for k, one in enumerate(self._kept) if one.steps <= count]
-        del self._kept[: first[-1] if first else 0]
-        least = self._kept[0].steps
-        self._begun = {k: one for k, one in self._begun.items() if k >= least}
+        count = math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
+        expired = [
+            k for k, observer in enumerate(self._past_states) if observer.steps <= count
+        ]
+        del self._past_states[: expired[-1] if expired else 0]
+        first_step = self._past_states[0].steps
+        self._pushed_states = {
+            k: observer
+            for k, observer in self._pushed_states.items()
+            if k >= first_step
+        }
 
-    def _stepped(
-        self, state: Reached[Any], until: float
+    def _step_until(
+        self, state: Reached[Any], end: float
     ) -> tuple[Reached[Any], Sequence[Wrenches]]:
         """Return the state after a full or partial step until a time [s].
 
-        With its pushes on bodies of other systems.
+        Also returns its pushes on bodies of other systems.
         """
-        now = self.time(state.steps)
-        after = self.simulation.step(state.state, now, until - now)
-        after = after if isinstance(after, Stepped) else Stepped(after)
-        self.taken += 1
-        self._tell(after.notices)
+        start = self.time(state.steps)
+        result = self.simulation.step(state.state, start, end - start)
+        result = result if isinstance(result, Stepped) else Stepped(result)
+        self.steps_taken += 1
+        self._record_notices(result.notices)
         if getattr(self.simulation, "checked", False):
-            return Reached(state.steps + 1, after.state), after.wrenches
-        frame = self.simulation.frame(after.state, until)
-        check_finite(self.name, frame, until, self.step_length)
-        return Reached(state.steps + 1, after.state), after.wrenches
+            return Reached(state.steps + 1, result.state), result.wrenches
+        frame = self.simulation.frame(result.state, end)
+        check_finite(self.name, frame, end, self.step_length)
+        return Reached(state.steps + 1, result.state), result.wrenches

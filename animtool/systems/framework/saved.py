@@ -20,18 +20,18 @@ from animtool.documents.arrays import Archives
 from animtool.systems.framework.run import Reached
 
 FORMAT = "animtool-system/1"
-# Integers up to here are exact as floats.
+# Largest integer that is exact as a float.
 MAX_STEPS = 2**53
-# Largest number of a state: its square fits into float64.
-LARGEST = 1e150
+# Largest number in a state, whose square fits into float64.
+MAX_MAGNITUDE = 1e150
 _Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class Clocked:
-    """Clock of a state: it must match that of the resumed system."""
+    """Clock of a state, which must match that of the resumed system."""
 
-    kind: str  # of the system or attachment
+    kind: str  # kind of the system or attachment
     begin: float  # time of the first step [s]; for an attachment the frame
     step: float  # step length [s]; for an attachment one frame
 
@@ -46,13 +46,13 @@ def write_states(
     """
     arrays: _Arrays = {"format": np.array(FORMAT)}
     for name, (clocked, reached) in states.items():
-        above = f"{name}/" if name else ""
+        prefix = f"{name}/" if name else ""
         head = [clocked.begin, clocked.step, float(reached.steps)]
         state = _arrays(reached.state)
-        arrays[f"{above}kind"] = np.array(clocked.kind)
-        arrays[f"{above}clock"] = np.array(head)
-        arrays[f"{above}state"] = np.array(_listed(state))
-        arrays |= {f"{above}state/{key}": rows for key, rows in state.items()}
+        arrays[f"{prefix}kind"] = np.array(clocked.kind)
+        arrays[f"{prefix}clock"] = np.array(head)
+        arrays[f"{prefix}state"] = np.array(_names_text(state))
+        arrays |= {f"{prefix}state/{key}": rows for key, rows in state.items()}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -89,7 +89,7 @@ class SavedStates:
     def names(self) -> list[str]:
         """Names of the states."""
         names = [name.rpartition("/") for name in self.archives.names(self.path)]
-        return [above for above, _, key in names if key == "clock"]
+        return [prefix for prefix, _, key in names if key == "clock"]
 
     def read(self, name: str, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
         """Return a state with the structure of an initial one.
@@ -99,20 +99,20 @@ class SavedStates:
                 steps (SIM035).
         """
         archives, path = self.archives, self.path
-        above = f"{name}/" if name else ""
+        prefix = f"{name}/" if name else ""
 
-        def other(message: str, hint: str | None = None) -> OptionError:
+        def mismatch(message: str, hint: str | None = None) -> OptionError:
             text = f"{name}: {message}" if name else message
             return OptionError(Fault("SIM035", text, str(path), (), hint))
 
-        if name and not archives.has(path, f"{above}kind"):
-            raise other("the state does not exist")
-        kind = archives.text(path, f"{above}kind")
+        if name and not archives.has(path, f"{prefix}kind"):
+            raise mismatch("the state does not exist")
+        kind = archives.text(path, f"{prefix}kind")
         if kind != clocked.kind:
-            raise other(f"it contains a state of {kind}, not of {clocked.kind}")
-        clock = archives.load(path, f"{above}clock")
+            raise mismatch(f"it contains a state of {kind}, not of {clocked.kind}")
+        clock = archives.load(path, f"{prefix}clock")
         if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
-            raise other("its clock is not a start, a step and a count")
+            raise mismatch("its clock is not a start, a step and a count")
         begin, step, steps = clock.tolist()
         if not (
             math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)
@@ -120,61 +120,70 @@ class SavedStates:
             message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
             message += f"scene, of {clocked.step:g} s, start at {clocked.begin:g} s"
             hint = "keep the step and the pre-roll it was saved with"
-            raise other(message, hint)
-        like, marks = _arrays(start.state), _Marks()
-        _mark(start.state, marks)
-        saved_names = archives.text(path, f"{above}state")
-        saved = set(saved_names.split(", "))
-        lacking = marks.added - saved
+            raise mismatch(message, hint)
+        expected, metadata = _arrays(start.state), _FieldMetadata()
+        _collect_metadata(start.state, metadata)
+        saved_names = archives.text(path, f"{prefix}state")
+        names_in_file = set(saved_names.split(", "))
+        missing = metadata.added - names_in_file
         names = sorted(
-            (like.keys() - lacking) | {n for n in saved if marks.is_later(n)}
+            (expected.keys() - missing)
+            | {n for n in names_in_file if metadata.is_later(n)}
         )
-        if saved_names != _listed(names):
-            raise other(f"its state has {saved_names}, but the scene's {_listed(like)}")
+        if saved_names != _names_text(names):
+            raise mismatch(
+                f"its state has {saved_names}, but the scene's {_names_text(expected)}"
+            )
         arrays: _Arrays = {}
         lengths = set()
         for key in names:
-            values = arrays[key] = archives.stored(path, f"{above}state/{key}")
-            mine, axis = like.get(key, values), marks.axes.get(key)
-            shape = list(mine.shape)
-            if axis is not None and values.ndim == mine.ndim:
+            values = arrays[key] = archives.stored(path, f"{prefix}state/{key}")
+            expected_array, axis = expected.get(key, values), metadata.axes.get(key)
+            shape = list(expected_array.shape)
+            if axis is not None and values.ndim == expected_array.ndim:
                 shape[axis] = values.shape[axis]
                 lengths.add(shape[axis])
-            if values.shape != (*shape,) or values.dtype.kind != mine.dtype.kind:
+            if (
+                values.shape != (*shape,)
+                or values.dtype.kind != expected_array.dtype.kind
+            ):
                 message = f"{key} is {values.dtype} of shape {values.shape}, but in "
-                raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
+                raise mismatch(
+                    f"{message}the scene {expected_array.dtype} of shape "
+                    f"{expected_array.shape}"
+                )
             # Particles without a lifetime have an infinite time of death.
-            sound = np.isfinite(values) if axis is None else ~np.isnan(values)
-            finite = mine.dtype.kind != "f" or sound.all()
-            if not finite or not _is_in_bounds(values, mine):
-                what = "out of bounds" if finite else "not finite"
-                raise other(f"{key} contains a number that is {what}")
-            arrays[key] = values.astype(mine.dtype)
+            is_valid = np.isfinite(values) if axis is None else ~np.isnan(values)
+            finite = expected_array.dtype.kind != "f" or is_valid.all()
+            if not finite or not _is_in_bounds(values, expected_array):
+                problem = "out of bounds" if finite else "not finite"
+                raise mismatch(f"{key} contains a number that is {problem}")
+            arrays[key] = values.astype(expected_array.dtype)
         if len(lengths) > 1:
-            raise other(
+            raise mismatch(
                 f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
             )
         try:
-            arrays |= {key: like[key] for key in lacking}
-            return Reached(int(steps), _restored(start.state, arrays, marks))
+            arrays |= {key: expected[key] for key in missing}
+            return Reached(int(steps), _restored(start.state, arrays, metadata))
         except TypeError as error:
-            raise other(f"its state has {saved_names}: {error}") from error
+            raise mismatch(f"its state has {saved_names}: {error}") from error
 
 
-def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
+def _is_in_bounds(values: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
     """Return whether numbers are in bounds for a state; -1 is a missing count."""
-    if like.dtype.kind == "f":
+    if expected.dtype.kind == "f":
         # The precision of a file may differ from that of a state.
         with np.errstate(over="ignore"):
-            sizes = np.abs(values[np.isfinite(values)].astype(np.float64))
-        return bool(sizes.max(initial=0.0) <= LARGEST)
-    if like.ndim or like.dtype.kind not in "iu":
+            magnitudes = np.abs(values[np.isfinite(values)].astype(np.float64))
+        return bool(magnitudes.max(initial=0.0) <= MAX_MAGNITUDE)
+    if expected.ndim or expected.dtype.kind not in "iu":
         return True
     return -1 <= int(values) <= MAX_STEPS
 
 
 @dataclass(frozen=True, slots=True)
-class _Marks:
+class _FieldMetadata:
     """Metadata of state fields, by name."""
 
     axes: dict[str, int] = field(default_factory=dict)  # `growing`
@@ -183,40 +192,44 @@ class _Marks:
 
     def is_later(self, name: str) -> bool:
         """Return whether an array belongs to a part missing in the first state."""
-        return any(f"{name}.".startswith(f"{above}.") for above in self.later)
+        return any(f"{name}.".startswith(f"{prefix}.") for prefix in self.later)
 
 
-def _mark(state: Any, marks: _Marks, above: str = "", axis: int | None = None) -> None:
+def _collect_metadata(
+    state: Any, metadata: _FieldMetadata, prefix: str = "", axis: int | None = None
+) -> None:
     """Collect field metadata of a state; all arrays of a growing record grow."""
     if axis is not None:
-        marks.axes[above] = axis
-    declared = fields(state) if is_dataclass(state) else ()
-    for entry in declared:
-        name = f"{above}.{entry.name}" if above else entry.name
+        metadata.axes[prefix] = axis
+    state_fields = fields(state) if is_dataclass(state) else ()
+    for entry in state_fields:
+        name = f"{prefix}.{entry.name}" if prefix else entry.name
         if "later" in entry.metadata:
-            marks.later[name] = entry.metadata["later"]
+            metadata.later[name] = entry.metadata["later"]
         if "added" in entry.metadata:
-            marks.added.add(name)
-        grows = entry.metadata.get("grows", axis)
-        _mark(getattr(state, entry.name), marks, name, grows)
+            metadata.added.add(name)
+        grow_axis = entry.metadata.get("grows", axis)
+        _collect_metadata(getattr(state, entry.name), metadata, name, grow_axis)
 
 
-def _listed(names: Collection[str]) -> str:
+def _names_text(names: Collection[str]) -> str:
     return ", ".join(sorted(names)) or "nothing"
 
 
-def _arrays(state: Any, above: str = "") -> _Arrays:
+def _arrays(state: Any, prefix: str = "") -> _Arrays:
     """Return the arrays and numbers of a state by name; None is skipped."""
     if state is None:
         return {}
     if not (isinstance(state, Mapping) or is_dataclass(state)):
         array = np.asarray(state)
         if array.dtype.kind not in "iufb":
-            raise TypeError(f"{above} of a state is not an array of numbers: {state!r}")
-        return {above: array}
+            raise TypeError(
+                f"{prefix} of a state is not an array of numbers: {state!r}"
+            )
+        return {prefix: array}
     arrays: _Arrays = {}
     for name, part in _parts(state).items():
-        arrays |= _arrays(part, f"{above}.{name}" if above else name)
+        arrays |= _arrays(part, f"{prefix}.{name}" if prefix else name)
     return arrays
 
 
@@ -227,38 +240,42 @@ def _parts(state: Any) -> dict[str, Any]:
     return {entry.name: getattr(state, entry.name) for entry in fields(state)}
 
 
-def _restored(like: Any, arrays: _Arrays, marks: _Marks, above: str = "") -> Any:
+def _restored(
+    template: Any, arrays: _Arrays, metadata: _FieldMetadata, prefix: str = ""
+) -> Any:
     """Return a state with the structure of another, from arrays."""
-    if above in marks.later:
-        return _part(arrays, marks.later[above], above)
-    if like is None:
+    if prefix in metadata.later:
+        return _part(arrays, metadata.later[prefix], prefix)
+    if template is None:
         return None
-    if isinstance(like, Mapping) or is_dataclass(like):
+    if isinstance(template, Mapping) or is_dataclass(template):
         parts = {
-            name: _restored(part, arrays, marks, f"{above}.{name}" if above else name)
-            for name, part in _parts(like).items()
+            name: _restored(
+                part, arrays, metadata, f"{prefix}.{name}" if prefix else name
+            )
+            for name, part in _parts(template).items()
         }
-        return replace(like, **parts) if is_dataclass(like) else parts  # type: ignore[type-var]
-    array = arrays[above]
-    return array if isinstance(like, np.ndarray) else type(like)(array.item())
+        return replace(template, **parts) if is_dataclass(template) else parts  # type: ignore[type-var]
+    array = arrays[prefix]
+    return array if isinstance(template, np.ndarray) else type(template)(array.item())
 
 
-def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
+def _part(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
     """Return a part missing in the first state; None if the arrays lack it too.
 
     Raises:
         TypeError: It matches none of the allowed records, numbers or arrays.
     """
     values_by_name = {
-        name.removeprefix(f"{above}."): values if values.ndim else values.item()
+        name.removeprefix(f"{prefix}."): values if values.ndim else values.item()
         for name, values in arrays.items()
-        if name == above or name.startswith(f"{above}.")
+        if name == prefix or name.startswith(f"{prefix}.")
     }
     if not values_by_name:
         return None
-    (first, *more) = values_by_name.values()
-    if above in values_by_name and not more and type(first) in (records or (float,)):
-        return first
+    (value, *more) = values_by_name.values()
+    if prefix in values_by_name and not more and type(value) in (records or (float,)):
+        return value
     for record in records:
         if record is np.ndarray:
             continue
@@ -268,4 +285,4 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
         }
         if {name: type(part) for name, part in values_by_name.items()} == kinds:
             return record(**values_by_name)
-    raise TypeError(f"{above} belongs to another method")
+    raise TypeError(f"{prefix} belongs to another method")

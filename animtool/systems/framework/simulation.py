@@ -51,7 +51,7 @@ class Diagnostics:
 
 @dataclass(frozen=True, slots=True)
 class Stepped(Generic[State]):
-    """A state after a step, with its pushes on bodies of other systems."""
+    """A state after a step, with impulses on bodies of other systems."""
 
     state: State
     wrenches: Sequence[Wrenches] = ()  # one for each of the colliders' `bodies`
@@ -119,7 +119,7 @@ class Simulation(Protocol[State]):
     def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
         """Return a new state, a step [s] after a time [s].
 
-        With its pushes on bodies of other systems, if it collides with any.
+        Also returns impulses on bodies of other systems, if it collides with any.
         """
 
     def frame(self, state: State, t: float) -> Frame:
@@ -152,7 +152,7 @@ class NeedsFinalState(Protocol[State_contra]):
 
     @property
     def needs_final_state(self) -> bool:
-        """Whether they depend on it."""
+        """Whether frames depend on the final state."""
 
     def set_final_state(self, last: State_contra) -> None:
         """Set the final state, before the first frame is requested."""
@@ -194,9 +194,9 @@ def growing(axis: int = 0) -> dict[str, Any]:
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that starts as None, and later is a number or one of some records.
+    """Mark a field that starts as None, and is later a number or one of the records.
 
-    ``np.ndarray`` among these stands for an array.
+    ``np.ndarray`` allows an array.
     """
     return {"later": records}
 

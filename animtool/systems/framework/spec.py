@@ -26,7 +26,7 @@ from animtool.systems.framework.fields import (
 
 
 class SystemSpec(FileModel):
-    """What a scene says of a system that steps evenly: subclass it, and add keys.
+    """Base model of the keys of a system in a scene: subclass it and add keys.
 
     Attributes:
         methods: Choices of its key ``method``, if it adds one; ``--table`` compares
@@ -82,7 +82,7 @@ class SystemSpec(FileModel):
 
     @property
     def reads(self) -> list[str]:
-        """What acts on it, as text, without colliders."""
+        """Numbers of external forces by kind, as text; without colliders."""
         counts = {name: len(getattr(self, name, ())) for name in self.acted_on}
         return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
@@ -120,13 +120,13 @@ class SystemSpec(FileModel):
     def shared(self, *, meets: bool = True) -> Mapping[str, Any]:  # noqa: ARG002
         """Return the keys it sets for all joined entries.
 
-        ``meets``: whether any of them collides with anything.
+        ``meets``: whether any of them has colliders.
         """
         return {}
 
 
 class CollidingSpec(SystemSpec):
-    """A system that collides with its surroundings: see `AROUND`."""
+    """A system with colliders: see `AROUND`."""
 
     colliders: Colliders = Field([])
     characters: Characters = Field([])
@@ -135,7 +135,7 @@ class CollidingSpec(SystemSpec):
 
 
 class ForcedSpec(CollidingSpec):
-    """A system that force fields act on, too."""
+    """A system with colliders and external forces."""
 
     forces: Forces = Field([])
 
@@ -170,7 +170,7 @@ class EntryRecord(Protocol):
 
     @property
     def reads(self) -> Sequence[str]:
-        """What acts on it, as text, without colliders."""
+        """Numbers of external forces by kind, as text; without colliders."""
 
     @property
     def counts(self) -> dict[str, int]:

@@ -20,20 +20,20 @@ from animtool.sim.colliders.bodies import Pusher, Wrenches
 class ObservedRun(Protocol):
     """A simulation run whose present and past states can be sampled."""
 
-    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return the state at a time [s] and its time, at a step's begin or end."""
+    def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+        """Return the state at a time [s] and its time, before or after pushes."""
 
     def forget(self) -> None:
-        """Drop the states that no observer needs any more."""
+        """Drop past states that no observer needs."""
 
     def push(self, t: float, who: int, wrenches: Wrenches) -> None:
         """Queue a push of bodies at a time [s] by the pusher's index."""
 
-    def pushed_by(self, pusher: Pusher) -> int:
+    def register_pusher(self, pusher: Pusher) -> int:
         """Register a pusher of its bodies; return its index."""
 
-    def pulled_by(self, bodies: Any, puller: Any) -> None:
-        """Register a system that hangs on its bodies."""
+    def add_puller(self, bodies: Any, puller: Any) -> None:
+        """Register a system whose particles are attached to its bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +42,9 @@ class SystemBodies:
 
     names: Sequence[str]  # (B,)
     dynamic: IntArray  # dynamic bodies (count,)
-    masses: FloatArray  # of these (count,) [kg]
+    masses: FloatArray  # masses of dynamic bodies (count,) [kg]
     reaches: Sequence[float]  # radius about the centre (B,) [m]
-    shapes: Sequence[Collider]  # of all (C,)
+    shapes: Sequence[Collider]  # of all bodies (C,)
     shape_bodies: IntArray  # body index of each shape (C,)
 
     @property
@@ -62,7 +62,7 @@ class SystemBodies:
 
 @runtime_checkable
 class RigidSystem(Protocol):
-    """A simulation of rigid bodies that others collide with, push and hang on."""
+    """A simulation of rigid bodies that other systems collide with, push or pull."""
 
     @property
     def shared(self) -> SystemBodies:
@@ -84,13 +84,13 @@ class RigidSystem(Protocol):
         """Return linear and angular velocities at the centres ``(count, 6)``."""
 
     def free(self, t: float) -> BoolArray:
-        """Return which bodies are free from a time [s] on ``(count,)``."""
+        """Return a mask of bodies that are free after a time [s] ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
         """Return a state after impulses on its bodies."""
 
-    def push_between(self, state: Any, other: Any) -> Wrenches:
-        """Return the push that leads from a state to another at the same time."""
+    def push_to(self, state: Any, other: Any) -> Wrenches:
+        """Return the push that changes a state to another at the same time."""
 
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
@@ -113,28 +113,28 @@ class Skinned(Protocol):
 
 
 # Default half thickness of a surface [m].
-SKIN = 1e-3
-# Cached times: both ends of a step, and some within.
-LOOKS = 4
+DEFAULT_RADIUS = 1e-3
+# Number of cached times: both ends of a step, and some within.
+CACHED_TIMES = 4
 Observed = TypeVar("Observed")
 
 
-class _RecentLooks(Generic[Observed]):
+class _RecentSamples(Generic[Observed]):
     """Cache of samples at the last requested times."""
 
-    def __init__(self, look: Callable[[float], Observed]) -> None:
-        self._look = look
-        self._known: dict[float, Observed] = {}
+    def __init__(self, past_state: Callable[[float], Observed]) -> None:
+        self._sample = past_state
+        self._samples: dict[float, Observed] = {}
 
     def __call__(self, t: float) -> Observed:
-        if t not in self._known:
-            while len(self._known) >= LOOKS:
-                del self._known[min(self._known)]
-            self._known[t] = self._look(t)
-        return self._known[t]
+        if t not in self._samples:
+            while len(self._samples) >= CACHED_TIMES:
+                del self._samples[min(self._samples)]
+            self._samples[t] = self._sample(t)
+        return self._samples[t]
 
 
-class _Watcher:
+class _StateObserver:
     """An observer of present and past states of a simulation."""
 
     def __init__(self, run: ObservedRun) -> None:
@@ -148,17 +148,17 @@ class _Watcher:
             self._run.forget()
 
 
-class SystemSurface(_Watcher):
+class SystemSurface(_StateObserver):
     """The mesh of a simulation or of one entry."""
 
     def __init__(self, run: ObservedRun, view: Any) -> None:
         super().__init__(run)
         skinned = isinstance(view, Skinned)
-        self.radius: float = view.radius if skinned else SKIN
+        self.radius: float = view.radius if skinned else DEFAULT_RADIUS
         self.closed: bool = view.closed if skinned else True
-        look = view.surface if skinned else view.frame
-        self._frames: _RecentLooks[MeshFrame] = _RecentLooks(
-            lambda t: look(*run.look(t))
+        frame_of = view.surface if skinned else view.frame
+        self._frames: _RecentSamples[MeshFrame] = _RecentSamples(
+            lambda t: frame_of(*run.past_state(t))
         )
         self._indices = self._faces = np.zeros((0, 3), np.int64)
 
@@ -175,7 +175,7 @@ class SystemSurface(_Watcher):
         return self._faces
 
 
-class BodyColliders(_Watcher):
+class BodyColliders(_StateObserver):
     """The rigid bodies of a simulation as `MovingBodies`."""
 
     def __init__(
@@ -190,8 +190,8 @@ class BodyColliders(_Watcher):
         super().__init__(run)
         self._simulation, shared = simulation, simulation.shared
         self.colliders: Sequence[Collider] = [
-            replace(one, restitution=restitution, friction=friction)
-            for one in shared.shapes
+            replace(shape, restitution=restitution, friction=friction)
+            for shape in shared.shapes
         ]
         self.owners, self.count, self.masses = (
             shared.owners,
@@ -202,12 +202,12 @@ class BodyColliders(_Watcher):
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)
         self.fastest = 0.0
-        self._states = _RecentLooks(run.look)
-        self._poses = _RecentLooks(lambda t: simulation.poses(*self._states(t)))
-        self._begins = _RecentLooks(
-            lambda t: simulation.poses(*run.look(t, begins=True))
+        self._states = _RecentSamples(run.past_state)
+        self._poses = _RecentSamples(lambda t: simulation.poses(*self._states(t)))
+        self._begins = _RecentSamples(
+            lambda t: simulation.poses(*run.past_state(t, begins=True))
         )
-        self._number = 0
+        self._pusher_index = 0
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
@@ -234,14 +234,14 @@ class BodyColliders(_Watcher):
 
         At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
         """
-        state, _ = self._run.look(t, begins=True) if begins else self._states(t)
+        state, _ = self._run.past_state(t, begins=True) if begins else self._states(t)
         return self._simulation.inertias(state)
 
-    def pushed_by(self, pusher: Pusher) -> None:
+    def register_pusher(self, pusher: Pusher) -> None:
         """Register a pusher."""
         if self.count:
-            self._number = self._run.pushed_by(pusher)
+            self._pusher_index = self._run.register_pusher(pusher)
 
     def push(self, t: float, wrenches: Wrenches) -> None:
         """Queue impulses on its bodies at a time [s] for the next step."""
-        self._run.push(t, self._number, wrenches)
+        self._run.push(t, self._pusher_index, wrenches)

@@ -18,7 +18,7 @@ from animtool.systems.framework.surfaces import BodyColliders, ObservedRun, Rigi
 
 # Displacement by a pull over a step, relative to step times gained speed: 0.5 is a
 # constant force, a little more damps stiff motion.
-PULL_FRACTION = 0.52
+PULL_DISPLACEMENT = 0.52
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,21 +68,21 @@ class TiedBodies(BodyColliders):
         That of the nearest point, 0 inside; and the size of the body.
         """
         shared, number = self.system.shared, self.number(carrier)
-        (shape_numbers,) = np.nonzero(shared.shape_bodies == number)
+        (shape_indices,) = np.nonzero(shared.shape_bodies == number)
         poses = self.system.poses(self._start, self.begin)
         shapes = [
             replace(shared.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
-            for i in shape_numbers.tolist()
+            for i in shape_indices.tolist()
         ]
         if not shapes:
             return 0.0, np.inf
-        nearest_by = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(nearest_by.min()), 0.0), float(shared.reaches[number])
+        distances = Colliders(shapes).sample(points, self.begin).distances
+        return max(float(distances.min()), 0.0), float(shared.reaches[number])
 
-    def pushed_by(self, pusher: Any) -> None:
-        """Register a system that hangs on them."""
-        super().pushed_by(pusher)
-        self._run.pulled_by(self, pusher)
+    def register_pusher(self, pusher: Any) -> None:
+        """Register a system whose particles are attached to the bodies."""
+        super().register_pusher(pusher)
+        self._run.add_puller(self, pusher)
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
         """Return a state at a time [s] within a step, with the pull applied."""
@@ -90,26 +90,26 @@ class TiedBodies(BodyColliders):
         if pull is None:
             return state
         wrenches, begin, end = pull
-        ended, _ = self._run.look(end)
-        centres = self.system.inertias(ended)[0]
+        end_state, _ = self._run.past_state(end)
+        centres = self.system.inertias(end_state)[0]
         fraction, current = (t - begin) / (end - begin), self.system.inertias(state)[0]
 
-        def earlier(pushes: FloatArray, fraction: float) -> FloatArray:
-            rows = fraction * pushes
+        def scaled(rows_: FloatArray, fraction: float) -> FloatArray:
+            rows = fraction * rows_
             rows[:, 3:] += so3.cross(current - centres, rows[:, :3])
             return rows
 
-        now, moved = (
-            earlier(wrenches.now, fraction),
-            earlier(wrenches.moved, fraction**2),
+        impulses, delayed = (
+            scaled(wrenches.impulses, fraction),
+            scaled(wrenches.delayed, fraction**2),
         )
-        return self.system.pushed(state, Wrenches(now, moved))
+        return self.system.pushed(state, Wrenches(impulses, delayed))
 
     def over(self, t0: float, t1: float) -> TiedStep:
         """Return the bodies over a step [s], without the pull."""
-        begins, _ = self._run.look(t0, begins=True)
-        ends, _ = self._run.look(t1)
-        return TiedStep(self.system, begins, ends, t0, t1)
+        start_state, _ = self._run.past_state(t0, begins=True)
+        end_state, _ = self._run.past_state(t1)
+        return TiedStep(self.system, start_state, end_state, t0, t1)
 
 
 class TiedStep:
@@ -124,7 +124,7 @@ class TiedStep:
         self.free = simulation.free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(ends)
         self._speeds = simulation.speeds(ends)[:, :3]
-        self._moving = PULL_FRACTION * self.span
+        self._pull_time = PULL_DISPLACEMENT * self.span
 
     @property
     def angle(self) -> float:
@@ -138,8 +138,8 @@ class TiedStep:
         return TiedStep(self._simulation, state, ends, t, t + dt)
 
     def leading_to(self, state: Any) -> Wrenches:
-        """Return the push at the end that leads to a given state."""
-        return self._simulation.push_between(self._ends, state)
+        """Return the push at the end of the step that leads to a state."""
+        return self._simulation.push_to(self._ends, state)
 
     def speeds_at(self, state: Any, number: int, points: FloatArray) -> FloatArray:
         """Return velocities of points ``(P, 3)`` on a dynamic body [m/s]."""
@@ -153,16 +153,16 @@ class TiedStep:
         return self.speeds_at(self.begun, number, points)
 
     def turning(self, number: int, pull: FloatArray) -> FloatArray:
-        """Return the moment of a pull ``(6,)`` about the moved centre."""
-        centre = self.inertias[0][number] - self._moving * self._speeds[number]
+        """Return the moment of a pull ``(6,)`` about the displaced centre."""
+        centre = self.inertias[0][number] - self._pull_time * self._speeds[number]
         moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
         return moment
 
     def wrenches(self, pulls: FloatArray) -> Wrenches:
         """Return impulses and moments about the centres ``(count, 6)`` as a push."""
-        now = pulls.copy()
-        now[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
-        return Wrenches(now, self._moving * now)
+        impulses = pulls.copy()
+        impulses[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
+        return Wrenches(impulses, self._pull_time * impulses)
 
     def pulled(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
         """Return the end state after a push, and poses of all bodies ``(B, 7)``."""
@@ -170,7 +170,7 @@ class TiedStep:
         return state, self._simulation.frames(state, self._t1)
 
 
-def to_world(frame: FloatArray, inside: FloatArray) -> FloatArray:
+def to_world(frame: FloatArray, local_points: FloatArray) -> FloatArray:
     """Transform points ``(P, 3)`` from a frame ``(7,)`` to the world [m]."""
-    points: FloatArray = frame[:3] + so3.rotate(frame[3:], inside)
+    points: FloatArray = frame[:3] + so3.rotate(frame[3:], local_points)
     return points

@@ -15,14 +15,14 @@ from animtool.core.errors import Fault, Refusals, ToleranceError, refuse
 from animtool.core.record import dataclass
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
-from animtool.systems.framework.matter import normals
+from animtool.systems.framework.matter import normal_samples
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.molecules.atoms import (
     BOLTZMANN,
     COULOMB,
     Atoms,
     PeriodicBox,
-    mixed,
+    pair_coefficients,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
@@ -30,23 +30,23 @@ from animtool.systems.particles.emitter import uniforms
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717
 # Pair energy over the well depth above which atoms overlap at the start.
-OVERLAP = 1000.0
+OVERLAP_ENERGY = 1000.0
 # Steps over 1/ω of the stiffest crystal: refused above, and recommended.
-LONGEST, ADVISED = 1.0, 0.1
+MAX_STEP, RECOMMENDED_STEP = 1.0, 0.1
 # Seed offset of the thermostat.
-_BATH = 2000
+_THERMOSTAT_SEED = 2000
 # Largest motion of an atom in a step, over the box.
-FARTHEST = 0.25
+MAX_TRAVEL = 0.25
 # Largest average neighbour count: no matter is denser.
 MAX_NEIGHBOURS = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class Acting:
+class AtomForces:
     """Forces, energies and virial of N atoms."""
 
     forces: FloatArray  # (N, 3) [kJ/(mol nm)]
-    energies: FloatArray  # half of each pair's (N,) [kJ/mol]
+    energies: FloatArray  # half of the energies of an atom's pairs (N,) [kJ/mol]
     virial: float  # sum of forces times distances [kJ/mol]
 
 
@@ -55,16 +55,16 @@ class Interactions:
 
     def __init__(self, spec: MoleculesModel, atoms: Atoms, box: PeriodicBox) -> None:
         self._atoms, self._box = atoms, box
-        self._laws = mixed(spec)
+        self._pair_coefficients = pair_coefficients(spec)
         self._cutoff = min(spec.reach, box.size.min() / 2)
-        self._from = min(
+        self._switch_distance = min(
             0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
         )
         self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         charged = bool(atoms.charges.any())
         self._charges = atoms.charges * np.sqrt(COULOMB) if charged else None
         self._damping = spec.damping
-        self._listed: tuple[FloatArray, Any] | None = None
+        self._neighbour_list: tuple[FloatArray, Any] | None = None
 
     def self_energy(self) -> float:
         """Return the Ewald self energy of the charges [kJ/mol]."""
@@ -81,28 +81,29 @@ class Interactions:
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
-    def acting(self, x: FloatArray, reference: FloatArray) -> Acting:
+    def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
         """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions.
 
         Raises:
             ToleranceError: They are so dense that lists would fill the memory (SIM102).
         """
-        if self._listed is None or self._listed[0] is not reference:
-            most = MAX_NEIGHBOURS * len(x)
+        if self._neighbour_list is None or self._neighbour_list[0] is not reference:
+            max_pairs = MAX_NEIGHBOURS * len(x)
             try:
                 pairs = _kernels.molecule_pairs(
-                    reference, self._box.size, self._cutoff + self._skin, most
+                    reference, self._box.size, self._cutoff + self._skin, max_pairs
                 )
             except ValueError as error:
                 message = f"atoms overlap: {error}"
                 raise ToleranceError(Fault("SIM102", message)) from error
-            self._listed = reference, pairs
-        order, starts, partners = self._listed[1]
+            self._neighbour_list = reference, pairs
+        order, starts, partners = self._neighbour_list[1]
         sums = _kernels.molecule_forces(
             x, order, starts, partners, self._box.size, self._atoms.kinds,
-            self._laws, self._charges, self._cutoff, self._from, self._damping,
+            self._pair_coefficients, self._charges, self._cutoff,
+            self._switch_distance, self._damping,
         )  # fmt: skip
-        return Acting(*sums)
+        return AtomForces(*sums)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +112,13 @@ class MoleculeState:
 
     motion: FloatArray  # positions [nm], then velocities [nm/ps] (2, N, 3)
     reference: FloatArray  # positions of the neighbour list (N, 3) [nm]
-    acting: Acting
+    acting: AtomForces
     heat: float  # from the thermostat so far [kJ/mol]
     steps: int
 
 
 # Forces, and the positions of the neighbour list.
-Listed: TypeAlias = tuple[Acting, FloatArray]
+ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 
 
 @np.errstate(all="ignore")
@@ -125,8 +126,7 @@ def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     """Return the atoms of a spec in their box.
 
     Raises:
-        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
-            SIM071).
+        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM071).
     """
     box = PeriodicBox(spec)
     atoms = Atoms.of(spec, context.parts["species"], box)
@@ -135,8 +135,8 @@ def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     return molecules
 
 
-class Molecules(Interacting[MoleculeState, Listed]):
-    """Atoms in a periodic box, in steps.
+class Molecules(Interacting[MoleculeState, ListedForces]):
+    """Simulation of atoms in a periodic box.
 
     Attributes:
         atoms: Atoms of all species.
@@ -148,24 +148,24 @@ class Molecules(Interacting[MoleculeState, Listed]):
         self,
         spec: MoleculesModel,
         context: SimContext,
-        placing: PeriodicBox,
+        periodic_box: PeriodicBox,
         atoms: Atoms,
     ) -> None:
         super().__init__(spec, context, "traps", spec.pace)
         self.bodies = self.atoms = atoms
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
-        self.several = len(spec.species) > 1
+        self.has_many_species = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
         self.shown = np.arange(len(self.species))
-        self._placing, self.box = placing, placing.size
-        self._interactions = Interactions(spec, self.atoms, placing)
+        self._periodic_box, self.box = periodic_box, periodic_box.size
+        self._interactions = Interactions(spec, self.atoms, periodic_box)
         self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
         # The fastest crystal vibration of all species [rad/ps].
         self._stiffest = math.sqrt(8 * max(rates))
 
     def begin(self) -> None:
-        """Check the initial state, and choose colours by it."""
+        """Check the initial state, and set colour ranges from it."""
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
             self._check_numbers(start)
@@ -177,29 +177,29 @@ class Molecules(Interacting[MoleculeState, Listed]):
     def _check_numbers(self, start: MoleculeState) -> None:
         """Refuse a step that is too long, and overflowing numbers (SIM071)."""
         spec, step = self._spec, self._spec.step * self._spec.pace
-        if step * self._stiffest > LONGEST:
+        if step * self._stiffest > MAX_STEP:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
             message += f"{2 * math.pi / self._stiffest:.3g} ps"
-            hint = f"use step: {self._advised(start):.2g}, or a smaller pace"
+            hint = f"use step: {self._suggested_step(start):.2g}, or a smaller pace"
             refuse(spec.code, message, "step", hint)
-        if not np.isfinite(self._placed(start.motion)).all():
+        if not np.isfinite(self._to_scene(start.motion)).all():
             message = "atoms are so far away or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
 
     def _check_distinct(self, start: MoleculeState) -> None:
         """Refuse overlapping atoms at the start (SIM071)."""
-        depth = max(*(one.epsilon for one in self._spec.species), 1e-3)
+        depth = max(*(first.epsilon for first in self._spec.species), 1e-3)
         energies = start.acting.energies
-        if (energies < OVERLAP * depth).all():  # NaN is not
+        if (energies < OVERLAP_ENERGY * depth).all():  # NaN is not
             return
         from scipy.spatial import cKDTree
 
-        size = self._placing.size
+        size = self._periodic_box.size
         x = start.motion[0] % size
         distances, others = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        one, other = sorted(others[i].tolist())
-        message = f"atoms {one} and {other} start {distances[i, 1]:.3g} nm apart"
+        first, second = sorted(others[i].tolist())
+        message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
@@ -208,27 +208,27 @@ class Molecules(Interacting[MoleculeState, Listed]):
         acting = self._interactions.acting(points, points)
         return MoleculeState(motion, points, acting, 0.0, 0)
 
-    def _sums(self, state: MoleculeState) -> Listed:
+    def _sums(self, state: MoleculeState) -> ListedForces:
         return state.acting, state.reference
 
-    def summed(self, x: FloatArray, before: Listed) -> Listed:
+    def compute_sums(self, x: FloatArray, before: ListedForces) -> ListedForces:
         """Return forces on atoms ``(N, 3)`` [nm], and the list used."""
         reference = self._interactions.reference(x, before[1])
         return self._interactions.acting(x, reference), reference
 
-    def _forces(self, sums: Listed) -> FloatArray:
+    def _forces(self, sums: ListedForces) -> FloatArray:
         return sums[0].forces
 
-    def from_placed(
+    def external_effect(
         self, one: TrapModel, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` of traps."""
-        size = self._placing.size
-        off = self._placing.inwards(at) - x
-        off -= size * np.round(off / size)
-        near = np.maximum(1 - (off * off).sum(axis=1) / one.radius**2, 0.0)
-        force = (one.stiffness * near**2)[:, None] * off
-        return force, -(one.stiffness * one.radius**2 / 6 * near**3)
+        size = self._periodic_box.size
+        offsets = self._periodic_box.to_local(at) - x
+        offsets -= size * np.round(offsets / size)
+        proximity = np.maximum(1 - (offsets * offsets).sum(axis=1) / one.radius**2, 0.0)
+        force = (one.stiffness * proximity**2)[:, None] * offsets
+        return force, -(one.stiffness * one.radius**2 / 6 * proximity**3)
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
@@ -239,15 +239,15 @@ class Molecules(Interacting[MoleculeState, Listed]):
         """
         spec, system = self._spec, self._system(state)
         try:
-            motion = self._integrated(system, t, dt, dt)
+            motion = self._integrate(system, t, dt, dt)
         except StoppedError as error:
-            hint = f"use step: {self._advised(state):.2g}"
+            hint = f"use step: {self._suggested_step(state):.2g}"
             faults = [replace(one, hint=hint) for one in error.faults]
             raise StoppedError(faults, error.stats) from None
-        travelled = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        i = int(np.argmax(travelled))
-        if not travelled[i] <= FARTHEST * self._placing.size.min():
-            self._stop(state, t + dt, f"atom {i} moves {travelled[i]:.3g} nm in a step")
+        distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
+        i = int(np.argmax(distances))
+        if not distances[i] <= MAX_TRAVEL * self._periodic_box.size.min():
+            self._stop(state, t + dt, f"atom {i} moves {distances[i]:.3g} nm in a step")
         (acting, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic(motion)
@@ -263,24 +263,28 @@ class Molecules(Interacting[MoleculeState, Listed]):
             motion = np.stack([motion[0], factor * motion[1]])
             heat += (factor**2 - 1) * kinetic
         after = MoleculeState(motion, reference, acting, heat, state.steps + 1)
-        self._watch(after, t + dt)
+        self._check_energy(after, t + dt)
         return after
 
     def _bath_energy(self, state: MoleculeState) -> float:
         return state.heat
 
-    def _advised(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002
-        return ADVISED / max(self._stiffest * self._pace, 1e-300)
+    def _suggested_step(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002
+        return RECOMMENDED_STEP / max(self._stiffest * self._time_scale, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
         internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        outside = self.outside(t, state.motion[0])[1] if self.placed else np.zeros(1)
+        outside = (
+            self.external_accelerations(t, state.motion[0])[1]
+            if self.external_forces
+            else np.zeros(1)
+        )
         return internal + float(outside.sum())
 
-    def _placed(self, motion: FloatArray) -> FloatArray:
+    def _to_scene(self, motion: FloatArray) -> FloatArray:
         x, v = motion
-        placing = self._placing
-        return np.stack([placing.outwards(x), placing.velocities_out(v)])
+        periodic_box = self._periodic_box
+        return np.stack([periodic_box.to_scene(x), periodic_box.velocities_to_scene(v)])
 
     def _quantities(self, state: MoleculeState, t: float) -> Quantities:
         energies = state.acting.energies
@@ -293,17 +297,17 @@ class Molecules(Interacting[MoleculeState, Listed]):
 
     def _values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
         """Return temperature [K], pressure [MPa] and energies [kJ/mol]."""
-        now, volume = self._energy(state, t), float(self._placing.size.prod())
-        pressure = (2 * now.kinetic + state.acting.virial) / (3 * volume)
+        energy, volume = self._energy(state, t), float(self._periodic_box.size.prod())
+        pressure = (2 * energy.kinetic + state.acting.virial) / (3 * volume)
         values = {
             "atoms": float(len(self.bodies.masses)),
-            "temperature": 2 * now.kinetic / (self._freedom * BOLTZMANN),
+            "temperature": 2 * energy.kinetic / (self._freedom * BOLTZMANN),
             "pressure": pressure * MEGAPASCALS,
-            "kinetic_energy": now.kinetic,
-            "potential_energy": now.potential,
+            "kinetic_energy": energy.kinetic,
+            "potential_energy": energy.potential,
         }
-        if not self._moves:
-            values["energy_drift"] = self._drift(state, now)
+        if not self._is_driven:
+            values["energy_drift"] = self._drift(state, energy)
         return values
 
 
@@ -322,12 +326,12 @@ def bath_factor(
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.
 
     Args:
-        model: The bath.
-        seed: Of the system.
-        step: Number of the step, which chooses what is random.
-        t: Time at its end [s].
-        dt: The step [ps].
-        kinetic: Energy [kJ/mol].
+        model: The thermostat.
+        seed: Seed of the system.
+        step: Index of the step, for random numbers.
+        t: Time at the end of the step [s].
+        dt: Length of the step [ps].
+        kinetic: Kinetic energy [kJ/mol].
         freedom: Degrees of freedom.
     """
     from scipy.special import gammaincinv
@@ -336,16 +340,22 @@ def bath_factor(
         return 1.0
     times, temperatures = np.array(model.temperatures).T
     target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
-    (first, others) = np.clip(
-        uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
+    (random, random_rest) = np.clip(
+        uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0],
+        2.0**-53,
+        1 - 2.0**-53,
     )
-    normal = float(normals(first))
-    # The sum of squares of all normal numbers but one.
-    squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
-    kept = float(np.exp(-dt / model.relaxation))
-    exchange = target / kinetic * (1 - kept)
+    normal = float(normal_samples(random))
+    # Sum of squares of the other normal samples.
+    squares = (
+        2 * float(gammaincinv((freedom - 1) / 2, random_rest)) if freedom > 1 else 0.0
+    )
+    decay = float(np.exp(-dt / model.relaxation))
+    exchange = target / kinetic * (1 - decay)
     square = (
-        kept + exchange * (normal**2 + squares) + 2 * normal * np.sqrt(kept * exchange)
+        decay
+        + exchange * (normal**2 + squares)
+        + 2 * normal * np.sqrt(decay * exchange)
     )
     factor = float(np.sqrt(max(square, 0.0)))
-    return -factor if normal * np.sqrt(exchange) + np.sqrt(kept) < 0 else factor
+    return -factor if normal * np.sqrt(exchange) + np.sqrt(decay) < 0 else factor

@@ -31,7 +31,7 @@ from animtool.systems.framework.spec import SystemSpec
 
 
 class AtomsModel(FileModel):
-    """Atoms of one kind; those of argon where nothing else is given."""
+    """Atoms of one species; the defaults are those of argon."""
 
     name: Name = key("Its name.", "argon")
     count: Count = key("Number of atoms, on a lattice.", 864, default=256)
@@ -72,7 +72,7 @@ class ThermostatModel(FileModel):
 
 
 class TrapModel(PlacedModel):
-    """A place that draws atoms in, such as optical tweezers or a tip."""
+    """A point that attracts atoms, such as optical tweezers or a tip."""
 
     stiffness: Real = key("Force over distance, near its centre [kJ/(mol nm²)].", 50)
     radius: Positive = key("No attraction beyond [nm].", 0.6, default=0.5)

@@ -1,8 +1,8 @@
 """Galaxies in equilibrium, and two on an orbit.
 
-Discs are exponential, with a vertical sech² profile, spheroids have the profile of
-Hernquist or Plummer. Circular velocities are those of all that a galaxy has; velocities
-are drawn from local Gaussians whose moments solve the equations of Jeans.
+Discs are exponential with a vertical sech² profile; spheroids have the profile of
+Hernquist or Plummer. Circular velocities are those of all components; velocities are
+sampled from local Gaussians whose moments solve the Jeans equations.
 
 References:
     K. C. Freeman, On the disks of spiral and S0 galaxies, Astrophysical Journal 160,
@@ -32,13 +32,13 @@ from animtool.systems.nbody.spec import (
 from animtool.systems.particles.emitter import uniforms
 
 # Radii at which profiles are tabulated.
-RADII = 4096
+RADIUS_COUNT = 4096
 # Largest speed over the escape velocity.
-BOUND = 0.95
+MAX_SPEED_RATIO = 0.95
 # Toomre's constant for stars.
 TOOMRE = 3.36
 # Largest radial dispersion over the circular velocity.
-WARMEST = 0.7
+MAX_DISPERSION_RATIO = 0.7
 
 
 class MassProfile:
@@ -46,44 +46,52 @@ class MassProfile:
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
-        far = max((p.radius * p.cutoff for p in galaxy.parts), default=1.0)
-        near = min((p.radius for p in galaxy.parts), default=1.0)
-        self.r = np.geomspace(max(1e-4 * near, 1e-250), 4 * far, RADII)
-        within = np.full(RADII, galaxy.nucleus)
-        for one in (galaxy.bulge, galaxy.halo):
-            if one is not None:
-                within = within + enclosed(one, self.r)
-        around = within
+        max_radius = max((p.radius * p.cutoff for p in galaxy.parts), default=1.0)
+        min_radius = min((p.radius for p in galaxy.parts), default=1.0)
+        self.r = np.geomspace(
+            max(1e-4 * min_radius, 1e-250), 4 * max_radius, RADIUS_COUNT
+        )
+        mass_inside = np.full(RADIUS_COUNT, galaxy.nucleus)
+        for part in (galaxy.bulge, galaxy.halo):
+            if part is not None:
+                mass_inside = mass_inside + enclosed(part, self.r)
+        total_mass = mass_inside
         # Softened bodies attract as Plummer spheres.
-        soft = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
-        speeds = constant * within / self.r * soft
+        softening_factor = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
+        speeds = constant * mass_inside / self.r * softening_factor
         if galaxy.disc is not None:
-            around = within + enclosed(galaxy.disc, self.r)
-            speeds = speeds + constant * disc_speeds(galaxy.disc, self.r) * soft
+            total_mass = mass_inside + enclosed(galaxy.disc, self.r)
+            speeds = (
+                speeds + constant * disc_speeds(galaxy.disc, self.r) * softening_factor
+            )
         self.circular = np.sqrt(speeds)  # [m/s]
-        self.pull = constant * around / self.r**2 * soft  # [m/s²]
-        beyond = constant * around[-1] / self.r[-1]
+        self.acceleration = (
+            constant * total_mass / self.r**2 * softening_factor
+        )  # [m/s²]
+        outer_potential = constant * total_mass[-1] / self.r[-1]
         # Escape velocities [m/s].
-        self.escape = np.sqrt(2 * (_from_outside(self.pull, self.r) + beyond))
+        self.escape = np.sqrt(
+            2 * (_integral_to_end(self.acceleration, self.r) + outer_potential)
+        )
 
     def dispersion(self, part: SpheroidModel) -> FloatArray:
         """Return the velocity dispersion of a spheroid ``(R,)`` [m/s]."""
         density = np.gradient(enclosed(part, self.r), self.r) / self.r**2
         density = np.maximum(density, 0.0)
-        pressure = _from_outside(density * self.pull, self.r)
+        pressure = _integral_to_end(density * self.acceleration, self.r)
         least = density.max() * 1e-12
         squares = pressure / np.maximum(density, least)
         return np.sqrt(np.where(density > least, squares, 0.0))
 
 
-def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
+def _integral_to_end(values: FloatArray, r: FloatArray) -> FloatArray:
     """Return integrals from each radius to the last one (trapezoidal rule)."""
     steps = (values[1:] + values[:-1]) / 2 * np.diff(r)
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
 # Fraction of an infinite profile's mass within radii, in scale radii.
-_WITHIN: dict[str, Callable[[Any], Any]] = {
+_MASS_FRACTIONS: dict[str, Callable[[Any], Any]] = {
     "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
     "hernquist": lambda x: (x / (1 + x)) ** 2,
     "plummer": lambda x: x**3 / (1 + x**2) ** 1.5,
@@ -92,9 +100,9 @@ _WITHIN: dict[str, Callable[[Any], Any]] = {
 
 def enclosed(part: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
     """Return the mass of a spheroid or a disc within radii [kg]."""
-    within = _WITHIN[getattr(part, "profile", "exponential")]
+    mass_inside = _MASS_FRACTIONS[getattr(part, "profile", "exponential")]
     inside = np.minimum(r / part.radius, part.cutoff)
-    return np.asarray(part.mass * within(inside) / within(part.cutoff))
+    return np.asarray(part.mass * mass_inside(inside) / mass_inside(part.cutoff))
 
 
 def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
@@ -109,26 +117,28 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
 def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    enclosed_fraction = _WITHIN["exponential"](disc.cutoff)
+    enclosed_fraction = _MASS_FRACTIONS["exponential"](disc.cutoff)
     central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_fraction)
     return np.asarray(central * np.exp(-r / disc.radius))
 
 
-def built_galaxies(spec: NbodyModel) -> list[PointMasses]:
+def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
     """Return the bodies of each galaxy of a spec, at its start."""
     constant, softening = spec.gravity_constant, spec.softening
-    built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
+    galaxies = [build_galaxy(one, constant, softening) for one in spec.galaxies]
     starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
     if spec.encounter is not None:
-        starts = on_orbit(spec.encounter, [g.masses.sum() for g in built], constant)
-    placed = []
-    for galaxy, bodies, (at, v) in zip(spec.galaxies, built, starts, strict=True):
-        placing = matter.UnitFrame(at, unit_quaternion(galaxy.rotate))
-        velocities = placing.velocities_out(bodies.velocities) + v
-        placed.append(
-            PointMasses(placing.outwards(bodies.points), velocities, bodies.masses)
+        starts = orbit_starts(
+            spec.encounter, [g.masses.sum() for g in galaxies], constant
         )
-    return placed
+    result = []
+    for galaxy, bodies, (at, v) in zip(spec.galaxies, galaxies, starts, strict=True):
+        frame = matter.UnitFrame(at, unit_quaternion(galaxy.rotate))
+        velocities = frame.velocities_to_scene(bodies.velocities) + v
+        result.append(
+            PointMasses(frame.to_scene(bodies.points), velocities, bodies.masses)
+        )
+    return result
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> PointMasses:
@@ -136,30 +146,32 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
     profile = MassProfile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
-        none = np.zeros((1, 3))
-        parts.append(PointMasses(none, none, np.array([galaxy.nucleus])))
+        zero = np.zeros((1, 3))
+        parts.append(PointMasses(zero, zero, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
         parts.append(_disc(galaxy.disc, profile, galaxy.seed))
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
-    joined = PointMasses.concatenate(parts)
+    bodies = PointMasses.concatenate(parts)
     # Its centre of mass is at the position and velocity of the file.
-    weights = joined.masses / joined.masses.sum()
-    x, v = (each + -weights @ each for each in (joined.points, joined.velocities))
-    return PointMasses(x, v, joined.masses)
+    weights = bodies.masses / bodies.masses.sum()
+    x, v = (values + -weights @ values for values in (bodies.points, bodies.velocities))
+    return PointMasses(x, v, bodies.masses)
 
 
 def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> PointMasses:
     u = uniforms(seed, np.arange(part.count), 6)
     r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
-    most = BOUND * np.interp(r, profile.r, profile.escape)
-    velocities = sigma[:, None] * matter.normals(u[:, 3:6])
+    max_speeds = MAX_SPEED_RATIO * np.interp(r, profile.r, profile.escape)
+    velocities = sigma[:, None] * matter.normal_samples(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
-    velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
+    velocities *= np.minimum(max_speeds / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(part.count, part.mass / part.count)
-    return PointMasses(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
+    return PointMasses(
+        r[:, None] * matter.random_directions(u[:, 1:3]), velocities, masses
+    )
 
 
 def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
@@ -167,16 +179,22 @@ def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     height = disc.thickness * disc.radius
-    up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
+    heights = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
     tables = disc_velocities(disc, profile)
-    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in tables)
-    normal = matter.normals(u[:, 3:6])
-    out, along = radial * normal[:, 0], mean + around * normal[:, 1]
+    radial, azimuthal, vertical, mean = (np.interp(r, profile.r, one) for one in tables)
+    normal = matter.normal_samples(u[:, 3:6])
+    radial_velocities, azimuthal_velocities = (
+        radial * normal[:, 0],
+        mean + azimuthal * normal[:, 1],
+    )
     cos, sin = np.cos(angles), np.sin(angles)
     # Right-handed about y: from z to x.
-    points = np.stack([r * sin, up, r * cos], axis=1)
-    x, z = out * sin + along * cos, out * cos - along * sin
-    velocities = np.stack([x, upward * normal[:, 2], z], axis=1)
+    points = np.stack([r * sin, heights, r * cos], axis=1)
+    x, z = (
+        radial_velocities * sin + azimuthal_velocities * cos,
+        radial_velocities * cos - azimuthal_velocities * sin,
+    )
+    velocities = np.stack([x, vertical * normal[:, 2], z], axis=1)
     return PointMasses(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
 
@@ -185,21 +203,21 @@ def disc_velocities(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return radial, azimuthal and vertical dispersions, and mean rotation ``(R,)``."""
     r, circular = profile.r, profile.circular
-    turning = circular / r
-    squares = np.gradient(turning**2, r) * r + 4 * turning**2
+    angular_velocity = circular / r
+    squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
     epicycle = np.sqrt(np.maximum(squares, 1e-300))
     surface = disc_surface(disc, r)
     radial = disc.stability * TOOMRE * profile.constant * surface / epicycle
-    radial = np.minimum(radial, WARMEST * circular)
-    ratio = epicycle / np.maximum(2 * turning, 1e-300)
+    radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
+    ratio = epicycle / np.maximum(2 * angular_velocity, 1e-300)
     drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
     mean = np.sqrt(np.maximum(circular**2 + drift, 0.0))
     height = disc.thickness * disc.radius
-    upward = np.sqrt(np.pi * profile.constant * surface * height)
-    return radial, radial * ratio, upward if disc.stability else 0 * upward, mean
+    vertical = np.sqrt(np.pi * profile.constant * surface * height)
+    return radial, radial * ratio, vertical if disc.stability else 0 * vertical, mean
 
 
-def on_orbit(
+def orbit_starts(
     orbit: EncounterModel, masses: Sequence[float], constant: float
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return start positions and velocities of two galaxies on an orbit."""
@@ -214,8 +232,8 @@ def on_orbit(
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
     tilt = unit_quaternion(orbit.rotate)
     separation, velocity = so3.rotate(tilt, separation), so3.rotate(tilt, velocity)
-    shares = -masses[1] / total, masses[0] / total
+    fractions = -masses[1] / total, masses[0] / total
     return [
         (np.array(orbit.at) + fraction * separation, fraction * velocity)
-        for fraction in shares
+        for fraction in fractions
     ]

@@ -18,7 +18,7 @@ from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import PointMasses, check_distinct
 from animtool.systems.framework.simulation import SimContext, StoppedError
-from animtool.systems.nbody.galaxies import built_galaxies
+from animtool.systems.nbody.galaxies import build_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
 # Number of bodies above which a tree is faster than direct sums, at an accuracy;
@@ -27,14 +27,14 @@ CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
 # Tree forces are float32: no finer accuracy is possible.
 FINEST_TREE = 1e-6
 # Sampled bodies for the error of tree forces.
-SAMPLES = 16
+ERROR_SAMPLES = 16
 # Largest orbital phase of a close pair in a step [rad]: softened, with bounded forces,
 # and unsoftened, where energies grow a hundredfold in an encounter.
-PHASE, BARE_PHASE = 0.15, 0.03
-# Encounters are checked before steps; within one the rate may grow by this factor.
-LATITUDE = 1.5
+MAX_PHASE, MAX_UNSOFTENED_PHASE = 0.15, 0.03
+# Factor by which the orbital rate may grow within a step, as it is checked before.
+RATE_TOLERANCE = 1.5
 # Recommended step over the free-fall time to the centre.
-ADVISED = 0.1
+RECOMMENDED_STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +69,17 @@ def _check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
 
 @np.errstate(all="ignore")
 def build(spec: NbodyModel, context: SimContext) -> Nbody:
-    """Return the bodies of a spec, those of files and generated galaxies.
+    """Return the bodies of a spec: from files and of generated galaxies.
 
     Raises:
-        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
-            SIM070).
+        OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM070).
     """
     parts, refusals = [], Refusals()
     for body, part in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
         with refusals.collect():
             parts.append(PointMasses.read(part, body.mass, "body", spec.code, "bodies"))
     refusals.check()
-    nbody = Nbody(spec, context, [*parts, *built_galaxies(spec)])
+    nbody = Nbody(spec, context, [*parts, *build_galaxies(spec)])
     _check_start(spec, nbody.bodies)
     nbody.begin()
     return nbody
@@ -97,10 +96,10 @@ def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
 
 
 class Nbody(Interacting[NbodyState, Pulls]):
-    """Gravitating bodies, in steps.
+    """Simulation of gravitating bodies.
 
     Attributes:
-        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+        tree: Whether a tree is used: faster than a direct sum, and accurate enough.
     """
 
     def __init__(
@@ -109,27 +108,34 @@ class Nbody(Interacting[NbodyState, Pulls]):
         """``parts``: bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
         self._fixed = self._integrator.control is StepControl.FIXED
-        self._phase = PHASE if spec.softening else BARE_PHASE
+        self._phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
         self.bodies = PointMasses.concatenate(parts)
-        counts = [len(one.masses) for one in parts]
-        self.several = len(parts) > 1
+        counts = [len(part.masses) for part in parts]
+        self.has_many_species = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)
-        radii = [b.radius for b in spec.bodies] + [g.radius for g in spec.galaxies]
+        radii = [body.radius for body in spec.bodies] + [
+            galaxy.radius for galaxy in spec.galaxies
+        ]
         self.radii = np.repeat(radii, counts)
-        dark = [0] * len(spec.bodies) + [one.dark for one in spec.galaxies]
-        numbers = [np.arange(n) < n - k for n, k in zip(counts, dark, strict=True)]
-        self.shown = np.flatnonzero(np.concatenate(numbers))
-        opening = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
-        many = len(self.bodies.masses) > CROSSOVER * opening**CROSSOVER_POWER
-        self.tree = spec.accuracy >= FINEST_TREE and many
+        dark_counts = [0] * len(spec.bodies) + [part.dark for part in spec.galaxies]
+        is_shown = [
+            np.arange(count) < count - hidden
+            for count, hidden in zip(counts, dark_counts, strict=True)
+        ]
+        self.shown = np.flatnonzero(np.concatenate(is_shown))
+        accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
+        is_large = (
+            len(self.bodies.masses) > CROSSOVER * accuracy_factor**CROSSOVER_POWER
+        )
+        self.tree = spec.accuracy >= FINEST_TREE and is_large
 
     def _start(self, motion: FloatArray) -> NbodyState:
-        return NbodyState(motion, self.summed(motion[0]), 0, 1)
+        return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
 
     def _sums(self, state: NbodyState) -> Pulls:
         return state.pulls
 
-    def summed(self, x: FloatArray, before: Pulls | None = None) -> Pulls:  # noqa: ARG002
+    def compute_sums(self, x: FloatArray, before: Pulls | None = None) -> Pulls:  # noqa: ARG002
         """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
         spec, accuracy = self._spec, self._spec.accuracy if self.tree else 0.0
         law = spec.gravity_constant, spec.softening, accuracy
@@ -138,28 +144,28 @@ class Nbody(Interacting[NbodyState, Pulls]):
     def _forces(self, sums: Pulls) -> FloatArray:
         return sums.accelerations
 
-    def from_placed(
+    def external_effect(
         self, one: AttractorModel, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return accelerations ``(N, 3)`` [m/s²] and potentials ``(N,)`` [J/kg]."""
-        off = at - x
-        reach = np.sqrt((off * off).sum(axis=1) + one.softening**2)
-        reach = np.maximum(reach, 1e-300)
-        pull = self._spec.gravity_constant * one.mass / reach
-        return (pull / reach**2)[:, None] * off, -pull
+        offsets = at - x
+        distances = np.sqrt((offsets * offsets).sum(axis=1) + one.softening**2)
+        distances = np.maximum(distances, 1e-300)
+        potentials = self._spec.gravity_constant * one.mass / distances
+        return (potentials / distances**2)[:, None] * offsets, -potentials
 
     def suspect(self, x: FloatArray, sums: Pulls) -> str:
         """Return the closest pair, for messages."""
-        return self._closest(x, sums.rates)[1] if len(x) > 1 else ""
+        return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
-    def _closest(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
+    def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
         """Return mass [kg] and distance of the fastest pair."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
-        reach = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
-        each = (masses + masses[i]) / reach
-        each[i] = -1.0
-        j = int(np.argmax(each))
+        cubes = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
+        rates_of_pairs = (masses + masses[i]) / cubes
+        rates_of_pairs[i] = -1.0
+        j = int(np.argmax(rates_of_pairs))
         names = f"bodies {min(i, j)} and {max(i, j)}"
         return masses[i] + masses[j], f"{names} are {math.sqrt(squares[j]):.3g} m apart"
 
@@ -167,31 +173,37 @@ class Nbody(Interacting[NbodyState, Pulls]):
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
         """Return the state after a step [s].
 
-        A step is divided where two bodies come so close that it would not follow them.
+        A step is divided if two bodies come so close that it could not resolve them.
 
         Raises:
-            StoppedError: It blew up (SIM102), the method could not go on (SIM103 to
-                SIM105), or two bodies come too close for the most parts (SIM110).
+            StoppedError: It blew up (SIM102), integration stopped (SIM103 to SIM105),
+                or two bodies come too close for the most substeps (SIM110).
         """
-        parts = self._parts(state.pulls.rates, dt)
-        close = TooCloseError(t, state.motion[0], state.pulls.rates)
-        while parts <= self._spec.substeps:
+        substeps = self._substeps_for(state.pulls.rates, dt)
+        closest = TooCloseError(t, state.motion[0], state.pulls.rates)
+        while substeps <= self._spec.substeps:
             limit, step = math.inf, dt
             if self._fixed:
-                limit, step = (LATITUDE * self._phase * parts / dt) ** 2, dt / parts
+                limit, step = (
+                    (RATE_TOLERANCE * self._phase * substeps / dt) ** 2,
+                    dt / substeps,
+                )
             system = self._system(state, partial(_check_close, limit))
             try:
-                motion = self._integrated(system, t, dt, step)
+                motion = self._integrate(system, t, dt, step)
             except TooCloseError as error:
-                parts, close = 2 * parts, error
+                substeps, closest = 2 * substeps, error
                 continue
-            met, most = state.encounters + (parts > 1), max(state.divided, parts)
-            after = NbodyState(motion, system.at(motion[0]), met, most)
-            self._watch(after, t + dt)
+            encounters, max_substeps = (
+                state.encounters + (substeps > 1),
+                max(state.divided, substeps),
+            )
+            after = NbodyState(motion, system.at(motion[0]), encounters, max_substeps)
+            self._check_energy(after, t + dt)
             return after
-        raise self._encounter(dt, *close.args)
+        raise self._encounter_error(dt, *closest.args)
 
-    def _parts(self, rates: FloatArray, dt: float) -> int:
+    def _substeps_for(self, rates: FloatArray, dt: float) -> int:
         """Return the substeps that resolve the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
@@ -201,31 +213,35 @@ class Nbody(Interacting[NbodyState, Pulls]):
             return 2 * int(self._spec.substeps)
         return 1 << max(math.ceil(math.log2(phase)), 0) if phase > 1 else 1
 
-    def _encounter(
+    def _encounter_error(
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
         """Return why the finest substeps [s] do not resolve a pair."""
-        (mass, pair), most = self._closest(x, rates), self._spec.substeps
-        message = f"{pair} at {t:.6g} s, too close for steps of {dt / most:.3g} s"
-        widest = (PHASE * most / dt) ** 2
-        enough = (self._spec.gravity_constant * mass / widest) ** (1 / 3)
-        hint = f"use softening: {1.05 * enough:.3g}, or more substeps"
+        (mass, pair), substeps = self._fastest_pair(x, rates), self._spec.substeps
+        message = f"{pair} at {t:.6g} s, too close for steps of {dt / substeps:.3g} s"
+        max_rate = (MAX_PHASE * substeps / dt) ** 2
+        softening = (self._spec.gravity_constant * mass / max_rate) ** (1 / 3)
+        hint = f"use softening: {1.05 * softening:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
 
-    def _in_play(self, state: NbodyState, now: Energy) -> float:  # noqa: ARG002
+    def _exchanged_energy(self, state: NbodyState, now: Energy) -> float:  # noqa: ARG002
         return now.kinetic
 
-    def _advised(self, state: NbodyState, t: float) -> float:
+    def _suggested_step(self, state: NbodyState, t: float) -> float:
         x, masses = state.motion[0], self.bodies.masses
-        accelerations = state.pulls.accelerations + self.outside(t, x)[0]
+        accelerations = state.pulls.accelerations + self.external_accelerations(t, x)[0]
         centre = masses @ x / masses.sum()
-        reach = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
+        distances = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
         sizes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
-        return ADVISED * float(np.sqrt(reach / sizes).min())
+        return RECOMMENDED_STEP * float(np.sqrt(distances / sizes).min())
 
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]
-        outside = float(masses @ self.outside(t, x)[1]) if self.placed else 0.0
+        outside = (
+            float(masses @ self.external_accelerations(t, x)[1])
+            if self.external_forces
+            else 0.0
+        )
         return 0.5 * float(masses @ state.pulls.potentials) + outside
 
     def _momenta(self, state: NbodyState) -> FloatArray:
@@ -236,7 +252,9 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
         (x, v), pulls = state.motion, state.pulls
-        outside, potentials = self.outside(t, x) if self.placed else (0.0, 0.0)
+        outside, potentials = (
+            self.external_accelerations(t, x) if self.external_forces else (0.0, 0.0)
+        )
         return {
             **super()._quantities(state, t),
             "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
@@ -250,7 +268,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         x, v = state.motion
         values = {"bodies": float(len(x)), "encounters": float(state.encounters)}
         values["substeps"] = float(state.divided)
-        if not self.placed:
+        if not self.external_forces:
             values["energy_drift"] = self._drift(state, self._energy(state, t))
             sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
             scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
@@ -263,16 +281,18 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _force_error(self, x: FloatArray, pulls: Pulls) -> float:
         """Return the relative force error of the tree, on sampled bodies [1]."""
-        rows = np.linspace(0, len(x) - 1, SAMPLES).astype(int)
+        rows = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
         exact = np.array([self._direct(x, x[i]) for i in rows])
-        off = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
+        errors = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
         sizes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
-        return float(np.sqrt(((off / sizes) ** 2).mean()))
+        return float(np.sqrt(((errors / sizes) ** 2).mean()))
 
     def _direct(self, x: FloatArray, at: FloatArray) -> FloatArray:
         """Return the acceleration at a point by direct summation ``(3,)``."""
-        off = x - at
-        squares = (off * off).sum(axis=1)
-        reach = np.where(squares > 0, squares + self._spec.softening**2, np.inf)
-        pull = self.bodies.masses / (reach * np.sqrt(reach))
-        return np.asarray(self._spec.gravity_constant * pull @ off)
+        offsets = x - at
+        squares = (offsets * offsets).sum(axis=1)
+        squared_distances = np.where(
+            squares > 0, squares + self._spec.softening**2, np.inf
+        )
+        pull = self.bodies.masses / (squared_distances * np.sqrt(squared_distances))
+        return np.asarray(self._spec.gravity_constant * pull @ offsets)

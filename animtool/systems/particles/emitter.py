@@ -16,23 +16,23 @@ from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.emitter_shapes import EmitterShape, Point
 from animtool.systems.particles.records import Emission
 
-# Of splitmix64: S. Vigna, 2015, after G. Steele, D. Lea, C. Flood, "Fast splittable
-# pseudorandom number generators", 2014.
-_STEP = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
+# Constants of splitmix64: S. Vigna, 2015, after G. Steele, D. Lea, C. Flood, "Fast
+# splittable pseudorandom number generators", 2014.
+_HASH_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
+_HASH_FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
+_HASH_FACTOR_2 = np.uint64(0x94D049BB133111EB)
 
 # Shorter directions have a length of 0 in float64.
-LEAST = 1e-150
+MIN_AXIS_LENGTH = 1e-150
 
 
-def mixed(
+def hash64(
     values: np.ndarray[tuple[int, ...], np.dtype[np.uint64]],
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
     """Return a 64-bit hash of all arguments."""
-    z = values + _STEP
-    z = (z ^ (z >> np.uint64(30))) * _FIRST
-    z = (z ^ (z >> np.uint64(27))) * _SECOND
+    z = values + _HASH_INCREMENT
+    z = (z ^ (z >> np.uint64(30))) * _HASH_FACTOR_1
+    z = (z ^ (z >> np.uint64(27))) * _HASH_FACTOR_2
     return np.asarray(z ^ (z >> np.uint64(31)))
 
 
@@ -42,22 +42,22 @@ def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
     >>> bool((uniforms(1, np.arange(9), 2)[7] == uniforms(1, np.array([7]), 2)).all())
     True
     """
-    start = mixed(np.array([seed % 2**64], np.uint64))
-    rows = mixed(keys.astype(np.uint64) ^ start)
-    columns = np.arange(count, dtype=np.uint64) * _STEP
-    bits = mixed(rows[:, None] + columns)
+    start = hash64(np.array([seed % 2**64], np.uint64))
+    rows = hash64(keys.astype(np.uint64) ^ start)
+    columns = np.arange(count, dtype=np.uint64) * _HASH_INCREMENT
+    bits = hash64(rows[:, None] + columns)
     return np.asarray((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53)
 
 
 # Key space of bursts, distinct from that of the steady rate.
-_BURST = 1 << 40
+_BURST_KEYS = 1 << 40
 # Key space of one burst.
-MAX_AT_ONCE = 10**12
-_CHANCES = 8
+MAX_BURST = 10**12
+_RANDOM_COUNT = 8
 # Interval for measuring the motion of an emitter [s].
-_BRIEF = 1e-4
+_VELOCITY_INTERVAL = 1e-4
 # Shorter directions are not well defined.
-SHORTEST = 1e-150
+MIN_DIRECTION_LENGTH = 1e-150
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +74,12 @@ class Births:
 class Emitter(Emission, Checked):
     """Emits particles; their number depends on time alone.
 
-    Every particle draws its place, direction, speed and lifetime by its number, so
-    that neither the step nor the frame rate of an output changes them.
+    The position, direction, speed and lifetime of a particle are random functions of
+    its index, so that they do not depend on the step or the frame rate of an output.
 
     Attributes:
-        place: Where, in its frame.
-        poses: Of its frame in the world over time.
+        place: Emitter shape in local space.
+        poses: World poses of its frame over time.
     """
 
     code: ClassVar[str] = "SIM021"
@@ -88,83 +88,85 @@ class Emitter(Emission, Checked):
     poses: Poses = field(default_factory=Poses)
 
     def births(
-        self, begin: float, after: float | None, until: float, room: int
+        self, begin: float, start_time: float | None, end_time: float, capacity: int
     ) -> Births:
         """Return the particles born after one time, up to another.
 
         Args:
-            begin: When the simulation begins [s]: the rate holds from then on.
-            after: [s]; None is from the beginning on, that time included.
-            until: [s]; included.
-            room: How many there may be; the first ones are.
+            begin: Time at which the simulation and the emission begin [s].
+            start_time: Births after this time [s]; None: from the beginning, inclusive.
+            end_time: Births up to this time, inclusive [s].
+            capacity: Largest number of births; the first ones are kept.
         """
         start = max(self.start, begin)
-        first = 0 if after is None else self._emitted(start, after)
-        last = self._emitted(start, until)
-        emitted, kept = last - first, min(last - first, room)
-        numbers = np.arange(first, first + kept, dtype=np.int64)
-        times = [start + (numbers + 0.5) / self.rate] if len(numbers) else []
-        keys = [numbers] if len(numbers) else []
+        first = 0 if start_time is None else self._emitted_count(start, start_time)
+        last = self._emitted_count(start, end_time)
+        emitted, kept = last - first, min(last - first, capacity)
+        indices = np.arange(first, first + kept, dtype=np.int64)
+        times = [start + (indices + 0.5) / self.rate] if len(indices) else []
+        keys = [indices] if len(indices) else []
         for i, (when, count) in enumerate(self.bursts):
-            late = begin <= when if after is None else after < when
-            if late and when <= until:
-                emitted, some = emitted + count, min(count, room)
-                times.append(np.full(some, float(when)))
-                keys.append(_BURST * (i + 1) + np.arange(some, dtype=np.int64))
-                kept += some
+            has_started = begin <= when if start_time is None else start_time < when
+            if has_started and when <= end_time:
+                emitted, burst_count = emitted + count, min(count, capacity)
+                times.append(np.full(burst_count, float(when)))
+                keys.append(
+                    _BURST_KEYS * (i + 1) + np.arange(burst_count, dtype=np.int64)
+                )
+                kept += burst_count
         if not times:
             return Births(np.zeros(0), np.zeros(0, np.int64), emitted)
-        when_all, key_all = np.concatenate(times), np.concatenate(keys)
-        order = np.argsort(when_all, kind="stable")
-        times_all = np.clip(when_all[order], begin, until)
-        return Births(times_all, key_all[order], emitted - kept)
+        all_times, all_keys = np.concatenate(times), np.concatenate(keys)
+        order = np.argsort(all_times, kind="stable")
+        sorted_times = np.clip(all_times[order], begin, end_time)
+        return Births(sorted_times, all_keys[order], emitted - kept)
 
-    def _emitted(self, start: float, t: float) -> int:
+    def _emitted_count(self, start: float, t: float) -> int:
         """Return the number emitted by the rate up to a time."""
         span = min(t, self.end) - start
         return max(math.floor(span * self.rate + 0.5), 0) if span > 0 else 0
 
-    def drawn(
+    def sample_births(
         self, births: Births
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities ``(N, 3)``, lifetimes and radii ``(N,)``."""
-        chances = uniforms(self.seed, births.keys, _CHANCES)
-        points, outwards = self.place.points(chances[:, :3])
-        directions = self._directions(chances[:, 3:5], outwards)
-        speeds = self.speed + self.speed_spread * (2 * chances[:, 5] - 1)
-        lifetimes = self.lifetime + self.lifetime_spread * (2 * chances[:, 6] - 1)
-        radii = self.radius + self.radius_spread * (2 * chances[:, 7] - 1)
+        randoms = uniforms(self.seed, births.keys, _RANDOM_COUNT)
+        points, outwards = self.place.points(randoms[:, :3])
+        directions = self._directions(randoms[:, 3:5], outwards)
+        speeds = self.speed + self.speed_spread * (2 * randoms[:, 5] - 1)
+        lifetimes = self.lifetime + self.lifetime_spread * (2 * randoms[:, 6] - 1)
+        radii = self.radius + self.radius_spread * (2 * randoms[:, 7] - 1)
         positions, velocities = self._in_world(
             births.times, points, directions * speeds[:, None]
         )
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
-    def drawn_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
+    def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
         """Return N positions and velocities ``(N, 3)``, born at a time [s]."""
         burst = replace(self, rate=0.0, bursts=[(t, count)])
-        return burst.drawn(burst.births(t, None, t, count))[:2]
+        return burst.sample_births(burst.births(t, None, t, count))[:2]
 
     def _directions(
-        self, chances: FloatArray, outwards: FloatArray | None
+        self, randoms: FloatArray, outwards: FloatArray | None
     ) -> FloatArray:
         """Return directions in a cone, uniform by solid angle ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
-        if not LEAST < np.linalg.norm(axis) < 1 / LEAST:
+        if not MIN_AXIS_LENGTH < np.linalg.norm(axis) < 1 / MIN_AXIS_LENGTH:
             # Its square overflows or underflows.
             axis = axis / np.abs(axis).max()
-        middle = np.broadcast_to(axis.astype(np.float64), (len(chances), 3))
+        axes = np.broadcast_to(axis.astype(np.float64), (len(randoms), 3))
         if outwards is not None and self.direction is None:
-            middle = outwards
-        middle = middle / np.linalg.norm(middle, axis=1)[:, None]
-        height = 1 - chances[:, :1] * (1 - math.cos(self.spread))
-        across = np.sqrt(np.maximum(1 - height * height, 0))
-        angle = 2 * np.pi * chances[:, 1:]
-        least = np.argmin(np.abs(middle), axis=1)
-        side = np.cross(middle, np.eye(3)[least])
+            axes = outwards
+        axes = axes / np.linalg.norm(axes, axis=1)[:, None]
+        height = 1 - randoms[:, :1] * (1 - math.cos(self.spread))
+        radius = np.sqrt(np.maximum(1 - height * height, 0))
+        angle = 2 * np.pi * randoms[:, 1:]
+        smallest = np.argmin(np.abs(axes), axis=1)
+        side = np.cross(axes, np.eye(3)[smallest])
         side /= np.linalg.norm(side, axis=1)[:, None]
-        other = np.cross(middle, side)
-        around = side * np.cos(angle) + other * np.sin(angle)
-        return np.asarray(middle * height + around * across, np.float64)
+        second_side = np.cross(axes, side)
+        radial = side * np.cos(angle) + second_side * np.sin(angle)
+        return np.asarray(axes * height + radial * radius, np.float64)
 
     def _in_world(
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
@@ -175,11 +177,14 @@ class Emitter(Emission, Checked):
                 so3.rotate(row[3:], points) + row[:3],
                 so3.rotate(row[3:], velocities),
             )
-        now, before = self.poses.over(times), self.poses.over(times - _BRIEF)
-        positions = so3.rotate(now[:, 3:], points) + now[:, :3]
-        earlier = so3.rotate(before[:, 3:], points) + before[:, :3]
-        emitter_velocity = (positions - earlier) * (self.inherit / _BRIEF)
-        return positions, so3.rotate(now[:, 3:], velocities) + emitter_velocity
+        poses, earlier_poses = (
+            self.poses.at_times(times),
+            self.poses.at_times(times - _VELOCITY_INTERVAL),
+        )
+        positions = so3.rotate(poses[:, 3:], points) + poses[:, :3]
+        earlier = so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]
+        emitter_velocity = (positions - earlier) * (self.inherit / _VELOCITY_INTERVAL)
+        return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""
@@ -194,13 +199,13 @@ class Emitter(Emission, Checked):
         if not self.start <= self.end:
             problems.append(("end", "its end is before its start"))
         if self.direction is not None and not (
-            SHORTEST < float(np.linalg.norm(self.direction)) < math.inf
+            MIN_DIRECTION_LENGTH < float(np.linalg.norm(self.direction)) < math.inf
         ):
             message = "its direction must be three finite numbers, not all 0"
             problems.append(("direction", message))
         for i, (when, count) in enumerate(self.bursts):
-            if not math.isfinite(when) or not 0 <= count <= MAX_AT_ONCE:
+            if not math.isfinite(when) or not 0 <= count <= MAX_BURST:
                 message = f"burst {i} must be at a finite time, of 0 particles or more"
-                message += f" and {MAX_AT_ONCE:g} at most"
+                message += f" and {MAX_BURST:g} at most"
                 problems.append(("bursts", message))
         return problems

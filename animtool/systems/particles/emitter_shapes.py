@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders.shapes import Mesh
 
 # Points ``(N, 3)``, and outward normals or None.
-Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
+PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _Checked:
@@ -30,7 +30,7 @@ class _Checked:
 class Point(_Checked):
     """The origin of the emitter's frame."""
 
-    def points(self, uniforms: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return points for random numbers in [0, 1) ``(N, 3)``."""
         return np.zeros((len(uniforms), 3)), None
 
@@ -47,23 +47,23 @@ class Disc(_Checked):
         float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
     ]
 
-    def points(self, uniforms: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return points, uniform by area."""
         radius = self.radius * np.sqrt(uniforms[:, 0])
         angle = 2 * np.pi * uniforms[:, 1]
-        flat = np.zeros(len(uniforms))
+        heights = np.zeros(len(uniforms))
         return np.stack(
-            [radius * np.cos(angle), flat, radius * np.sin(angle)], axis=1
+            [radius * np.cos(angle), heights, radius * np.sin(angle)], axis=1
         ), None
 
 
 @dataclass(frozen=True, slots=True)
 class SphereShape(_Checked):
-    """A ball.
+    """A sphere.
 
     Attributes:
         radius: [m].
-        hollow: Its surface alone; particles go outwards then.
+        hollow: Whether to emit from the surface only, along its normals.
     """
 
     radius: Annotated[
@@ -71,15 +71,17 @@ class SphereShape(_Checked):
     ]
     hollow: bool = False
 
-    def points(self, uniforms: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return points, uniform by volume or by area."""
         height = 2 * uniforms[:, 0] - 1
-        across = np.sqrt(np.maximum(1 - height * height, 0))
+        radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * uniforms[:, 1]
-        out = np.stack([across * np.cos(angle), height, across * np.sin(angle)], axis=1)
+        normals = np.stack(
+            [radius * np.cos(angle), height, radius * np.sin(angle)], axis=1
+        )
         if self.hollow:
-            return out * self.radius, out
-        return out * (self.radius * np.cbrt(uniforms[:, 2:])), None
+            return normals * self.radius, normals
+        return normals * (self.radius * np.cbrt(uniforms[:, 2:])), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ class BoxShape(_Checked):
     """A box centred at the origin.
 
     Attributes:
-        size: Its three sides, whole [m]; 0 is flat.
+        size: Full edge lengths [m]; 0 is flat.
     """
 
     size: Annotated[
@@ -95,7 +97,7 @@ class BoxShape(_Checked):
         Range("three numbers of 0 or more", "SIM021", 0.0, finite=True, count=3),
     ]
 
-    def points(self, uniforms: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return points, uniform by volume."""
         return (uniforms - 0.5) * np.asarray(self.size, np.float64), None
 
@@ -110,21 +112,26 @@ class MeshSurface:
 
     mesh: Mesh
 
-    def points(self, uniforms: FloatArray) -> Placed:
+    def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return points, uniform by area."""
-        welded, corners = self.mesh.welded()
-        a, b, c = welded[corners].swapaxes(0, 1)
+        points, corners = self.mesh.weld()
+        a, b, c = points[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
-        ends = np.cumsum(areas)
-        chosen = np.searchsorted(ends, uniforms[:, 0] * ends[-1], side="right")
-        chosen = np.minimum(chosen, len(areas) - 1)
+        cumulative = np.cumsum(areas)
+        faces = np.searchsorted(
+            cumulative, uniforms[:, 0] * cumulative[-1], side="right"
+        )
+        faces = np.minimum(faces, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
         u, v = uniforms[:, 1], uniforms[:, 2]
-        over = u + v > 1
-        u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
-        points = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
-        return points, normals[chosen] / areas[chosen, None]
+        outside = u + v > 1
+        u, v = (
+            np.where(outside, 1 - u, u)[:, None],
+            np.where(outside, 1 - v, v)[:, None],
+        )
+        points = a[faces] + u * (b - a)[faces] + v * (c - a)[faces]
+        return points, normals[faces] / areas[faces, None]
 
     def faults(self) -> list[str]:
         """Return messages about invalid values."""
@@ -134,7 +141,7 @@ class MeshSurface:
 EmitterShape: TypeAlias = Point | Disc | SphereShape | BoxShape | MeshSurface
 
 
-# By their names in files; a mesh becomes its surface.
+# Shapes by name in files; a mesh becomes its surface.
 EMITTER_SHAPES: dict[str, type[Any]] = {
     "box": BoxShape,
     "disc": Disc,

@@ -14,7 +14,7 @@ from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 
 
-class _Living:
+class _MovingParticles:
     """Shared parts of particles under forces and in a velocity field."""
 
     def __init__(
@@ -38,7 +38,7 @@ class _Living:
         return self._state
 
 
-class ParticleForces(_Living, SecondOrder):
+class ParticleForces(_MovingParticles, SecondOrder):
     """Particles moved by forces."""
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -50,27 +50,34 @@ class ParticleForces(_Living, SecondOrder):
     ) -> FloatArray:
         """Return the state after collisions."""
         x, v = after
-        done = collide(x, v, before, self._colliders, t - h, t, self.particles.radii)
-        self.contacts = done.contacts
-        if not done.contacts.any.any():
+        collided = collide(
+            x, v, before, self._colliders, t - h, t, self.particles.radii
+        )
+        self.contacts = collided.contacts
+        if not collided.contacts.any.any():
             return after
-        return self._shared(t, h, after, done)
+        return self._exchange_momentum(t, h, after, collided)
 
-    def _shared(
-        self, t: float, h: float, free: FloatArray, done: Collided
+    def _exchange_momentum(
+        self, t: float, h: float, without_contacts: FloatArray, collided: Collided
     ) -> FloatArray:
         """Return the state after momentum exchange with movable bodies."""
-        state, first = np.stack([done.points, done.velocities]), len(self._colliders)
+        state, first_body = (
+            np.stack([collided.points, collided.velocities]),
+            len(self._colliders),
+        )
         for i, system in enumerate(self._colliders.bodies):
-            shapes = done.contacts.colliders - first
+            shapes = collided.contacts.colliders - first_body
             shapes[shapes >= len(system.colliders)] = -1
-            first += len(system.colliders)
+            first_body += len(system.colliders)
             if not system.count:
                 continue
             masses = self.particles.masses
-            state, taken = exchange_impulses(system, t, shapes, free, state, masses)
-            before = self.wrenches[i].after(h)
-            self.wrenches[i] = Wrenches.sum([before, taken])
+            state, wrenches = exchange_impulses(
+                system, t, shapes, without_contacts, state, masses
+            )
+            earlier = self.wrenches[i].after(h)
+            self.wrenches[i] = Wrenches.sum([earlier, wrenches])
         return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
@@ -105,14 +112,14 @@ class ParticleForces(_Living, SecondOrder):
 
     def suspect(self, t: float, state: FloatArray) -> str:
         """Return the particle with the largest acceleration."""
-        pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
+        magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
-            f"particle {int(self.particles.ids[np.argmax(pulls)])} has the largest "
-            "acceleration"
+            f"particle {int(self.particles.ids[np.argmax(magnitudes)])} has the "
+            "largest acceleration"
         )
 
 
-class ParticleFlow(_Living, FirstOrder):
+class ParticleFlow(_MovingParticles, FirstOrder):
     """Particles moved by a velocity field; the state is their positions."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
@@ -126,11 +133,11 @@ class ParticleFlow(_Living, FirstOrder):
         """Return the state after collisions."""
         speed = (after - before) / h
         start = np.stack([before, speed])
-        done = collide(
+        collided = collide(
             after, speed, start, self._colliders, t - h, t, self.particles.radii
         )
-        self.contacts = done.contacts
-        return done.points if done.contacts.any.any() else after
+        self.contacts = collided.contacts
+        return collided.points if collided.contacts.any.any() else after
 
 
 def particle_system(
@@ -147,7 +154,7 @@ def energies(
 ) -> tuple[FloatArray, bool]:
     """Return kinetic and potential energies ``(2, N)`` [J], and whether all are known.
 
-    What forces without a potential do is left out.
+    Forces without a potential are left out.
     """
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
@@ -171,33 +178,43 @@ def accelerations(
     return total / particles.masses[:, None]
 
 
-def spawned(
+def advance_births(
     setup: Particles,
     colliders: Colliders,
     particles: ParticleState,
-    born: FloatArray,
+    birth_states: FloatArray,
     t0: float,
     t1: float,
 ) -> FloatArray:
     """Return particles at the end of the step they are born in.
 
-    Each starts at its birth time, so that streams have no clumps at every step. They
-    are integrated by the classical Runge-Kutta method, whatever the others' method is,
-    and do not act on others before the next step.
+    Each starts at its birth time, so that streams have no clumps. Births are always
+    integrated by the classical Runge-Kutta method, and do not act on other particles
+    before the next step.
 
     ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
     """
-    done = _moved_classically(setup, particles, born, t1 - particles.births)
+    end_states = _rk4_births(setup, particles, birth_states, t1 - particles.births)
     if not colliders.active:
-        return done
+        return end_states
     collided = collide(
-        done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
+        end_states[0],
+        end_states[1],
+        birth_states,
+        colliders,
+        t0,
+        t1,
+        particles.radii,
+        particles.births,
     )
     return np.stack([collided.points, collided.velocities])
 
 
-def _moved_classically(
-    setup: Particles, particles: ParticleState, born: FloatArray, spans: FloatArray
+def _rk4_births(
+    setup: Particles,
+    particles: ParticleState,
+    birth_states: FloatArray,
+    spans: FloatArray,
 ) -> FloatArray:
     h = spans[:, None]
 
@@ -208,21 +225,21 @@ def _moved_classically(
             return np.stack([speed, np.zeros_like(speed)])
         return np.stack([state[1], accelerations(setup, particles, times, *state)])
 
-    k1 = rate(0.0, born)
-    k2 = rate(0.5, born + h / 2 * k1)
-    k3 = rate(0.5, born + h / 2 * k2)
-    k4 = rate(1.0, born + h * k3)
-    return np.asarray(born + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    k1 = rate(0.0, birth_states)
+    k2 = rate(0.5, birth_states + h / 2 * k1)
+    k3 = rate(0.5, birth_states + h / 2 * k2)
+    k4 = rate(1.0, birth_states + h * k3)
+    return np.asarray(birth_states + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
 
 
 class DivergenceCheck:
     """Checks particles for non-finite values, and energy out of bounds.
 
-    The energy of each counts from where it was first seen, so that neither births nor
-    removals are taken for gains, and a slow blow-up adds up over many steps. Moving
-    colliders may bring in what particles have at their speed. Where a force has no
-    potential, energy tells only what is known to be in steps too long; what particles
-    give each other without one is not for it to judge.
+    The energy of a particle is relative to that when it was first observed, so that
+    births and removals are no gains, and a slow blow-up accumulates over many steps.
+    Moving colliders may add the kinetic energy of particles at their speed. If a force
+    has no potential, energies are only checked when steps are known to be too long, and
+    not at all with pair forces.
     """
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
@@ -230,50 +247,58 @@ class DivergenceCheck:
         self._particles = ParticleState.none()
         self._ids: IntArray = np.zeros(0, np.int64)
         # Kinetic and potential energy of each when first observed.
-        self._first: FloatArray = np.zeros((2, 0))
+        self._first_energies: FloatArray = np.zeros((2, 0))
         self.too_long = False
 
-    def look_at(self, particles: ParticleState, state: FloatArray) -> None:
-        """Watch particles in a state ``(2, N, 3)`` from now on."""
+    def watch(self, particles: ParticleState, state: FloatArray) -> None:
+        """Replace the watched particles, in a state ``(2, N, 3)``."""
         if particles is self._particles or self._setup.velocity is not None:
             return
         rows = np.searchsorted(self._ids, particles.ids)
         rows = np.minimum(rows, max(len(self._ids) - 1, 0))
-        known = np.zeros(len(particles), bool)
+        is_known = np.zeros(len(particles), bool)
         if len(self._ids):
-            known = self._ids[rows] == particles.ids
-        first = np.zeros((2, len(particles)))
-        first[:, known] = self._first[:, rows[known]]
-        new = ~known
-        first[:, new] = energies(self._setup, particles.select(new), state[:, new])[0]
-        self._particles, self._ids, self._first = particles, particles.ids, first
+            is_known = self._ids[rows] == particles.ids
+        energies_ = np.zeros((2, len(particles)))
+        energies_[:, is_known] = self._first_energies[:, rows[is_known]]
+        is_new = ~is_known
+        energies_[:, is_new] = energies(
+            self._setup, particles.select(is_new), state[:, is_new]
+        )[0]
+        self._particles, self._ids, self._first_energies = (
+            particles,
+            particles.ids,
+            energies_,
+        )
 
-    def restart(self, which: BoolArray, state: FloatArray) -> None:
-        """Reset the reference energy of some, after colliders moved them."""
-        if self._setup.velocity is None and which.any():
-            some = self._particles.select(which)
-            self._first[:, which] = energies(self._setup, some, state[:, which])[0]
+    def restart(self, mask: BoolArray, state: FloatArray) -> None:
+        """Reset the reference energies of particles that colliders moved."""
+        if self._setup.velocity is None and mask.any():
+            particles = self._particles.select(mask)
+            self._first_energies[:, mask] = energies(
+                self._setup, particles, state[:, mask]
+            )[0]
 
-    def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
         if self._setup.velocity is not None:
             return ""
-        now_energies, known = energies(self._setup, self._particles, state)
+        current_energies, known = energies(self._setup, self._particles, state)
         pairs = any(force.pairs for force in self._setup.forces)
         if not known and (pairs or not self.too_long):
             return ""
-        kinetic, potential = self._first.sum(axis=1).tolist()
-        now_kinetic, now_potential = now_energies.sum(axis=1).tolist()
-        now, first = now_kinetic + now_potential, kinetic + potential
-        typical = max(
-            abs(first),
+        kinetic, potential = self._first_energies.sum(axis=1).tolist()
+        current_kinetic, current_potential = current_energies.sum(axis=1).tolist()
+        total, first_total = current_kinetic + current_potential, kinetic + potential
+        scale = max(
+            abs(first_total),
             kinetic,
             abs(potential),
-            potential - now_potential,
+            potential - current_potential,
             float(self._particles.masses.sum()) * self._colliders.fastest**2,
         )
-        if typical > 0 and not now - first <= self._setup.options.growth * typical:
-            return f"its energy rose from {first:.3g} J to {now:.3g} J"
+        if scale > 0 and not total - first_total <= self._setup.options.growth * scale:
+            return f"its energy rose from {first_total:.3g} J to {total:.3g} J"
         return ""

@@ -11,7 +11,7 @@ from annotated_types import Le
 from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
-_AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+_POSITIVE = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
 # Least mass, as in springs: less overflows divided forces.
 _MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
@@ -19,7 +19,7 @@ _FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 
 
 def _bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
-    return [(when, int(count)) for when, count in rows]
+    return [(t, int(count)) for t, count in rows]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ class Emission:
         "Lifetime [s]. Default: unlimited.", 2.5, math.inf
     )
     lifetime_spread: Annotated[float, _SPREAD] = key("Largest deviation [s].", 0.5, 0.0)
-    radius: Annotated[float, _AMOUNT] = key("Radius [m].", 0.01, 0.005)
+    radius: Annotated[float, _POSITIVE] = key("Radius [m].", 0.01, 0.005)
     radius_spread: Annotated[float, _SPREAD] = key("Largest deviation [m].", 0.005, 0.0)
     mass: Annotated[float, _MASS] = key("Mass [kg].", 0.1, 0.001)
     charge: Annotated[float, _FINITE] = key("Charge [C].", 1e-6, 0.0)

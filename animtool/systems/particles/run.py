@@ -29,7 +29,7 @@ class ParticleFrame(PointsFrame):
 
     @property
     def ages(self) -> FloatArray:
-        """Since birth ``(N,)`` [s]."""
+        """Time since birth of each ``(N,)`` [s]."""
         return np.asarray(self.primvars["age"], np.float64)
 
 
@@ -37,17 +37,16 @@ class ParticleRun(SimulationRun):
     """A particle simulation in fixed steps.
 
     Attributes:
-        state: At the end of the last full step.
+        state: State at the end of the last full step.
         notices: Warnings so far.
 
     Args:
         setup: The particle system.
         begin: Time of the first step [s].
-        state: Where to go on from, in place of the beginning.
+        state: State to resume from, instead of the beginning.
 
     Raises:
-        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
-            SIM024).
+        OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to SIM024).
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class ParticleRun(SimulationRun):
 
         Raises:
             OptionError: Time runs backwards (SIM002).
-            ToleranceError: They blew up (SIM102), or the method could not go on.
+            ToleranceError: They blew up (SIM102), or integration stopped.
         """
         frame = super().at(t)
         assert isinstance(frame, PointsFrame)

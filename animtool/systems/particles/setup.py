@@ -22,8 +22,8 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.table import FORCES
 from animtool.systems.particles.velocity_field import VelocityField
 
-# Two steps per film frame, and half of it.
-STEP = 1 / 96
+# Default step [s]: four per frame of film.
+DEFAULT_STEP = 1 / 96
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +31,14 @@ class KillRegion:
     """A region that removes particles.
 
     Attributes:
-        region: A collider's shape and poses; what touching does is not heeded. Of a
-            container particles are removed outside.
+        region: A collider, whose contact material is ignored. Particles outside of a
+            container are removed.
     """
 
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return which points ``(N, 3)`` are inside."""
+        """Return a mask of the points ``(N, 3)`` that are inside."""
         distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 
@@ -53,10 +53,10 @@ class Particles:
         velocity: A field that advects them in place of forces.
         colliders: Colliders.
         kills: Regions that remove them.
-        options: Method, and step [s]: steps are of that length from the beginning on,
-            whatever times are asked for.
+        options: Method, and step [s]: all steps have this length, independent of the
+            requested times.
         max_particles: Largest number of living particles; further births are skipped.
-        name: For messages.
+        name: Name for messages.
         sheets: Deforming surfaces as colliders.
         bodies: Bodies of another simulation, as colliders that particles push.
     """
@@ -67,7 +67,7 @@ class Particles:
     colliders: Sequence[Collider] = ()
     kills: Sequence[KillRegion] = ()
     options: IntegrateOptions = field(
-        default_factory=lambda: IntegrateOptions("midpoint", step=STEP)
+        default_factory=lambda: IntegrateOptions("midpoint", step=DEFAULT_STEP)
     )
     max_particles: Annotated[int, Range("1 or more", "SIM024", 1, finite=True)] = 10**6
     name: str = "particles"
@@ -78,7 +78,8 @@ class Particles:
         """Raise if the setup is invalid.
 
         Raises:
-            OptionError: All that is wrong (SIM001, SIM004 to SIM006, SIM020 to SIM024).
+            OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to
+                SIM024); lists all faults.
         """
         faults = self._options() + self._parts()
         if faults:
@@ -108,7 +109,9 @@ class Particles:
         faults = _faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
             faults += [
-                Fault("SIM022", f"its {option} {why}", where=f"{_named(force)}[{i}]")
+                Fault(
+                    "SIM022", f"its {option} {why}", where=f"{_table_name(force)}[{i}]"
+                )
                 for option, why in force.faults()
             ]
         if self.velocity is not None:
@@ -118,13 +121,15 @@ class Particles:
         return faults + _faults("sheets", self.sheets)
 
 
-def _faults(what: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
+def _faults(key: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
     """Return faults of records, each with its name or number."""
-    named = [(one, one.name or f"{what}[{i}]") for i, one in enumerate(records)]
-    return [fault for one, name in named for fault in one.faults(name)]
+    labels = [
+        (record, record.name or f"{key}[{i}]") for i, record in enumerate(records)
+    ]
+    return [fault for record, name in labels for fault in record.faults(name)]
 
 
-def _named(force: Force) -> str:
+def _table_name(force: Force) -> str:
     """Return the table name of a force, or its class name."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

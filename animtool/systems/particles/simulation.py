@@ -13,13 +13,18 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
-from animtool.sim.checks import check_fit, check_start, ending, step_notices
+from animtool.sim.checks import (
+    check_start,
+    check_supported,
+    step_warnings,
+    stop_warning,
+)
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
-from animtool.sim.integrators.implicit import Before
+from animtool.sim.integrators.implicit import PreviousStep
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import check_options
 from animtool.sim.run import Run
@@ -36,8 +41,8 @@ from animtool.systems.particles.moving import (
     DivergenceCheck,
     ParticleFlow,
     ParticleForces,
+    advance_births,
     particle_system,
-    spawned,
 )
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
@@ -47,7 +52,7 @@ if TYPE_CHECKING:
     from animtool.systems.particles.spec import ParticlesModel
 
 # Frequency growth below this does not change the stable step [1].
-NOTABLE = 0.05
+MODE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +65,12 @@ class ParticleRunState:
     born: int = 0  # number born so far
     missed: int = 0  # number without room so far
     # The method's memory, valid as long as the same particles live.
-    memory: object = field(default=None, metadata=later(Before))
+    memory: object = field(default=None, metadata=later(PreviousStep))
     # The next trial step [s].
     trial: float | None = field(default=None, metadata=later())
 
 
-_NOBODY = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
+_NO_PARTICLES = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
@@ -74,9 +79,9 @@ def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
     Raises:
         OptionError: As of `ParticleSimulation`.
     """
-    setup, around = spec.setup(context.parts), context.colliders
+    setup, colliders = spec.setup(context.parts), context.colliders
     setup = replace(
-        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
+        setup, colliders=colliders[:], sheets=colliders.sheets, bodies=colliders.bodies
     )
     if context.budget is not None:
         options = replace(setup.options, budget=context.budget)
@@ -85,11 +90,10 @@ def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
 
 
 class ParticleSimulation:
-    """Particles stepped by one method; step statistics only serve warnings.
+    """Simulation of particles by one integrator.
 
     Raises:
-        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
-            SIM024).
+        OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to SIM024).
     """
 
     def __init__(self, setup: Particles, begin: float) -> None:
@@ -97,12 +101,12 @@ class ParticleSimulation:
         self.setup, self.begin = setup, begin
         self.colliders = Colliders(setup.colliders, setup.sheets, setup.bodies)
         self.contacts: Contacts | None = None  # as in `ParticleRun`
-        self._taken = 0  # steps of the method so far
-        self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
+        self._steps_taken = 0  # steps of the method so far
+        self._kill_regions = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._integrator = check_options(setup.options)
-        check_fit(Equations(self._system(_NOBODY)), self._integrator)
+        check_supported(Equations(self._system(_NO_PARTICLES)), self._integrator)
         self._watch = DivergenceCheck(setup, self.colliders)
-        self._fastest: FloatArray | None = None
+        self._fastest_modes: FloatArray | None = None
         self._too_long: list[Fault] = []
         self._notices: list[Fault] = self.colliders.notices()
 
@@ -113,45 +117,45 @@ class ParticleSimulation:
     @cached_property
     def _start(self) -> ParticleRunState:
         begin = self.begin
-        return self._with_born(_NOBODY, None, begin, begin, self._notices)
+        return self._with_births(_NO_PARTICLES, None, begin, begin, self._notices)
 
     def step(
         self, state: ParticleRunState, t: float, dt: float
     ) -> Stepped[ParticleRunState]:
-        """Return the state after a step [s], or a part of one.
+        """Return the state after a full or partial step [s].
 
-        Particles born in the step push nothing yet.
+        Particles born in the step do not push bodies in it.
 
         Raises:
-            OptionError: A force or a field is no number (SIM003).
-            StoppedError: It blew up, or the method could not go on (SIM101 to SIM105).
+            OptionError: A force or a field is not finite (SIM003).
+            StoppedError: It blew up, or integration stopped (SIM101 to SIM105).
         """
-        same, until, notices = state.particles, t + dt, list[Fault]()
+        particles, end, notices = state.particles, t + dt, list[Fault]()
         wrenches: Sequence[Wrenches] = ()
-        if len(same):
-            state, wrenches = self._moved(state, t, until, notices)
-        state = self._with_born(state, t, t, until, notices)
-        state = self._without_dead(state, until)
-        if state.particles is same:
+        if len(particles):
+            state, wrenches = self._advanced(state, t, end, notices)
+        state = self._with_births(state, t, t, end, notices)
+        state = self._without_removed(state, end)
+        if state.particles is particles:
             return Stepped(state, wrenches, notices)
         if not np.isfinite(state.state).all():
             system = self._system(state)
-            check_start(Equations(system), until, system.state)
+            check_start(Equations(system), end, system.state)
         return Stepped(replace(state, memory=None, trial=None), wrenches, notices)
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
         setup, colliders = self.setup, self.colliders
         return particle_system(setup, colliders, state.particles, state.state)
 
-    def _moved(
-        self, state: ParticleRunState, now: float, until: float, notices: list[Fault]
+    def _advanced(
+        self, state: ParticleRunState, start: float, until: float, notices: list[Fault]
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
-        first = system.state
+        start_state = system.state
         with np.errstate(all="ignore"):
-            self._watch.look_at(state.particles, state.state)
-            self._look_at_steps(system, now, until)
+            self._watch.watch(state.particles, state.state)
+            self._check_step_length(system, start, until)
             notices += self._too_long
             run = Run(
                 self._integrator,
@@ -159,47 +163,51 @@ class ParticleSimulation:
                 options,
                 self._watch,
                 until,
-                now,
-                first,
+                start,
+                start_state,
                 state.memory,
                 state.trial,
             )
             status = advance(run, until)
-            self._taken += run.steps
+            self._steps_taken += run.steps
             if status is not Status.OK:
-                self._stop(run, status, [(now, first), (run.time, run.state)])
-        end = run.state
+                self._stop(run, status, [(start, start_state), (run.time, run.state)])
+        end_state = run.state
         if isinstance(system, ParticleFlow):
-            end = np.stack([end, system.rate(until, end)])
-        self.contacts = met = system.contacts
-        if met is not None:
+            end_state = np.stack([end_state, system.rate(until, end_state)])
+        self.contacts = contacts = system.contacts
+        if contacts is not None:
             # The speed of deforming colliders is unknown.
-            driven = met.colliders >= len(self.colliders)
-            self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
-            notices += self._stuck_notices(state.particles, met, until)
-        after = checkpoint_of(run, status, until, run.state)
-        state = replace(state, state=end, memory=after.memory, trial=after.trial)
+            by_deforming = contacts.colliders >= len(self.colliders)
+            self._watch.restart(
+                by_deforming | (contacts.touches == Touch.UNRESOLVED), end_state
+            )
+            notices += self._stuck_notices(state.particles, contacts, until)
+        checkpoint = checkpoint_of(run, status, until, run.state)
+        state = replace(
+            state, state=end_state, memory=checkpoint.memory, trial=checkpoint.trial
+        )
         return state, system.wrenches
 
-    def _look_at_steps(
-        self, system: ParticleForces | ParticleFlow, now: float, until: float
+    def _check_step_length(
+        self, system: ParticleForces | ParticleFlow, start: float, until: float
     ) -> None:
         """Warn once if steps are too long for the fastest motion."""
-        modes = None if self._too_long else system.frequencies(now, system.state)
+        modes = None if self._too_long else system.frequencies(start, system.state)
         if modes is None:
             return
-        known = self._fastest
-        faster = np.ones(1, bool)
-        if known is not None and known.shape == modes.shape:
-            faster = np.abs(modes - known) > NOTABLE * known
-        if not faster.any():
+        previous = self._fastest_modes
+        has_changed = np.ones(1, bool)
+        if previous is not None and previous.shape == modes.shape:
+            has_changed = np.abs(modes - previous) > MODE_TOLERANCE * previous
+        if not has_changed.any():
             return
-        self._fastest = modes
-        self._too_long = step_notices(
+        self._fastest_modes = modes
+        self._too_long = step_warnings(
             Equations(system),
             self._integrator,
             self.setup.options,
-            np.array([now, until]),
+            np.array([start, until]),
             system.state,
         )
         self._watch.too_long = bool(self._too_long)
@@ -207,65 +215,78 @@ class ParticleSimulation:
     def _stop(
         self, run: Run, status: Status, samples: list[tuple[float, FloatArray]]
     ) -> None:
-        # Forces that are not finite at the start are no divergence.
+        # Forces that are not finite at the start are a fault, not a divergence.
         check_start(run.equations, *samples[0])
         stats = stats_of(run, status, samples)
-        why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
+        warnings = [
+            *self._too_long,
+            stop_warning(self._integrator, self.setup.options, stats),
+        ]
         raise StoppedError(
-            [replace(each, severity=Severity.ERROR) for each in why], stats
+            [replace(fault, severity=Severity.ERROR) for fault in warnings], stats
         )
 
-    def _with_born(
+    def _with_births(
         self,
         state: ParticleRunState,
-        after: float | None,
-        now: float,
-        until: float,
+        start_time: float | None,
+        start: float,
+        end_time: float,
         notices: list[Fault],
     ) -> ParticleRunState:
         """Return a state with the births of a step, at its end."""
-        room = max(self.setup.max_particles - len(state.particles), 0)
-        particles, born, beyond = self._born(after, until, state.born, room)
-        total = len(particles) + beyond
-        missed = max(total - room, 0)
-        if missed and not state.missed:
-            most = self.setup.max_particles
-            message = f"from {until:g} s on, the limit of {most} particles leaves room "
+        capacity = max(self.setup.max_particles - len(state.particles), 0)
+        particles, birth_states, skipped = self._births(
+            start_time, end_time, state.born, capacity
+        )
+        total = len(particles) + skipped
+        skipped_here = max(total - capacity, 0)
+        if skipped_here and not state.missed:
+            limit = self.setup.max_particles
+            message = (
+                f"from {end_time:g} s on, the limit of {limit} particles leaves room "
+            )
             message += "for "
             hint = "raise max_particles, or lower rates or lifetimes"
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
-        state = replace(state, born=state.born + total, missed=state.missed + missed)
-        kept = np.arange(len(particles))[:room]
-        particles, born = particles.select(kept), born[:, kept]
+        state = replace(
+            state, born=state.born + total, missed=state.missed + skipped_here
+        )
+        indices = np.arange(len(particles))[:capacity]
+        particles, birth_states = particles.select(indices), birth_states[:, indices]
         if not len(particles):
             return state
-        if until > now:
-            born = spawned(self.setup, self.colliders, particles, born, now, until)
+        if end_time > start:
+            birth_states = advance_births(
+                self.setup, self.colliders, particles, birth_states, start, end_time
+            )
         elif self.setup.velocity is not None:
-            born[1] = self.setup.velocity.velocity(until, born[0], particles)
+            birth_states[1] = self.setup.velocity.velocity(
+                end_time, birth_states[0], particles
+            )
         return replace(
             state,
             particles=ParticleState.concatenate([state.particles, particles]),
-            state=np.concatenate([state.state, born], axis=1),
+            state=np.concatenate([state.state, birth_states], axis=1),
         )
 
-    def _born(
-        self, after: float | None, until: float, first: int, room: int
+    def _births(
+        self, start_time: float | None, end_time: float, first: int, capacity: int
     ) -> tuple[ParticleState, FloatArray, int]:
         """Return births in order of time, with ids.
 
-        Of each emitter no more are made than there is room for; last is how many more
-        there would be.
+        Each emitter has at most ``capacity`` births; also returns the number of births
+        that were skipped.
         """
-        particle_sets, states, beyond = [], [], 0
+        particle_sets, states, skipped = [], [], 0
         for emitter in self.setup.emitters:
-            births = emitter.births(self.begin, after, until, room)
-            beyond += births.missed
+            births = emitter.births(self.begin, start_time, end_time, capacity)
+            skipped += births.missed
             if not len(births.times):
                 continue
-            x, v, lifetimes, radii = emitter.drawn(births)
+            x, v, lifetimes, radii = emitter.sample_births(births)
             count = len(x)
             particle_sets.append(
                 ParticleState(
@@ -280,40 +301,52 @@ class ParticleSimulation:
             )
             states.append(np.stack([x, v]))
         if not states:
-            return ParticleState.none(), np.zeros((2, 0, 3)), beyond
+            return ParticleState.none(), np.zeros((2, 0, 3)), skipped
         particles = ParticleState.concatenate(particle_sets)
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
         particles, state = particles.select(order), state[:, order]
         ids = first + np.arange(len(particles), dtype=np.int64)
-        return replace(particles, ids=ids), state, beyond
+        return replace(particles, ids=ids), state, skipped
 
     def _stuck_notices(
-        self, particles: ParticleState, met: Contacts, t: float
+        self, particles: ParticleState, contacts: Contacts, t: float
     ) -> Iterator[Fault]:
         """Yield a warning about particles stuck in colliders (SIM123)."""
-        (stuck,) = np.nonzero(met.touches == Touch.UNRESOLVED)
+        (stuck,) = np.nonzero(contacts.touches == Touch.UNRESOLVED)
         if not len(stuck):
             return
-        who = f"particle {int(particles.ids[stuck[0]])}"
-        which, solid = int(met.colliders[stuck[0]]), self.setup.colliders
-        what = [
-            *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
-            *(one.name for system in self.setup.bodies for one in system.colliders),
-            *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
-        ][which]
-        message = f"{who} is inside {what!r} at {t:g} s, and cannot be pushed out at "
+        label = f"particle {int(particles.ids[stuck[0]])}"
+        index, colliders = int(contacts.colliders[stuck[0]]), self.setup.colliders
+        name = [
+            *(
+                collider.name or f"colliders[{i}]"
+                for i, collider in enumerate(colliders)
+            ),
+            *(
+                collider.name
+                for system in self.setup.bodies
+                for collider in system.colliders
+            ),
+            *(
+                collider.name or f"sheets[{i}]"
+                for i, collider in enumerate(self.setup.sheets)
+            ),
+        ][index]
+        message = f"{label} is inside {name!r} at {t:g} s, and cannot be pushed out at "
         hint = "particles start inside, or colliders close in on them from several "
         yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
 
-    def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
-        kept: BoolArray = state.particles.deaths > t
-        for region in self._kills:
-            kept = kept & (region.sample(state.state[0], t).distances[0] >= 0)
-        if kept.all():
+    def _without_removed(self, state: ParticleRunState, t: float) -> ParticleRunState:
+        is_alive: BoolArray = state.particles.deaths > t
+        for region in self._kill_regions:
+            is_alive = is_alive & (region.sample(state.state[0], t).distances[0] >= 0)
+        if is_alive.all():
             return state
         return replace(
-            state, particles=state.particles.select(kept), state=state.state[:, kept]
+            state,
+            particles=state.particles.select(is_alive),
+            state=state.state[:, is_alive],
         )
 
     def frame(self, state: ParticleRunState, t: float) -> PointsFrame:
@@ -332,7 +365,7 @@ class ParticleSimulation:
             self._energy(state, t),
             notices=self._notices,
             if_empty=[nobody],
-            steps=self._taken,
+            steps=self._steps_taken,
             stable_step=lambda: self._stable_step(state),
         )
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @with_fields(Emission)
 @with_fields(Emission, "name", before="place")
 class EmitterModel(PlacedModel, RecordModel):
-    """What makes particles."""
+    """A source of particles."""
 
     code: ClassVar[str] = "SIM021"
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
@@ -88,12 +88,12 @@ class ParticlesModel(ForcedSpec):
 
     @property
     def reads(self) -> list[str]:
-        """What acts on them, for messages."""
+        """Numbers of external forces by kind, as text."""
         return [*super().reads, *(["a velocity field"] if self.velocity else [])]
 
     @property
     def counts(self) -> dict[str, int]:
-        """Its parts by kind, for messages."""
+        """Number of entries by kind."""
         return {
             "emitters": len(self.emitters),
             "forces": len(self.forces),

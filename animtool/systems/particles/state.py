@@ -14,13 +14,13 @@ class ParticleState(Rows):
     """N particles, in order of birth.
 
     Attributes:
-        ids: Of each its own, never used again ``(N,)``.
+        ids: Unique ids, never reused ``(N,)``.
         masses: ``(N,)`` [kg].
         charges: ``(N,)`` [C].
         radii: ``(N,)`` [m].
-        births: When each was born ``(N,)`` [s].
-        deaths: When each goes ``(N,)`` [s]; infinity is never.
-        origins: Where each was born ``(N, 3)`` [m].
+        births: Birth times ``(N,)`` [s].
+        deaths: Times of death ``(N,)`` [s]; infinity for never.
+        origins: Birth positions ``(N, 3)`` [m].
     """
 
     ids: IntArray
@@ -44,14 +44,14 @@ class ParticleState(Rows):
         origins: FloatArray,
     ) -> ParticleState:
         """Return uncharged, immortal particles from per-particle values."""
-        every = [masses, 0.0, radii, births, np.inf]
+        arrays = [masses, 0.0, radii, births, np.inf]
         mass, charge, radius, birth, death = (
-            np.array(np.broadcast_to(one, len(ids)), np.float64) for one in every
+            np.array(np.broadcast_to(value, len(ids)), np.float64) for value in arrays
         )
         return ParticleState(ids, mass, charge, radius, birth, death, origins)
 
     @staticmethod
     def none() -> ParticleState:
         """Return no particles."""
-        nothing = np.zeros(0, np.int64)
-        return ParticleState.lasting(nothing, 0.0, 0.0, 0.0, np.zeros((0, 3)))
+        no_ids = np.zeros(0, np.int64)
+        return ParticleState.lasting(no_ids, 0.0, 0.0, 0.0, np.zeros((0, 3)))

@@ -16,7 +16,7 @@ from animtool.systems.particles.state import ParticleState
 
 # Variables of field expressions: position [m], velocity [m/s], time and age [s].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
-_VARIABLES = ("x", "y", "z", "t", "age")
+_VELOCITY_VARIABLES = ("x", "y", "z", "t", "age")
 
 
 class Expressions:
@@ -43,15 +43,15 @@ class VelocityField(Velocity, Expressions, Checked):
         self, t: float | FloatArray, x: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return velocities at points ``(N, 3)`` [m/s]."""
-        return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
+        return evaluate_expressions(self.expressions, t, x, np.zeros_like(x), particles)
 
     def problems(self) -> list[tuple[str, str]]:
         """Return invalid expressions, each with a message."""
-        faults = expression_faults(self, _VARIABLES)
+        faults = expression_faults(self, _VELOCITY_VARIABLES)
         return [(axis, f"its {axis} {why}") for axis, why in faults]
 
 
-def evaluated(
+def evaluate_expressions(
     expressions: tuple[Expression, ...],
     t: float | FloatArray,
     x: FloatArray,
@@ -69,12 +69,15 @@ def evaluated(
         particles.charges,
     ]
     values = dict(zip(VARIABLES, columns, strict=True))
-    components = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
+    components = [
+        np.broadcast_to(expression.evaluate(values), len(x))
+        for expression in expressions
+    ]
     return np.stack(components, axis=1)
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return which of the expressions x, y, z are invalid, and why."""
+    """Return the invalid ones of the expressions x, y, z, each with a reason."""
     from animtool.core.names import nearest
 
     faults = []

@@ -80,9 +80,9 @@ def core_of(shape: Shape) -> Core:
             ends = shape.anchors() if shape.length else shape.anchors()[:1]
             return Core(ends, [], shape.radius)
         case Box():
-            half = shape.sizes()
+            half_step_text = shape.sizes()
             signs = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T * 2.0 - 1.0
-            return Core(signs * half, [np.array(face) for face in _BOX_FACES])
+            return Core(signs * half_step_text, [np.array(face) for face in _BOX_FACES])
         case Mesh():
             return _hull(np.asarray(shape.points, np.float64))
     raise ValueError("a plane is infinite: use it as a collider, not as a body")
@@ -171,7 +171,7 @@ def filled(triangles: FloatArray) -> SolidProperties:
 
 def convex(mesh: Mesh, hull: SolidProperties) -> bool:
     """Return whether a closed mesh equals its hull, by volume."""
-    points, triangles = mesh.welded()
+    points, triangles = mesh.weld()
     inside = abs(filled(points[triangles]).volume)
     return abs(inside - hull.volume) <= CONVEX * hull.volume
 

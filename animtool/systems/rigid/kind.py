@@ -246,8 +246,8 @@ def _mesh(
     for mesh, core, at, rotation in drawn:
         part_vertices, count, corner = shown(core)
         if mesh is not None:
-            welded, triangles = mesh.welded()
-            part_vertices = at + so3.rotate(rotation, welded)
+            vertices, triangles = mesh.weld()
+            part_vertices = at + so3.rotate(rotation, vertices)
             count = np.full(len(triangles), 3)
             corner = triangles.ravel().astype(np.int64)
         points.append(part_vertices)

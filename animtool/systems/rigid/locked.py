@@ -43,12 +43,12 @@ class Locked:
     """A joint that cannot move.
 
     Attributes:
-        joint: Its number.
+        joint_index: Its number.
         by: Of the joints without any one of which it could; empty where several hold.
         left: How much of its motion is left, of 1.
     """
 
-    joint: int
+    joint_index: int
     by: tuple[int, ...]
     left: float
 
@@ -101,7 +101,7 @@ def locked_notices(
         rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
     notices = []
     for one in locked_joints(rows, frames, start[:, :3]):
-        name = excerpt(names[one.joint])
+        name = excerpt(names[one.joint_index])
         message = f"joint {name} cannot move: {one.left:.1g} of its motion is left by "
         if one.by:
             message += "joint" + "s" * (len(one.by) > 1) + " "

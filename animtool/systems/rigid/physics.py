@@ -112,7 +112,7 @@ def _shape(
             kind, axis = "plane", np.array(shape.normal)
             at = shape.anchors()[0]
         case Mesh():
-            points, corners = shape.welded()
+            points, corners = shape.weld()
             triangles = corners.astype(np.int64)
     rotation = so3.between(Y, axis / np.linalg.norm(axis))
     in_body = np.concatenate(

@@ -32,7 +32,7 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
     """
     if not mesh.watertight:
         return []
-    points, triangles = mesh.welded()
+    points, triangles = mesh.weld()
     return _decomposed(points.tobytes(), triangles.tobytes())
 
 
@@ -64,7 +64,7 @@ def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Cor
 
 def solid_of_mesh(mesh: Mesh) -> SolidProperties:
     """Return the mass properties of a watertight mesh of density 1."""
-    points, triangles = mesh.welded()
+    points, triangles = mesh.weld()
     inside = filled(points[triangles])
     if inside.volume > 0:
         return inside

@@ -118,8 +118,8 @@ def _kinds(
     options: RagdollOptions,
 ) -> list[BodyKind]:
     """Return mass properties of each joint's colliders (SIM062)."""
-    _, ends = capsules.turned(world)
-    sizes = capsules.sizes(world)
+    _, ends = capsules.joint_poses_and_ends(world)
+    sizes = capsules.world_radii(world)
     kinds: list[BodyKind] = []
     for j in joints.tolist():
         shapes = []

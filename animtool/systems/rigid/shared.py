@@ -109,18 +109,18 @@ class SharedBodies:
             moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
             return pushes[:, :3] / bodies.masses[:, None], moments
 
-        displacement, twist = changes(wrenches.moved)
+        displacement, twist = changes(wrenches.delayed)
         turned = motion.copy()
         turned[:, 10:13] = twist
         motion[:, :3] += displacement
         motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(turned)), motion[:, 3:7])
-        speeds, momenta = changes(wrenches.now)
+        speeds, momenta = changes(wrenches.impulses)
         motion[:, 7:10] += speeds
         motion[:, 10:13] += momenta
-        motion[wrenches.now.any(axis=1), 13] = 0.0
+        motion[wrenches.impulses.any(axis=1), 13] = 0.0
         return replace(state, motion=motion)
 
-    def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
+    def push_to(self, state: RigidState, other: RigidState) -> Wrenches:
         """Return the impulses that lead from one state to another."""
         before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
         turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))

@@ -63,7 +63,7 @@ def cell_colliders(
         poses[k, len(colliders) :] = colliders.body_ends(begin, end)
     at = float(edges[0])
     arrays = colliders.arrays(at, at)
-    surfaces = colliders.surfaces.over(origin, cells.length, index, count)
+    surfaces = colliders.surfaces.kernel_arrays(origin, cells.length, index, count)
     if posed is None:
         return arrays, poses, radius, None, INSIDE, surfaces
     kinds, sizes, *others = arrays
@@ -83,7 +83,7 @@ def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     after = np.minimum(before + 1, len(times) - 1)
     gaps = np.where(after > before, times[after] - times[before], 1.0)
     fraction = np.clip((edges - times[before]) / gaps, 0.0, 1.0)
-    jumps = np.append(collider.jumps, False)
+    jumps = np.append(collider.teleports, False)
     fraction = np.where(jumps[before], 0.0, fraction)[:, None]
     origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * fraction
     rotations = so3.slerp(rows[before, 3:], rows[after, 3:], fraction[:, 0])

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
 from animtool.core.quantities import floored, plain
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.springs.motion import through_notices
+from animtool.systems.springs.motion import TimeGrid, through_notices
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import working_step
-
-if TYPE_CHECKING:
-    from animtool.systems.springs.simulation import SpringSimulation
+from animtool.systems.springs.solvers import Choice, working_step
+from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd stretch above which compliance is reported: at least three
 # quarters of the strain is then compliance.
@@ -21,7 +19,28 @@ GIVES = 2
 LIGHT = 0.01
 
 
-def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+class _Simulation(Protocol):
+    """Springs in motion: the counts that warnings report."""
+
+    system: SpringSystem
+    options: SpringOptions
+    choice: Choice
+    grid: TimeGrid
+    unsolved: TimeGrid | None
+    applied: float
+    longest: float
+
+    @property
+    def auto(self) -> bool: ...
+    @property
+    def strained(self) -> bool: ...
+    @property
+    def shortest(self) -> float: ...
+    @property
+    def unresolved(self) -> int: ...
+
+
+def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about the steps so far, the one that stopped it last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
@@ -41,7 +60,7 @@ def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     return notices + through_notices(simulation.grid.through)
 
 
-def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about unstable steps, and why it stopped."""
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
@@ -62,7 +81,7 @@ def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     return notices
 
 
-def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
+def _strain_notices(simulation: _Simulation) -> list[Fault]:
     """Return warnings about springs that xpbd leaves strained."""
     options: SpringOptions = simulation.options
     if simulation.strained and not simulation.auto:
@@ -81,7 +100,7 @@ def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
     return []
 
 
-def _convergence_hint(simulation: SpringSimulation) -> str:
+def _convergence_hint(simulation: _Simulation) -> str:
     """Return a hint for a cell where Newton's method did not converge."""
     system, unsolved = simulation.system, simulation.unsolved
     step = None if unsolved is None else working_step(system, unsolved)
@@ -102,7 +121,7 @@ def _convergence_hint(simulation: SpringSimulation) -> str:
     return hint
 
 
-def _refused(simulation: SpringSimulation, stats: Stats) -> Fault:
+def _refused(simulation: _Simulation, stats: Stats) -> Fault:
     """Return why auto stopped, and alternatives."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "

@@ -13,12 +13,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.motion.frames import PointsFrame
-from animtool.sim.checks import Watch
+from animtool.sim.checks import EnergyWatch
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.framework.run import ON_STEP
+from animtool.systems.framework.run import STEP_TOLERANCE
 from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
@@ -117,7 +117,7 @@ class SpringSimulation:
         together = self.system.colliders.bodies or self.system.ties is not None
         self._cells = 1 if together else LOOK_EVERY
         self.left, self._gone = self.system, 0
-        self._watch = Watch(self.system, self._bounds())
+        self._watch = EnergyWatch(self.system, self._bounds())
         self._exclude_torn()
         self._watch.start(begun.time, begun.state.motion)
         self._measured: FloatArray | None = None
@@ -142,7 +142,7 @@ class SpringSimulation:
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
         """Return the state a cell later, or within it; raise SIM102, SIM105."""
-        if dt >= (1 - ON_STEP) * self.step_length:
+        if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
         self._go_to(state, t)
         begun, fraction = self._entered(), dt / self.step_length
@@ -214,7 +214,7 @@ class SpringSimulation:
         if gone != self._gone:
             self._gone = gone
             self.left = self.system.without_springs(self.system.torn(torn))
-            self._watch.look_at(self.left)
+            self._watch.watch_system(self.left)
 
     def _advance(self, cells: int) -> None:
         """Advance by some cells at most; raise if it cannot go on."""
@@ -225,7 +225,7 @@ class SpringSimulation:
             t, state = self.grid.time, self.grid.state
             self._max_substeps = max(self._max_substeps, state.substeps)
             self._exclude_torn()
-            sign = self._watch.sign(t, state.motion)
+            sign = self._watch.divergence(t, state.motion)
             if begun.solver is Solver.XPBD:
                 ratio = self.left.stretch(t, state.motion)
                 self.longest = max(self.longest, ratio or 0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from animtool.core.errors import OptionError
-from animtool.sim.trials.trial import FINER, Setting, stepwise
+from animtool.sim.trials.trial import REFERENCE_FACTORS, Setting, step_settings
 from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import choose
@@ -42,15 +42,20 @@ def trial_settings(
     def settings() -> list[Setting]:
         each = [one for s in Solver if s is not Solver.AUTO for one in able(s)]
         each = [chosen if one.method == chosen.method else one for one in each]
-        return [row for one in each for row in stepwise(one.method, one["step"])]
+        return [row for one in each for row in step_settings(one.method, one["step"])]
 
     def references() -> list[list[Setting]]:
         """Return finer steps of bdf2, of explicit Euler, and of the chosen solver."""
         exact = [min(chosen["step"], one["step"]) for one in able(EXACT)]
-        groups = [stepwise(EXACT, step, FINER) for step in exact]
-        groups += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
+        groups = [step_settings(EXACT, step, REFERENCE_FACTORS) for step in exact]
+        groups += [
+            step_settings(EXPLICIT, one["step"], REFERENCE_FACTORS)
+            for one in able(EXPLICIT)
+        ]
         if chosen.method not in {EXACT, EXPLICIT}:
-            groups.append(stepwise(chosen.method, chosen["step"], FINER))
+            groups.append(
+                step_settings(chosen.method, chosen["step"], REFERENCE_FACTORS)
+            )
         return groups
 
     def changes(setting: Setting) -> Mapping[str, Any]:

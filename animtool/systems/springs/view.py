@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.motion.frames import Frame, MeshFrame
 from animtool.systems.framework.meter import (
     ContactMeter,
-    Sides,
+    MeasuredSurface,
     closed_surfaces,
     depths_of,
 )
@@ -44,7 +44,7 @@ class SpringView:
     _intact: tuple[int, IntArray, IntArray] | None = None
     _crossings: SelfCrossings | None = None
     # Measured sides and peaks of a surface in contact.
-    _sides: Sides | None = None
+    _sides: MeasuredSurface | None = None
     _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
     @property
@@ -100,7 +100,7 @@ class SpringView:
         sides, torn = self._sides, self.torn(state)
         if torn.any():
             sides = _sides_of(shape, system.fixed[self.rows], body, touches, torn)
-        self._meter.look(t, points, sides, solids, depths)
+        self._meter.measure(t, points, sides, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings: self-intersection and thin colliders (SIM194, SIM195)."""
@@ -199,7 +199,7 @@ def _sides_of(
     body: Body,
     touches: bool,
     torn: BoolArray | None = None,
-) -> Sides:
+) -> MeasuredSurface:
     """Return the sides to measure, without torn springs ``(S,)``.
 
     Triangles are included only with self-contact.
@@ -211,4 +211,6 @@ def _sides_of(
     kept &= True if torn is None else ~torn[side_springs]
     triangles = body.triangles if touches else body.triangles[:0]
     springs = body.springs.select(side_springs[kept])
-    return Sides(np.flatnonzero(~fixed), triangles, springs.ends, springs.rest)
+    return MeasuredSurface(
+        np.flatnonzero(~fixed), triangles, springs.ends, springs.rest
+    )

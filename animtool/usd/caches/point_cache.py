@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 class CacheJob:
     """Settings of `author_cache`."""
 
-    output: Path | None  # the file; None is usda for stdout
+    output: Path  # the file, or `STDOUT` for usda
     paths: RigPaths
     meshes: tuple[str, ...]  # prims of meshes, then of strands, as blocks count them
     fps: Fraction  # time codes a second
@@ -138,7 +138,7 @@ def author_cache(
     the SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is
     deformed already.
     """
-    layer = new_layer(job.output or Path("stdout.usda"))
+    layer = new_layer(job.output)
     reports = [CachedMesh(path) for path in job.meshes]
     writers = [PointWriter(layer, report) for report in reports]
     layer_writer = OneLayer(writers)
@@ -185,7 +185,7 @@ class ChunkedCache:
     reports: list[CachedMesh]
     _chunks: Chunks
 
-    def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
+    def finish(self, save: Callable[[Any, Path], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
         files, output = self._chunks.finish(), self._chunks.files.output
         save(self.layer, output)
@@ -197,7 +197,6 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
     Nothing is there under its name before all is written, the layer last.
     """
-    assert job.output is not None
     layer = new_layer(job.output)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)

@@ -19,7 +19,7 @@ from pxr import Sdf, Tf, Vt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
-from animtool.core.files.output import after_commit, replacing
+from animtool.core.files.output import STDOUT, after_commit, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.usd.layers.package import unpacked
@@ -77,12 +77,12 @@ def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
 
 
 @contextmanager
-def growing_layer(layer: Any, path: Path | None) -> Iterator[GrowingLayer]:
+def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
     """Context of a layer that receives samples; it is saved at the end if asked.
 
-    path: the file; None is usda on stdout.
+    path: the file, or `STDOUT` for usda.
     """
-    if path is None or path.suffix.lower() == ".usda":
+    if path == STDOUT or path.suffix.lower() == ".usda":
         growing = GrowingLayer(layer)
         yield growing
         growing.size = save_layer(layer, path)

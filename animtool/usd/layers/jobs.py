@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import is_text
+from animtool.core.files.output import STDOUT, is_text
 from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
@@ -100,7 +100,7 @@ class WrittenBlock:
     root: RootPath | None
     error: float  # largest distance that rounding moved a joint [m]
     error_code: float  # time code of that
-    error_joint: int  # index of the joint that moved
+    error_joint_index: int  # of the joint that moved
     # Of the rig's shapes ``(F, S)`` float32; None where there are none.
     weights: Float32Array | None = None
     scales_rounded: bool = False  # whether a scale is another number as float16
@@ -113,7 +113,7 @@ class Rounding:
 
     error: float = 0.0  # largest distance that it moved a joint [m]
     code: float = 0.0  # time code of that
-    joint: int = 0  # index of the joint that moved
+    joint_index: int = 0  # of the joint that moved
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def count(self, block: WrittenBlock) -> None:
@@ -121,7 +121,7 @@ class Rounding:
         self.scales |= block.scales_rounded
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
-            self.joint = block.error_joint
+            self.joint_index = block.error_joint_index
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class UsdJob:
     """Settings of `write_usd`."""
 
     form: LayerForm  # stage, split or layer
-    output: Path | None  # the file; None writes usda to stdout
+    output: Path  # the file, or `STDOUT` for usda
     rig: Rig  # the joints, as the blocks have them
     names: UsdNames  # their USD names
     joints: list[str]  # their paths as the Skeleton has them
@@ -139,6 +139,11 @@ class UsdJob:
     target: RigTarget | None = None  # the rig of a layer
     bones: bool = False  # add geometry that shows the joints
     shot: Shot | None = None  # the shot that is written; None is no shot
+
+    @property
+    def where(self) -> str | None:
+        """Path of the file in faults; None for stdout."""
+        return None if self.output == STDOUT else str(self.output)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import FrameSpan, time_fraction
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.files.output import replacing
+from animtool.core.files.output import STDOUT, replacing
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import (
     FileState,
@@ -234,6 +234,8 @@ def usd_reason(error: Tf.ErrorException) -> str:
 
 def new_layer(path: Path) -> Any:
     """Return a new layer that `save_layer` writes to ``path``."""
+    if path == STDOUT:
+        return Sdf.Layer.CreateAnonymous(".usda")
     packed = path.suffix.lower() == PACKAGE
     return Sdf.Layer.CreateAnonymous(".usdc" if packed else path.suffix)
 
@@ -297,12 +299,12 @@ def relationship(spec: Any, name: str, *targets: str) -> None:
     relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
 
-def save_layer(layer: Any, path: Path | None) -> int:
-    """Save a layer to a file atomically, or as text to stdout.
+def save_layer(layer: Any, path: Path) -> int:
+    """Save a layer to a file atomically, or as text to `STDOUT`.
 
     Returns the bytes written.
     """
-    if path is None:
+    if path == STDOUT:
         text = layer.ExportToString()
         sys.stdout.write(text)
         note_said()

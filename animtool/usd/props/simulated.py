@@ -292,12 +292,12 @@ class SimulatedJob:
         return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
 
 
-def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
+def simulated_layer(job: SimulatedJob, output: Path) -> Any:
     """Return a layer with only the parent prim.
 
-    output: the file that it becomes; None is usda for stdout.
+    output: the file that it becomes, or `STDOUT` for usda.
     """
-    layer = new_layer(output or Path("stdout.usda"))
+    layer = new_layer(output)
     author_model(layer, job.model)
     author_metadata(layer, job.metadata)
     return layer

@@ -113,11 +113,11 @@ def author_props(
     layer: Any,
     samples: PropSamples,
     placements: PropPlacements,
-    output: Path | None,
+    output: Path,
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
 
-    output: the file that it becomes; None is stdout.
+    output: the file that it becomes, or `STDOUT`.
 
     Returns their paths, and what there is to say of their frames.
     """
@@ -168,9 +168,8 @@ def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
             prim(layer, spec, "Xform")
 
 
-def _author_reference(spec: Any, reference: PropReference, output: Path | None) -> None:
-    folder = Path() if output is None else output.parent
-    name = asset_path(Path(reference.file), folder)
+def _author_reference(spec: Any, reference: PropReference, output: Path) -> None:
+    name = asset_path(Path(reference.file), output.parent)
     prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
     spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
 

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
-from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
-from animtool.rig.fit import RigFit, check_fit
-from animtool.rig.placed import at_origin, placed_rig
-from animtool.rig.placement import Placement
-from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.names import RigPaths, UsdNames, joint_names, legal_name
+from animtool.usd.layers.names import RigPaths, UsdNames
 from animtool.usd.layers.sdf import check_prim_path, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.placement import (
@@ -36,7 +27,6 @@ from animtool.usd.rigs.placement import (
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     animation_source,
-    array_value,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -47,10 +37,8 @@ from animtool.usd.rigs.prims import (
 )
 from animtool.usd.rigs.skinned import (
     holds_character,
-    is_shown_mesh,
     unbound_notice,
 )
-from animtool.usd.takes.over_rig import OverRig
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,20 +100,8 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         check_prim_path(prim_path)
         if not holds_character(stage, prim_path, str(path)):
             prim_path, moved_to = None, prim_path
-    below = prim_below(stage, prim_path)
-    skeletons = find_skeletons(stage, below)
-    if not skeletons:
-        message = f"has no Skeleton below {below}"
-        hint = (
-            f"set {argument('rig_layer')} to a layer that "
-            f"{argument('form', 'split')} wrote, or to a shot that uses one"
-        )
-        raise FormatError(Fault("USD008", message, str(path), (), hint))
+    skeletons, root = _skeletons(stage, path, prim_below(stage, prim_path))
     prim = skeletons[0].GetPrim()
-    root = UsdSkel.Root.Find(prim)
-    if not root:
-        message = f"the Skeleton {prim.GetPath()} is not inside a SkelRoot"
-        raise FormatError(Fault("USD009", message, str(path)))
     model = _model(stage, root, prim_path)
     paths = RigPaths(
         str(model),
@@ -140,13 +116,13 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     placing, moving = _operations(root)
+    skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices = composition_notices(stage, str(path))
     notices += others_notice(
         skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     if moved_to is None:
         notices += _bound_in_shot(stage, paths, str(path))
-    skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices += skeleton.notices
     notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
@@ -169,6 +145,24 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         up_axis(stage),
         notices,
     )
+
+
+def _skeletons(stage: Any, path: Path, below: str) -> tuple[list[Any], Any]:
+    """Return the skeletons below a prim, and the SkelRoot of the first."""
+    skeletons = find_skeletons(stage, below)
+    if not skeletons:
+        message = f"has no Skeleton below {below}"
+        hint = (
+            f"set {argument('rig_layer')} to a layer that "
+            f"{argument('form', 'split')} wrote, or to a shot that uses one"
+        )
+        raise FormatError(Fault("USD008", message, str(path), (), hint))
+    prim = skeletons[0].GetPrim()
+    root = UsdSkel.Root.Find(prim)
+    if not root:
+        message = f"the Skeleton {prim.GetPath()} is not inside a SkelRoot"
+        raise FormatError(Fault("USD009", message, str(path)))
+    return skeletons, root
 
 
 def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
@@ -241,214 +235,6 @@ def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
         move(paths.animation),
         move(paths.binding),
     )
-
-
-_NONE: IntArray = np.zeros(0, np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class RigJointMap:
-    """Map from the joints of a take to those of a target rig."""
-
-    rig: Rig  # the target's joints
-    # Joint of the take for each joint of the target ``(J,)``, -1 for none.
-    source: IntArray
-    rest_scales: FloatArray  # scale of the target's rest ``(J, 3)``
-    # Joints and shapes of the take that the target lacks, or spells in another way.
-    notices: list[Fault]
-    shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
-    # How well the take's rest skeleton fits; None where there are no joints.
-    fit: RigFit | None = None
-    # From where the take is to the numbers of the rig, at time codes ``(F,)``; None is
-    # the same.
-    to_rig: Callable[[FloatArray], Placement] | None = None
-    roots: IntArray = field(default_factory=lambda: _NONE)  # of the take
-    size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
-
-    def at(self, codes: FloatArray, motion: Motion) -> Motion:
-        """Return the target's motion at time codes ``(F,)``; see `apply`."""
-        if self.to_rig is not None:
-            motion = placed_motion(motion, self.roots, self.to_rig(codes))
-        return self.apply(motion)
-
-    def apply(self, motion: Motion) -> Motion:
-        """Return the target's motion; joints missing from the take are at rest."""
-        scales = motion.scales
-        mapped = None
-        if scales is not None or (self.rest_scales != 1.0).any():
-            if scales is None:
-                constant = np.zeros((motion.frames, 0, 3))
-                mapped = Channel(self.rest_scales, _NONE, constant)
-            else:
-                mapped = self._channel(scales, self.rest_scales)
-        return Motion(
-            self._channel(motion.translations, self.rig.rest_translations),
-            self._channel(motion.rotations, self.rig.rest_rotations),
-            mapped,
-            motion.weights,
-            motion.controls,
-            motion.track_times,
-            motion.points,
-        )
-
-    def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
-        has = self.source >= 0
-        constant = rest.copy()
-        constant[has] = channel.rest[self.source[has]]
-        column_of = {int(joint): i for i, joint in enumerate(channel.animated)}
-        animated = [j for j, s in enumerate(self.source.tolist()) if s in column_of]
-        columns = [column_of[int(self.source[j])] for j in animated]
-        return Channel(
-            constant, np.array(animated, np.int64), channel.values[:, columns]
-        )
-
-
-def map_joints(
-    take: Rig,
-    target: RigTarget,
-    strip_namespaces: int,
-    *,
-    force_fit: bool = False,
-    over: OverRig | None = None,
-) -> RigJointMap:
-    """Match joints by path, else by name, legal or original.
-
-    over: how the take comes to the numbers of the rig; None is that they are its own.
-    """
-    names = joint_names(take.joints, strip_namespaces)
-    legal = [legal_name(joint.source_name or joint.name) for joint in take.joints]
-    by_key: dict[str, list[int]] = {}
-    for paths in (take.paths(legal), take.paths(names.names)):
-        for i, path in enumerate(paths):
-            by_key.setdefault(f"/{path}", []).append(i)
-    for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
-        for key in (joint.source_name or joint.name, joint.name, name):
-            by_key.setdefault(key, []).append(i)
-    source: list[int] = []
-    used: set[int] = set()
-    skeleton = target.skeleton
-    for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
-        keys = (f"/{token}", joint.source_name or joint.name, joint.name)
-        free = (i for key in keys for i in by_key.get(key, ()) if i not in used)
-        free_index = next(free, -1)
-        used.add(free_index)
-        source.append(free_index)
-    missing = [j.name for i, j in enumerate(take.joints) if i not in used]
-    if len(missing) == len(take.joints):
-        _check_shapes(take, target)
-    resting = [
-        joint.name
-        for joint, free_index in zip(skeleton.rig.joints, source, strict=True)
-        if free_index < 0
-    ]
-    where = str(target.path)
-    notices = []
-    if missing:
-        message = f"{len(missing)} joints of the take are not in the rig: "
-        hint, kind = "they are skipped", Severity.WARNING
-        notices.append(naming("USD102", message, missing, where, hint, kind))
-    if resting:
-        message = f"{len(resting)} joints of the rig are not in the take: "
-        hint, kind = "they stay at rest", Severity.NOTE
-        notices.append(naming("USD111", message, resting, where, hint, kind))
-    shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
-    source_index = np.array(source, np.int64)
-    fit: RigFit | None = None
-    differences: list[Fault] = []
-    if take.joints and skeleton.rig.joints:
-        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
-        fit, differences = check_fit(
-            at_origin(take),
-            rig,
-            source_index,
-            where,
-            forced=force_fit,
-            unmatched=notices,
-        )
-    return RigJointMap(
-        skeleton.rig,
-        source_index,
-        skeleton.rest_scales,
-        notices + shape_faults + differences,
-        shapes,
-        fit,
-        None if over is None else over.to_rig,
-        np.array(take.roots, np.int64),
-        1.0 if over is None else over.sized.size,
-    )
-
-
-def _check_shapes(take: Rig, target: RigTarget) -> None:
-    """Refuse a take that shares neither joints nor shapes with a rig."""
-    rig, known = target.skeleton.rig, _known_shapes(target)
-    names = [shape.name for shape in take.shapes]
-    shared = known is None or {arkit_name(n) or n for n in names} & {
-        arkit_name(n) or n for n in known
-    }
-    if names and shared and not (take.joints and rig.joints):
-        return
-    mine, theirs = (
-        f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
-    )
-    message = f"no joint of the take ({mine}) is in the rig ({theirs})"
-    hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}"
-    if not (take.joints and rig.joints):
-        message += ", and no mesh there has one of its shapes"
-        hint = "choose the rig of the take"
-    raise FormatError(Fault("USD010", message, str(target.path), (), hint))
-
-
-def match_shapes(
-    target: RigTarget, shapes: Sequence[str]
-) -> tuple[tuple[str, ...], list[Fault]]:
-    """Return the rig's names of shapes, and notices of ambiguous ones.
-
-    A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
-    is named (USD114). A rig without meshes says nothing of the shapes that it will
-    have.
-    """
-    known = _known_shapes(target)
-    if known is None:
-        return tuple(shapes), []
-    spelled = {arkit_name(name): name for name in known}
-    matches = [
-        name if name in known else spelled.get(arkit_name(name) or "", name)
-        for name in shapes
-    ]
-    # Of two that would become one, the first keeps the name.
-    matches = [
-        name if name not in matches[:i] else legal
-        for i, (legal, name) in enumerate(zip(shapes, matches, strict=True))
-    ]
-    where = str(target.path)
-    notices = []
-    missing = [name for name in matches if name not in known]
-    if missing:
-        message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
-        hint, kind = "their weights have no effect there", Severity.WARNING
-        notices.append(naming("USD114", message, missing, where, hint, kind))
-    other = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
-    if other:
-        message = f"{len(other)} shapes are written with the rig's spelling: "
-        notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
-    return tuple(matches), notices
-
-
-def _known_shapes(target: RigTarget) -> set[str] | None:
-    """Return the blend shapes of a rig's meshes; None without meshes."""
-    root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
-    meshes = [
-        prim
-        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
-        if is_shown_mesh(prim)
-    ]
-    if not meshes:
-        return None
-    return {
-        str(name)
-        for mesh in meshes
-        for name in array_value(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr())
-    }
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:

@@ -13,7 +13,7 @@ from pxr import Sdf
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import atomic_outputs, check_outputs
+from animtool.core.files.output import STDOUT, atomic_outputs, check_outputs
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
@@ -54,8 +54,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
 
     The takes are drawn one after the other: one that is authored need not be kept.
     """
-    suffix = job.output or Path("stdout.usda")
-    outputs = output_paths(suffix, job.form)
+    outputs = output_paths(job.output, job.form)
     animation = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
     authored = Authored(animation)
     notices: list[Fault] = []
@@ -228,12 +227,12 @@ def write_usd(
     job: UsdJob,
     authored: Authored,
     result: UsdResult,
-    save: Callable[[Any, Path | None], int] = save_layer,
+    save: Callable[[Any, Path], int] = save_layer,
 ) -> None:
     """Save the layers of a job, the referencing layer last."""
-    if job.output is None:
+    if job.output == STDOUT:
         with _quietly(result):
-            result.bytes = save(authored.animation, None)
+            result.bytes = save(authored.animation, STDOUT)
         return
     result.outputs = output_paths(job.output, job.form)
     layers = [authored.animation]
@@ -377,7 +376,8 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
-    from animtool.usd.rigs.target import map_joints, open_target
+    from animtool.usd.rigs.joint_map import map_joints
+    from animtool.usd.rigs.target import open_target
     from animtool.usd.takes.over_rig import over_rig
 
     target = open_target(layer, prim_path)

@@ -115,8 +115,7 @@ def author_extents(
         if name:
             from animtool.usd.takes.library import check_variant
 
-            where = None if job.output is None else str(job.output)
-            check_variant(stage, layers[0], writer.paths, where)
+            check_variant(stage, layers[0], writer.paths, job.where)
 
 
 def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
@@ -228,7 +227,6 @@ def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -
 
     resolved = resolved_animation(stage, job.paths.skeleton)
     if resolved != animation:
-        path = None if job.output is None else str(job.output)
         message = (
             f"UsdSkel resolves {resolved or 'no animation'} for {job.paths.skeleton}, "
             f"not {animation}"
@@ -240,4 +238,4 @@ def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -
             hint = STRONGER_HINT
         if stage.GetPrimAtPath(job.paths.skeleton).IsInstanceProxy():
             hint = "the rig is instanced there, and a layer cannot reach into instances"
-        raise OutputError(Fault("USD011", message, path, (), hint))
+        raise OutputError(Fault("USD011", message, job.where, (), hint))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -37,6 +38,9 @@ MIN_BONE_FRACTION = 0.8
 CHARACTER_SIZE = (0.1, 25.0)
 # Size of people and most animals [m]; a corrected unit must give such a size.
 LIKELY_SIZE = (0.3, 5.0)
+# A rig with a larger fraction of finger joints is a hand, not a body [1].
+DIGITS = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
+HAND_FRACTION = 0.8
 # Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
 SKELETON_SIZE = (0.004, 400.0)
 # With fewer joints, a rig is a prop of any size.
@@ -267,6 +271,8 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     smallest, largest = SKELETON_SIZE
     if not subject.has_units:
         return
+    # A watch in millimetres is meant.
+    smallest = min(smallest, subject.take.rig.meters_per_unit)
     if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
         return
     if _is_character(subject) and next(other_units(subject), None) is not None:
@@ -285,8 +291,10 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
-    rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
-    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest_positions)
+    if sum(map(bool, map(DIGITS.search, rig.names))) > HAND_FRACTION * len(rig.joints):
+        return None
+    rest = rest_world(rig).positions[0] if subject.has_rest else None
+    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
     return (
         None
         if body_stance.axis is None and not body_stance.upside_down

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, counted, listed
+from animtool.core.errors import Fault, listed
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -19,40 +19,6 @@ from animtool.validation.subjects.clip import ClipSubject
 
 # Closer to 180 degrees, rounding decides the direction of rotation.
 NEAR_HALF_ROTATION = math.radians(178.0)
-# Extrapolation that does not repeat the keys.
-_NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
-
-
-def outside_range(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels whose keys outside the clip's range have no effect (CLIP201).
-
-    The first key on either side shapes the curve inside the range, and all keys are
-    used if the channel repeats them.
-    """
-    clip = subject.clip
-    first_frame, last_frame = float(clip.first), float(clip.last)
-    for i, channel in enumerate(clip.channels):
-        unused_keys = beyond(channel, first_frame, last_frame)
-        if not len(unused_keys):
-            continue
-        k = int(unused_keys[0])
-        keys = counted(len(unused_keys), "key")
-        frames = listed([f"{t:g}" for t in channel.times[unused_keys]])
-        message = (
-            f"{keys} of {channel.target!r} outside the range from {first_frame:g} to "
-            f"{last_frame:g}: {frames}"
-        )
-        hint = "widen the range, or remove what is never played"
-        yield subject.fault("CLIP201", ("channels", i, "keys", k, "t"), message, hint)
-
-
-def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
-    """Return the keys of a channel that have no effect inside a frame range."""
-    if not {channel.pre, channel.post} <= _NOT_CYCLING:
-        return np.zeros(0, np.int64)
-    keys_before = np.flatnonzero(channel.times < first)[:-1]
-    keys_after = np.flatnonzero(channel.times > last)[1:]
-    return np.concatenate([keys_before, keys_after])
 
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.quantities import length_text
-from animtool.core.units import LengthUnit, unit_name
+from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.sides import pair_sides
@@ -144,10 +144,6 @@ def _rounded(axis: FloatArray) -> str:
 # smaller angle, is rounding.
 SLIP_FRACTION = 1e-3
 SLIP_ANGLE = math.radians(0.5)
-# Plausible size of a character [m]; a wrong unit is off by a factor of 39 or more.
-LIKELY_SIZE = (0.05, 30.0)
-# With fewer joints, a rig is a prop of any size.
-MIN_JOINTS = 8
 
 
 def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
@@ -190,30 +186,7 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
 
-def implausible_size(rig: RigSubject) -> Iterator[Fault]:
-    """Yield a size that fits another unit better (RIG217)."""
-    smallest, largest = LIKELY_SIZE
-    if (
-        len(rig.rig.joints) < MIN_JOINTS
-        or smallest <= rig.size <= largest
-        or not rig.size
-    ):
-        return
-    unit_m = rig.rig.meters_per_unit
-    fitting = [
-        str(unit)
-        for unit in LengthUnit
-        if smallest <= rig.size / unit_m * unit.meters <= largest
-        and unit.meters != unit_m
-    ]
-    location = ("units", "length") if "units" in rig.document.value else ("joints",)
-    unit = unit_name(unit_m)
-    message = f"the rig measures {length_text(rig.size)}, with lengths in {unit}"
-    hint = f"try length: {' or '.join(fitting)}" if fitting else None
-    yield rig.fault("RIG217", location, message, hint)
-
-
-# Bones that differ by less are equal [size].
+# Positions that differ by a smaller fraction of the rig's size are equal [1].
 POSITION_TOLERANCE = 1e-4
 # Limits that differ by less are equal [rad], [m].
 LIMIT_EQUALITY = 1e-6

@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from animtool.clip.suspicious_times import keys_beyond
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
@@ -26,7 +27,6 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.scene import SceneSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
@@ -78,7 +78,7 @@ def _outside(
     """Yield keys or spans of a goal outside a frame range."""
     for part, value in goal.values.items():
         if isinstance(value, Keyed):
-            unused_keys = beyond(value.channel, first, last)
+            unused_keys = keys_beyond(value.channel, first, last)
             if len(unused_keys):
                 yield part, value.channel.times[unused_keys].tolist(), True
     for key, spans in (("hold", goal.spans), ("during", goal.during)):

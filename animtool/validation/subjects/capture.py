@@ -59,7 +59,7 @@ class TakeSubject:
 def open_bvh(path: Path) -> CheckedFile:
     """Return the subject of a BVH file, with every row read."""
     take = open_source(path).collect()
-    faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
+    faults = [notice.in_file(path) for notice in take.notices]
     subject = TakeSubject(path, take)
     motion = MotionSubject(take, subject.fault_at, has_units=False)
     return CheckedFile(Kind.BVH, faults, subject, takes=(motion,))
@@ -87,7 +87,7 @@ def open_take(path: Path) -> CheckedFile:
 def _read(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     stream = open_source(path)
     take = stream.collect()
-    faults = [f if f.path else replace(f, path=str(path)) for f in stream.notices]
+    faults = [notice.in_file(path) for notice in stream.notices]
     return CheckedFile(kind, faults), stream, take
 
 

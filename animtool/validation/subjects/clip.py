@@ -116,7 +116,5 @@ def _placed(
     try:
         return sample()
     except AnimtoolError as error:
-        checked_file.faults += [
-            f if f.path else replace(f, path=str(path)) for f in error.faults
-        ]
+        checked_file.faults += [fault.in_file(path) for fault in error.faults]
         return None

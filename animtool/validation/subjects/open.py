@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 def open_batch(document: Document) -> CheckedFile:
     """Return the subject of a batch file."""
-    from animtool.batch.discover import unmatched_inputs
     from animtool.batch.file import batch_of_document
+    from animtool.batch.inputs import unmatched_inputs
 
     batch = batch_of_document(document)
     return CheckedFile(Kind.BATCH, unmatched_inputs(batch), batch)

@@ -13,6 +13,7 @@ from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import rest_pose
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
@@ -57,22 +58,8 @@ class RigSubject(DocumentSubject):
 
     @cached_property
     def rest(self) -> tuple[FloatArray, FloatArray]:
-        """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
-
-        Computes all joints of one depth at once, so that rules on rigs do not need the
-        kernels.
-        """
-        rig, depths = self.rig, np.zeros(len(self.rig.joints), np.int64)
-        for i, joint in enumerate(rig.joints):
-            depths[i] = 0 if joint.parent < 0 else depths[joint.parent] + 1
-        positions, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
-        for depth in range(1, int(depths.max(initial=0)) + 1):
-            at_depth = np.flatnonzero(depths == depth)
-            parents = rig.parents[at_depth]
-            rotated_offsets = so3.rotate(rotations[parents], positions[at_depth])
-            positions[at_depth] = positions[parents] + rotated_offsets
-            rotations[at_depth] = so3.multiply(rotations[parents], rotations[at_depth])
-        return positions, rotations
+        """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest."""
+        return rest_pose(self.rig)
 
     @cached_property
     def size(self) -> float:

@@ -100,7 +100,7 @@ def open_scene(
         named_files = {None, path, *checked_file.subject.targets}
         faults = [fault for fault in notices if fault.path in named_files]
         faults += _refused(scene, checked_file.subject.take)
-    faults = [f if f.path else replace(f, path=path) for f in faults]
+    faults = [fault.in_file(path) for fault in faults]
     checked_file.faults = [*scene.notices, *faults]
     return checked_file
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault
@@ -31,7 +30,7 @@ def open_trajectories(path: Path) -> CheckedFile:
     from animtool.formats.marker_files import open_markers
 
     markers = open_markers(path)
-    faults = [f if f.path else replace(f, path=str(path)) for f in markers.notices]
+    faults = [notice.in_file(path) for notice in markers.notices]
     return CheckedFile(Kind.TRAJECTORIES, faults, MarkersSubject(path, markers))
 
 

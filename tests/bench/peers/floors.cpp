@@ -33,6 +33,25 @@ void forward(const Index* parents, Index joints, Index frames, const double* tra
   }
 }
 
+// Straight curves at ascending times, `width` of them with keys at one time: the segment is
+// found once for all of these. A curve's values lie one after another.
+void lerp(const double* key_times, const double* keys, Index joints, Index width, Index count,
+          const double* times, Index frames, double* values) {
+  for (Index j = 0; j < joints; ++j) {
+    const double* k = key_times + j * width * count;
+    Index i = 0;
+    for (Index f = 0; f < frames; ++f) {
+      const double t = times[f] < k[0] ? k[0] : times[f] > k[count - 1] ? k[count - 1] : times[f];
+      while (i + 2 < count && t >= k[i + 1]) ++i;
+      const double u = (t - k[i]) / (k[i + 1] - k[i]);
+      for (Index d = 0; d < width; ++d) {
+        const double* v = keys + (j * width + d) * count + i;
+        values[(j * width + d) * frames + f] = v[0] + u * (v[1] - v[0]);
+      }
+    }
+  }
+}
+
 static double bernstein(double a, double b, double c, double d, double u) {
   const double v = 1 - u;
   return v * v * (v * a + 3 * u * b) + u * u * (3 * v * c + u * d);

@@ -11,13 +11,8 @@ from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool.capture.options import SolveOptions
 from animtool.capture.solve import solve_markers
-from animtool.capture.solve.source import (
-    at_file,
-    named_rig,
-    solve_scores,
-    solve_stream,
-)
-from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.capture.solve.source import named_rig, solve_scores, solve_stream
+from animtool.core.errors import Fault, OptionError
 
 PATH = Path("take.c3d")
 
@@ -31,17 +26,6 @@ def test_a_rig_that_is_given_goes_before_that_of_the_template() -> None:
         named_rig(replace(TEMPLATE, rig=None), None, PATH)
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("SOL008", str(PATH))
-
-
-@pytest.mark.parametrize("kind", [FormatError, OptionError])
-def test_faults_without_a_file_are_of_the_markers(kind: type[FormatError]) -> None:
-    def fails() -> None:
-        raise kind([Fault("SOL001", "a"), Fault("SOL002", "b", "other.yaml")])
-
-    with pytest.raises(kind) as caught:
-        at_file(PATH, fails)
-    assert [f.path for f in caught.value.faults] == [str(PATH), "other.yaml"]
-    assert at_file(PATH, lambda: 7) == 7
 
 
 def test_a_solve_is_scored_by_what_markers_miss_and_the_mean_of_outliers() -> None:

@@ -16,7 +16,8 @@ from support.gltf_validator import issues
 from support.suite import some_quick
 
 from animtool.core.errors import Severity
-from animtool.formats.gltf.animations import Animation, TargetPath
+from animtool.formats.gltf.animation_targets import TargetPath
+from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.sampling import sampler_of
 from animtool.formats.gltf.timing import distinct_clip_names
 from animtool.rig.kinematics import forward

@@ -12,7 +12,7 @@ import numpy as np
 from support.bvh import random_rows, small_bvh
 
 from animtool.batch.bundle import chunk_size, mean_seconds
-from animtool.batch.cluster import _address
+from animtool.batch.cluster_client import scheduler_address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.item import mapped_path, read_rules
@@ -52,7 +52,7 @@ def make(folder: Path) -> Run:
     others = [
         _other(folder / "rules.json", RULES, _mapped),
         _other(folder / "report.json", REPORT, _mean),
-        _other(folder / "scheduler.json", ADDRESS, _address),
+        _other(folder / "scheduler.json", ADDRESS, scheduler_address),
         _other(folder / "table.csv", TABLE, read_variants),
         _other(folder / "a.batch.json", BATCH, load_batch),
         _other(folder / "a.batch.yaml", BATCH_TEXT, load_batch),

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from animtool.motion.motion import Channel, Motion
-from animtool.scene.bake import point_prims
-from animtool.scene.bake.point_prims import pieces
+from animtool.scene.bake import deformed_character
+from animtool.scene.bake.deformed_character import pieces
 
 
 def motion_of(codes: np.ndarray) -> Motion:
@@ -40,7 +40,7 @@ def test_pieces_are_the_motion_with_their_neighbours(
 ) -> None:
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(point_prims, "PIECE_FRAMES", most)
+        patch.setattr(deformed_character, "PIECE_FRAMES", most)
         found = list(pieces(blocks(lengths), neighbours=neighbours))
     own = []
     for codes, motion, kept in found:

@@ -184,7 +184,7 @@ def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
         one for one in trial.settings() if one == Setting.of("euler", step=0.02)
     ]
     euler = run(tmp_path, method="euler", step=0.02)
-    for t, shot in zip(TIMES, trial.run(setting).shots, strict=True):
+    for t, shot in zip(TIMES, trial.run(setting).snapshots, strict=True):
         assert_array_equal(euler.at(t).points, shot.points)
     assert system(tmp_path, method="euler").setup.makes == (
         "it, by euler in steps of 0.01 s"
@@ -224,7 +224,7 @@ def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) ->
         assert isinstance(frame, TransformsFrame)
         assert_allclose(np.linalg.norm(frame.rotations, axis=1), 1)
         ((_, trial),) = system_trials([system(tmp_path, copies=True)], TIMES)
-        (shot, *_) = trial.run(trial.chosen).shots
+        (shot, *_) = trial.run(trial.chosen).snapshots
         assert shot.ids is not None
         return
     with (

@@ -300,5 +300,5 @@ def test_settings_of_a_table_are_those_of_the_file(
             continue
         assert outcome.status is Status.OK
         rows = simulator.simulate(entry(kind, **keys), times)["it"]
-        for row, shot in zip(rows, outcome.shots, strict=True):
+        for row, shot in zip(rows, outcome.snapshots, strict=True):
             assert_array_equal(row.points, shot.points)

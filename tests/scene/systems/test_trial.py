@@ -22,7 +22,7 @@ FLOOR = [{"shape": {"plane": {}}, "at": [0, -5, 0]}]
 @pytest.fixture(autouse=True)
 def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     # How long anything takes is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
 
 
 def orbits(count: int = 2, mass: float = 1.0, **given: Any) -> dict[str, Any]:

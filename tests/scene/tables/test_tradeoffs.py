@@ -34,7 +34,7 @@ output: {file: out.usdc}
 @pytest.fixture(autouse=True)
 def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     # How long anything takes is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
 
 
 def budget_is_kept(table: TrialTable, budget: float) -> None:

@@ -27,7 +27,7 @@ def test_many_times_are_each_as_it_is_alone(
     seed: int, count: int, times: list[float]
 ) -> None:
     poses = wandering(seed, count)
-    found = poses.over(np.array(times))
+    found = poses.at_times(np.array(times))
     assert found.shape == (len(times), 7)
     for row, t in zip(found, times, strict=True):
         assert_array_equal(row, poses.at(t))
@@ -38,9 +38,9 @@ def test_many_times_are_each_as_it_is_alone(
 @settings(max_examples=examples(50), deadline=None)
 def test_its_own_times_have_its_own_poses(seed: int, count: int) -> None:
     poses = wandering(seed, count)
-    assert_allclose(poses.over(poses.sample_times), poses.rows, atol=1e-12)
+    assert_allclose(poses.at_times(poses.sample_times), poses.rows, atol=1e-12)
     outside = np.array([poses.sample_times[-1] + 1, poses.sample_times[0] - 1])
-    assert_array_equal(poses.over(outside), poses.rows[[-1, 0]])
+    assert_array_equal(poses.at_times(outside), poses.rows[[-1, 0]])
 
 
 @pytest.mark.parametrize("part", ["times", "origins", "rotations"])
@@ -54,6 +54,6 @@ def test_each_part_that_is_not_finite_is_named(part: str) -> None:
 def test_between_two_it_goes_straight_and_turns_evenly() -> None:
     half = np.sqrt(0.5)
     poses = Poses([1, 3], [[0, 0, 0], [2, 4, 0]], [[0, 0, 0, 1], [0, 0, half, half]])
-    (row,) = poses.over(np.array([2.0]))
+    (row,) = poses.at_times(np.array([2.0]))
     assert_allclose(row[:3], [1, 2, 0], atol=1e-15)
     assert_allclose(row[3:], [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)], atol=1e-15)

@@ -37,7 +37,7 @@ from animtool.sim import (
     integrate,
 )
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.adaptive import doubled
+from animtool.sim.integrators.adaptive import step_doubling
 from animtool.sim.integrators.integrator import Form, StepControl
 
 ALL = [find_integrator(name) for name in INTEGRATORS]
@@ -241,7 +241,7 @@ def test_steps_grow_by_the_stability_polynomial(
 @pytest.mark.parametrize("name", ["rk4", "heun", "midpoint", "implicit_euler"])
 def test_doubling_takes_its_order_from_its_base(name: str) -> None:
     base = find_integrator(name)
-    made = doubled(base)
+    made = step_doubling(base)
     assert made.order == base.order + 1
     motion = MOTIONS["pendulum"]
     assert measured_order(made, motion) == pytest.approx(made.order, abs=0.3)
@@ -250,7 +250,7 @@ def test_doubling_takes_its_order_from_its_base(name: str) -> None:
 @pytest.mark.parametrize("name", ["rk45", "adaptive_doubling", "bdf2", "radau"])
 def test_what_is_no_base_of_doubling(name: str) -> None:
     with raises(OptionError, "SIM006"):
-        doubled(find_integrator(name))
+        step_doubling(find_integrator(name))
 
 
 @pytest.mark.slow

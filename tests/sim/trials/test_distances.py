@@ -86,8 +86,8 @@ def test_what_is_no_number_has_no_distance() -> None:
 
 
 def test_extents_are_of_all_times() -> None:
-    shots = [Snapshot(np.zeros((1, 3))), Snapshot(np.array([[3.0, 4.0, 0.0]]))]
-    assert extent_of(shots) == 5
+    snapshots = [Snapshot(np.zeros((1, 3))), Snapshot(np.array([[3.0, 4.0, 0.0]]))]
+    assert extent_of(snapshots) == 5
     assert extent_of([]) == 0
 
 

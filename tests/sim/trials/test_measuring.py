@@ -14,7 +14,7 @@ from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import (
-    FINER,
+    REFERENCE_FACTORS,
     CostMeasure,
     ErrorMeasure,
     Figure,
@@ -22,7 +22,7 @@ from animtool.sim.trials.trial import (
     Snapshot,
     Trial,
     TrialOutcome,
-    ladder,
+    multiples,
 )
 
 
@@ -41,11 +41,13 @@ class Known:
         self.ran: list[Setting] = []
 
     def settings(self) -> list[Setting]:
-        return [setting(name, h) for name in ("first", "second") for h in ladder(0.1)]
+        return [
+            setting(name, h) for name in ("first", "second") for h in multiples(0.1)
+        ]
 
     def references(self) -> list[list[Setting]]:
         return [
-            [setting("fourth", share * h) for h in ladder(0.1, FINER)]
+            [setting("fourth", share * h) for h in multiples(0.1, REFERENCE_FACTORS)]
             for share in (1.0, 0.125)
         ]
 

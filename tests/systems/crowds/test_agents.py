@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.crowds.agents import _drawn, _problems
+from animtool.systems.crowds.agents import _problems, _sample_population
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import PopulationModel
 from animtool.systems.particles import BoxShape
@@ -24,7 +24,7 @@ def drawn(**keys: Any) -> tuple[Any, ...]:
         {"name": "all", "route": ["a"], "radius": 0.25, **keys}
     )
     parts = {"place": BoxShape((40.0, 1.0, 40.0)), "poses": Poses.fixed()}
-    return _drawn(population, parts, 0.0, FRAME)
+    return _sample_population(population, parts, 0.0, FRAME)
 
 
 def test_agents_like_speeds_about_the_mean_and_none_less_than_a_third() -> None:
@@ -72,7 +72,7 @@ def test_those_of_a_group_begin_side_by_side_about_its_middle() -> None:
 def test_places_of_a_file_are_seen_from_the_ground() -> None:
     population = PopulationModel.model_validate({"name": "all", "route": ["a"]})
     points = np.array([[1.0, 5, 2], [4, 0, -1]])
-    starts = _drawn(population, {"points": points}, 0.0, FRAME)[0]
+    starts = _sample_population(population, {"points": points}, 0.0, FRAME)[0]
     assert_allclose(starts, [[0, 0], [3, -3]])
 
 

@@ -20,12 +20,12 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
-from animtool.systems.crowds.cast import CastGroup, Casting, part
+from animtool.systems.crowds.cast import CastGroup, Casting, select_rows
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
-from animtool.systems.crowds.poses import TILT, _tilts, poses_of
+from animtool.systems.crowds.poses import MAX_TILT, _tilts, poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 TAKES = SAMPLES / "retarget" / "takes"
@@ -99,7 +99,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
         np.zeros((3, 2)),
         np.array([0.0, 1.0, 2.2]),
     )
-    some = part(going, own)
+    some = select_rows(going, own)
     state = bodies.first(some, np.array([0.2, 0.7]))
     rig = SimpleNamespace(rig=gaits.walker.rig)
     groups = [
@@ -147,7 +147,7 @@ def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     leg = bodies.gaits.walker.leg
     paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 1.0], [-1.0, 0, 0]])
     blend = bodies.blend(paces)
-    stands = blend.stands.mean(axis=1)
+    stands = blend.stance_fractions.mean(axis=1)
     for k, (pace, most) in enumerate(
         [(0.3, 0.8), (2.0, 0.8), (0.8 / 2, 0.25 * leg), (0.8 / 2, 0.3 * leg)]
     ):
@@ -205,8 +205,8 @@ def test_clips_are_what_they_show() -> None:
     assert walk.period == pytest.approx(1.1, abs=1 / 30)
     assert run.period == pytest.approx(0.7, abs=1 / 30)
     # From when the sole is down to when the ball leaves: the heel strikes before.
-    assert walk.stands == pytest.approx(0.62 - 0.075, abs=1.1 / 33)
-    assert run.stands.max() < 0.35
+    assert walk.stance_fractions == pytest.approx(0.62 - 0.075, abs=1.1 / 33)
+    assert run.stance_fractions.max() < 0.35
     assert abs(walk.turning) < 1e-6
     assert turn.turning > 1
     assert walk.steps[0, 0] > 0 > walk.steps[1, 0]
@@ -286,13 +286,13 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
     goings = path(0.05, 3)[:120]
     row = np.array([1])
     state = bodies.first(goings[0], np.array([0.1, 0.4, 0.7]))
-    own = part(state, row)
+    own = select_rows(state, row)
     for before, after in pairwise(goings):
         state = bodies.next(state, before, after, 0.05)
-        own = alone.next(own, part(before, row), part(after, row), 0.05)
+        own = alone.next(own, select_rows(before, row), select_rows(after, row), 0.05)
     whole, single = (
         poses_of(bodies, state, goings[-1]),
-        poses_of(alone, own, part(goings[-1], row)),
+        poses_of(alone, own, select_rows(goings[-1], row)),
     )
     np.testing.assert_array_equal(whole.rotations[1], single.rotations[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
@@ -337,7 +337,7 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
     turned = so3.rotate(_tilts(normals), UP)
     np.testing.assert_allclose(turned, normals, atol=1e-12)
     steep = so3.rotate(_tilts(np.array([[1.0, 0.01, 0.0]])), UP)[0]
-    assert np.arccos(steep[1]) == pytest.approx(TILT)
+    assert np.arccos(steep[1]) == pytest.approx(MAX_TILT)
     assert steep[0] > 0
 
 
@@ -430,7 +430,7 @@ def test_feet_that_swing_go_around_those_that_stand(
     before = places.copy()
     bodies = AgentBodies(gaits, np.ones(1), level)
     state: Any = SimpleNamespace(swings=swings)
-    found = bodies._pass(state, going, places)
+    found = bodies._detour(state, going, places)
     np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)
     moved = before.copy()
     moved[0, k, :2] += side * around * x

@@ -32,8 +32,8 @@ def simulator(tmp_path: Path) -> Simulator:
 
 
 def crowd(populations: list[dict[str, Any]], **keys: Any) -> list[dict[str, Any]]:
-    named = [{"name": f"p{i}", **one} for i, one in enumerate(populations)]
-    return [{"crowds": {"name": "it", "step": 0.05, "populations": named, **keys}}]
+    label = [{"name": f"p{i}", **one} for i, one in enumerate(populations)]
+    return [{"crowds": {"name": "it", "step": 0.05, "populations": label, **keys}}]
 
 
 def goal(name: str, x: float, z: float, **keys: Any) -> dict[str, Any]:
@@ -517,10 +517,10 @@ def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
 
     own: Any = SimpleNamespace(
         casting=SimpleNamespace(next=next_),
-        falling=SimpleNamespace(begun=lambda *given: given),
+        falling=SimpleNamespace(add_falls=lambda *given: given),
         _world=lambda bodies, going, i: (bodies, going.points[i].tolist()),
     )
-    made: Any = crowds.Crowd._begun(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
+    made: Any = crowds.Crowd._with_new_falls(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
     assert hits == [("stood", 0.5, [False] * 3)]
     falls, fell, now, soon, dt = made
     assert (falls, fell.tolist(), dt) == ("falls", [0, 2], 0.5)

@@ -14,13 +14,18 @@ from animtool.maths import so3
 from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies, _weights
-from animtool.systems.crowds.footing import Footing, followed
-from animtool.systems.crowds.gaits import about_side, eased, rows, standing_ankle
+from animtool.systems.crowds.footing import Footing, limited_landings
+from animtool.systems.crowds.gaits import (
+    about_side,
+    sample_rows,
+    standing_ankle,
+    swing_progress,
+)
 from animtool.systems.crowds.ground import Frame
-from animtool.systems.crowds.obstacles import _about, lost
-from animtool.systems.crowds.reach import Reach, Stances, _hurry, hurried
+from animtool.systems.crowds.obstacles import _bounds_of_obstacles, is_blocked
+from animtool.systems.crowds.reach import Reach, Stances, _rate_to_reach, step_rates
 from animtool.systems.crowds.routes import NavGrid
-from animtool.systems.crowds.shoulders import turned_shoulders
+from animtool.systems.crowds.shoulders import step_shoulders
 
 TURNED = so3.exp(np.array([0.0, np.pi / 2, 0.0]))
 
@@ -33,7 +38,7 @@ def test_shoulders_turn_in_a_quarter_of_a_second_and_back_in_six_tenths() -> Non
     time = np.array([0.25, 0.25, 0.6, 0.6, 0.25, 0.6, 0.6])
     expected = target + (shoulders - target) * np.exp(-0.1 / time)
     expected[5] = 0.0
-    assert_allclose(turned_shoulders(shoulders, pressed, 0.1), expected)
+    assert_allclose(step_shoulders(shoulders, pressed, 0.1), expected)
 
 
 @pytest.mark.parametrize("columns", [3, 4])
@@ -45,10 +50,10 @@ def test_rows_between_rows_and_behind_the_last(columns: int) -> None:
     side = -1.0 if columns == 4 else 1.0
     quarter = 0.75 + side * -0.25
     half = -0.5 + side * 0.25
-    found = rows(table, at)[:, 1, 0]
+    found = sample_rows(table, at)[:, 1, 0]
     assert_allclose(found[:3], [1.0, quarter, half])
     assert_allclose(found[3], 0.5)
-    again = rows(table, at[:4], again=True)[:, 0, 0]
+    again = sample_rows(table, at[:4], cyclic=True)[:, 0, 0]
     assert_allclose(again[3], 0.75)
 
 
@@ -63,7 +68,9 @@ def test_a_foot_that_stands_turns_about_its_ball_or_its_heel() -> None:
     assert_allclose(found[0], [0.01 - ball[0], 0.04 - ball[1], 0.15 - ball[2]])
     assert_allclose(found[1], [0, 0.12 * np.cos(down), 0.12 * np.sin(down)])
     assert_allclose(found[2], [0, 0.12, 0], atol=1e-15)
-    assert_allclose(eased(np.array([0, 0.25, 0.5, 1])), [0, 0.103515625, 0.5, 1])
+    assert_allclose(
+        swing_progress(np.array([0, 0.25, 0.5, 1])), [0, 0.103515625, 0.5, 1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -86,7 +93,9 @@ def test_a_foot_lands_on_its_side_of_the_other_where_that_is_near(
     own = Footing(gaits, np.array([size]), level)
     places = np.zeros((1, 2, 3))
     places[0, 1 - k, :2] = 3.0, 4.0 - size * other
-    found = own.placed(k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places)
+    found = own.landing_at(
+        k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places
+    )
     ahead, yaw = steps[0, k, 1:]
     expected = [3 + size * ahead, 4 - size * x, np.pi / 2 + yaw]
     assert_allclose(found, [expected], atol=1e-12)
@@ -99,7 +108,7 @@ def test_where_a_foot_lands_follows_no_faster_than_it_can() -> None:
     swings = np.array([[0.5, 0], [0.5, 0], [0.5, 0], [0.0, 0]])
     new = np.array([False, True, False, False])
     scales = np.array([1.0, 1.0, 1.0, 2.0])
-    found = followed(aims, lands, swings, new, scales, 0.02, 0)
+    found = limited_landings(aims, lands, swings, new, scales, 0.02, 0)
     assert_allclose(found[0], [0.06, 0.08, 0.0])
     assert_allclose(found[1], lands[1])
     assert_allclose(found[2], [0.03, 0.04, 0.24])
@@ -129,7 +138,7 @@ def test_the_room_of_a_foot_is_what_its_leg_leaves() -> None:
     """Of hips that go down by 0.09 of a leg; in poses by 0.11 at most."""
     thighs = np.array([[0.0, 0.9, 0.0], [0.0, 1.0, 0.0], [0.0, 1.2, 0.0]])
     feet = np.array([[0.3, 0.0, 0.4, 0.5], [0.3, 0.0, -0.4, 0.0], [0.6, 0, 0, 0]])
-    room, ways = reach().room(0, thighs, feet, np.zeros(3))
+    room, ways = reach().margin(0, thighs, feet, np.zeros(3))
     low = np.array([0.8, 0.9, 1.1]) - 0.09
     far = np.sqrt(np.maximum(0.998**2 - low**2, 0))
     assert_allclose(room, far - [0.5, 0.5, 0.6])
@@ -143,7 +152,8 @@ def test_the_room_of_a_foot_is_what_its_leg_leaves() -> None:
 def test_a_leg_steps_before_its_room_ends() -> None:
     """Rooms of 0.5 and -0.1 m, at 1 m/s; turning over a foot; in the air too soon."""
     assert_allclose(
-        _hurry(np.array([0.5, 0.01, 0.5]), 0.05, np.array([1.0, 1.0, -1.0])), [2, 20, 0]
+        _rate_to_reach(np.array([0.5, 0.01, 0.5]), 0.05, np.array([1.0, 1.0, -1.0])),
+        [2, 20, 0],
     )
     one = reach()
     count = 6
@@ -163,7 +173,7 @@ def test_a_leg_steps_before_its_room_ends() -> None:
     pitches = np.zeros((2, count, 2))
     rate = np.full(count, 0.5)
     stances = Stances(begins, stands, swings, feet, thighs, pitches, rate)
-    rates, ends = hurried(one, stances, went, turning)
+    rates, ends = step_rates(one, stances, went, turning)
     expected = [2 / far * 0.4, 0.5, 1 / 0.4 * 0.4, 1 / 0.3 * 0.4, 2.5, 2.5]
     assert_allclose(rates, expected)
     assert ends.tolist() == [[False, False]] * 5 + [[False, True]]
@@ -177,17 +187,21 @@ def test_what_is_near_obstacles_is_looked_at() -> None:
     ball = Collider(Sphere(0.5, (0.0, 1.0, 0.0)), Poses.fixed((1.0, 5.0, -1.0)))
     floor = Collider(Plane(), Poses.fixed((0.0, 0.0, 0.0)))
     low, high = np.full(2, -20.0), np.full(2, 20.0)
-    first, last = _about([box, ball, floor], frame, low, high, 0.25)
+    first, last = _bounds_of_obstacles([box, ball, floor], frame, low, high, 0.25)
     # The ball is 3 m against z of the world, which is along x of the ground.
     assert_allclose(first, [-1.25, -0.75])
     assert_allclose(last, [3.75, 0.75])
-    cut = _about([box], frame, np.array([-1.0, -9]), np.array([9.0, 0.1]), 0.25)
+    cut = _bounds_of_obstacles(
+        [box], frame, np.array([-1.0, -9]), np.array([9.0, 0.1]), 0.25
+    )
     assert_allclose(cut, [[-1.0, -0.75], [1.25, 0.1]])
     for normal in ((1.0, 0.0, 0.0), (0.5, 0.9, 0.0)):
         wall = Collider(Plane(normal), Poses.fixed((0.0, 0.0, 0.0), TURNED))
-        assert_array_equal(_about([wall], frame, low, high, 0.25), [low, high])
+        assert_array_equal(
+            _bounds_of_obstacles([wall], frame, low, high, 0.25), [low, high]
+        )
     slope = Collider(Plane((0.2, 0.9, 0.0)), Poses.fixed((0.0, 0.0, 0.0)))
-    first, last = _about([slope], frame, low, high, 0.0)
+    first, last = _bounds_of_obstacles([slope], frame, low, high, 0.0)
     assert not (first < last).any()
 
 
@@ -195,7 +209,7 @@ def test_who_is_off_the_grid_is_lost() -> None:
     free = np.array([[True, False], [True, True]])
     grid = NavGrid(np.zeros(2), 1.0, free)
     x = np.array([[0.0, 0.1], [0.1, 0.9], [1.0, 1.0], [-9.0, 0.0]])
-    assert lost(grid, x).tolist() == [False, True, False, False]
+    assert is_blocked(grid, x).tolist() == [False, True, False, False]
 
 
 def test_agents_stand_as_the_first_clip_that_stands() -> None:

@@ -18,7 +18,7 @@ RADII = np.array([0.1, 0.2, 0.3, 0.4])
 
 def shut(*opens: list[float]) -> Obstacles:
     """Return a door from (0, 0) to (3, 4) among four agents."""
-    agents = SimpleNamespace(radii=RADII, most=np.full(4, 2.0))
+    agents = SimpleNamespace(radii=RADII, max_speeds=np.full(4, 2.0))
     ends = {"begin": [0, 0, 0], "end": [3, 0, 4]}
     door = DoorModel.model_validate({**ends, "opens": list(opens)})
     return Obstacles(
@@ -53,7 +53,7 @@ def test_walls_are_those_near_and_say_how_fast_one_may_come() -> None:
     """
     x = np.array([[1.5 + 0.4, 2 - 0.3], [-0.9, -1.2], [3.0, 4.1], [1.5, 2.0]])
     walls = shut().walls(0.0, 0.1, x)
-    assert walls.whose.tolist() == [0, 2, 3]
+    assert walls.agents_of_walls.tolist() == [0, 2, 3]
     assert walls.starts.tolist() == [0, 1, 1, 2, 3]
     assert_allclose(walls.gaps, [0.4, -0.2, -0.4])
     assert_allclose(walls.rows[:, 2], [-0.8, 0.4, 0.8])

@@ -11,13 +11,13 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.systems.crowds.poses import (
+    MAX_EXTENSION,
+    MAX_TILT,
     PHASES,
-    STRAIGHT,
-    TILT,
     _ankles,
-    _low,
+    _clearance_deficit,
     _lowered,
-    _swung,
+    _swing_poses,
     _tilts,
     idle_rows,
 )
@@ -46,7 +46,7 @@ def test_a_foot_is_as_high_as_it_is_far_from_where_it_stands(
 ) -> None:
     """By twice how far its place is and it is from that, and by 2 cm at most."""
     lifts = np.array([[0.0, 0.1 + high, ahead]])
-    found = _low(WALKER, 0, so3.IDENTITY[None], lifts, np.array([away]))
+    found = _clearance_deficit(WALKER, 0, so3.IDENTITY[None], lifts, np.array([away]))
     assert_allclose(found, [lack], atol=1e-12)
 
 
@@ -55,12 +55,17 @@ def test_the_ball_counts_where_the_heel_is_up() -> None:
     turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array([np.pi / 2]))
     for ahead, high, lack in ((0.25, 0.0, 0.0), (0.254, 0.003, 0.005)):
         lifts = np.array([[0.0, 0.15 + high, ahead]])
-        found = _low(WALKER, 1, turn, lifts, np.zeros(1))
+        found = _clearance_deficit(WALKER, 1, turn, lifts, np.zeros(1))
         assert_allclose(found, [lack], atol=1e-12)
 
 
 def test_soles_lean_as_the_ground_does_up_to_a_limit() -> None:
-    for angle, expected in ((0.2, 0.2), (-0.3, -0.3), (TILT + 0.4, TILT), (0.0, 0.0)):
+    for angle, expected in (
+        (0.2, 0.2),
+        (-0.3, -0.3),
+        (MAX_TILT + 0.4, MAX_TILT),
+        (0.0, 0.0),
+    ):
         normal = np.array([[0.0, np.cos(angle), np.sin(angle)]])
         turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), expected)
         assert so3.angle_between(_tilts(normal), turn).max() < 1e-7
@@ -93,7 +98,7 @@ def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
     blend = SimpleNamespace(
         weights=np.ones((count, 1)),
         stride=np.ones(count),
-        stands=np.full((count, 2), 0.5),
+        stance_fractions=np.full((count, 2), 0.5),
         free=np.ones(count),
     )
     return SimpleNamespace(walker=WALKER, moving=(gait,)), state, blend
@@ -102,7 +107,7 @@ def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
 def test_feet_in_the_air_lean_as_those_of_the_clip() -> None:
     """Who just stood lifts a flat foot, and low."""
     gaits, state, blend = swinging([0.75, 1.0, 0.75, 0.125], [0.0, 0.0, 1.0, 1.0])
-    pitched, lifts = _swung(gaits, state, blend, 0, np.ones(4, np.bool_))
+    pitched, lifts = _swing_poses(gaits, state, blend, 0, np.ones(4, np.bool_))
     leans = np.degrees(2 * np.arctan2(pitched[:, 0], pitched[:, 3]))
     assert_allclose(leans, [40, 40, 0, 0], atol=1e-9)
     assert_allclose(lifts[:2], [[0, 0.3, 0.2], [0, 0.3, 0.4]], atol=1e-12)
@@ -140,13 +145,13 @@ def test_feet_that_stand_lean_as_the_ground_does() -> None:
 )
 def test_hips_are_lowered_for_feet(swing: float, before: float, lowered: float) -> None:
     """Straight legs of 1 m, whose ankles are to be 2 cm beyond their reach."""
-    found = hips_lowered(swing, before, STRAIGHT + 0.02)
+    found = hips_lowered(swing, before, MAX_EXTENSION + 0.02)
     assert found == pytest.approx(lowered, abs=1e-4)
 
 
 def test_hips_are_lowered_for_feet_in_the_air_by_little_in_a_step() -> None:
     """By 4.5% of a leg over what they were; for those that stand by all of it."""
-    far = STRAIGHT + 0.1
+    far = MAX_EXTENSION + 0.1
     assert hips_lowered(0.001, 0.0, far) == pytest.approx(0.045)
     assert hips_lowered(0.001, 0.02, far) == pytest.approx(0.065)
     assert hips_lowered(-1.0, 0.02, far) == pytest.approx(0.1)

@@ -27,10 +27,14 @@ def test_nodes_are_numbered_along_z_and_then_x() -> None:
         [[10, -4], [10, -2.5], [10.5, -4], [11, -2.5]],
     )
     assert_allclose(own.high, [11, -2.5])
-    near = own.at(np.array([[10.26, -3.76], [10.24, -3.74], [-9, 9], [99, -99]]))
+    near = own.nearest_nodes(
+        np.array([[10.26, -3.76], [10.24, -3.74], [-9, 9], [99, -99]])
+    )
     assert near.tolist() == [[1, 0], [0, 1], [0, 3], [2, 0]]
-    depth = own.depth(np.array([[10.2, -3], [10.9, -3.2], [9.5, -3], [10.5, -2.4]]))
-    assert_allclose(depth, [0.2, 0.1, -0.5, -0.1])
+    border_distance = own.border_distance(
+        np.array([[10.2, -3], [10.9, -3.2], [9.5, -3], [10.5, -2.4]])
+    )
+    assert_allclose(border_distance, [0.2, 0.1, -0.5, -0.1])
 
 
 def test_who_is_outside_faces_the_sides_that_he_is_beyond() -> None:
@@ -44,7 +48,7 @@ def test_who_is_outside_faces_the_sides_that_he_is_beyond() -> None:
         ([10.5, -1.9], [3, 7, 11]),
         ([9.0, -9.0], [0, 1, 2, 3, 4, 8]),
     ):
-        assert own.facing(np.array(point)).tolist() == nodes
+        assert own.facing_border(np.array(point)).tolist() == nodes
 
 
 def test_edges_are_half_a_cell_from_what_is_not_free() -> None:
@@ -53,7 +57,7 @@ def test_edges_are_half_a_cell_from_what_is_not_free() -> None:
     gaps, ways = own.edges(np.array([[10.5, -3.0], [10.0, -3.0], [10.25, -3.0]]))
     assert_allclose(gaps, [0.75, 0.25, 0.5])
     assert_allclose(ways[1:], [[1, 0], [1, 0]])
-    rows, columns, shares = own.corners(np.array([[10.1, -3.6], [99.0, -99.0]]))
+    rows, columns, shares = own.cell_corners(np.array([[10.1, -3.6], [99.0, -99.0]]))
     assert (rows[0].ravel().tolist(), columns[0].ravel().tolist()) == ([0, 1], [0, 1])
     assert_allclose(shares[0], [[0.8 * 0.2, 0.8 * 0.8], [0.2 * 0.2, 0.2 * 0.8]])
     assert_allclose(shares[1], [[0, 0], [1, 0]])
@@ -64,9 +68,9 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     own = grid(".....#.", "####.#.", ".....#.")
     goal = np.array([10.0, -4.0])
     route = route_to(own, goal)
-    assert_allclose(route.goals[own.parts[0, 0]], goal)
-    shut = own.parts[0, 6]
-    assert shut != own.parts[0, 0]
+    assert_allclose(route.goals[own.components[0, 0]], goal)
+    shut = own.components[0, 6]
+    assert shut != own.components[0, 0]
     assert_allclose(route.goals[shut], [10, -1])
     assert route.distances[0, 0] == 0
     # Along the wall, round its end, and back: 4 cells, a turn, and 4 cells.

@@ -24,14 +24,14 @@ def steering(count: int, then: str = "stay", **keys: Any) -> Steering:
         "ends": [count],
         "starts": np.zeros((count, 2)),
         "speeds": np.full(count, 1.2),
-        "most": np.full(count, 2.0),
-        "gives": np.ones(count),
+        "max_speeds": np.full(count, 2.0),
+        "yielding": np.ones(count),
         "delays": np.zeros(count),
         "groups": np.full(count, -1, np.int32),
-        "sides": np.zeros(count),
-        "offsets": np.zeros((count, 2)),
+        "lateral_offsets": np.zeros(count),
+        "goal_offsets": np.zeros((count, 2)),
         "sizes": np.ones(count),
-        "chances": np.zeros(count),
+        "clip_phases": np.zeros(count),
         **keys,
     }
     goals = [
@@ -65,7 +65,9 @@ def test_they_set_out_so_long_after_the_beginning_whenever_that_is() -> None:
 
 def test_who_is_of_a_group_walks_on_its_own_side() -> None:
     """Along z left is along x; they come back at half the speed that they like."""
-    own = steering(3, groups=np.zeros(3, np.int32), sides=np.array([0.1, 0.0, -2.0]))
+    own = steering(
+        3, groups=np.zeros(3, np.int32), lateral_offsets=np.array([0.1, 0.0, -2.0])
+    )
     x = np.zeros((3, 2))
     found = own._in_groups(np.tile([0.0, 1.2], (3, 1)), np.zeros(3, np.bool_), x)
     assert_allclose(found, [[0.2, 1.2], [0.0, 1.2], [-0.6, 1.2]], atol=1e-12)
@@ -99,7 +101,9 @@ def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
     own = steering(5)
     tickets = np.array([4, 7, NO_TICKET, NO_TICKET, NO_TICKET])
     x = np.array([[0, 5], [0, 5.8], [0.3, 6.6], [0.1, 6.6], [0, 9.0]])
-    found = own._joined(tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x)
+    found = own._with_new_tickets(
+        tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x
+    )
     assert found.tolist() == [4, 7, 9, 8, NO_TICKET]
     at, queued = own.targets(progress([1] * 5, tickets=found), np.ones(5, np.int64), x)
     assert queued.tolist() == [True] * 4 + [False]
@@ -109,6 +113,6 @@ def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
 def test_routes_are_gone_through_again_or_ended_or_left() -> None:
     stages = [0, 1, 2, 3, 5]
     for then, goals in (("repeat", [0, 1, 0, 1, 1]), ("stay", [0, 1, -1, -1, -1])):
-        assert steering(5, then).heading_for(progress(stages)).tolist() == goals
-    gone = steering(2, "leave").heading_for(progress([-1, 1]))
+        assert steering(5, then).current_goals(progress(stages)).tolist() == goals
+    gone = steering(2, "leave").current_goals(progress([-1, 1]))
     assert gone.tolist() == [-1, 1]

@@ -19,7 +19,7 @@ from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.flocks.spacing import least_distance
+from animtool.systems.flocks.spacing import min_distance
 from animtool.systems.flocks.spec import SpeciesModel
 from animtool.systems.framework.run import Reached, SimulationRun
 
@@ -60,11 +60,11 @@ def test_goals_draw_paths_lead_and_hawks_scatter(simulator: Simulator) -> None:
         flock({**BIRD, "flees": [{"species": "hawk", "weight": 9, "radius": 9}]}, hawk),
         FRAMES,
     )["it"]
-    spread = [
+    separation_notices = [
         np.linalg.norm(rows - rows.mean(axis=0), axis=1).mean()
         for rows in (alone, fled[-1].points[:30])
     ]
-    assert spread[1] > 1.5 * spread[0]
+    assert separation_notices[1] > 1.5 * separation_notices[0]
     assert fled[-1].primvars["species"].tolist() == [0] * 30 + [1]
 
 
@@ -209,12 +209,12 @@ def test_members_that_show_a_mesh_head_along_their_way(
     simulator: Simulator, tmp_path: Path
 ) -> None:
     (tmp_path / "bird.usda").write_text(PLANE, "utf-8")
-    shown = {
+    mesh_indices = {
         **BIRD, "shows": {"file": "bird.usda", "prim": "/bird", "samples": 8},
         "beat": 3, "goals": [{"at": [20, 0, 0], "weight": 1}], "banking": 1,
     }  # fmt: skip
     steps = np.arange(48) / 96
-    rows = simulator.simulate(flock(shown, step=1 / 96), steps)["it"]
+    rows = simulator.simulate(flock(mesh_indices, step=1 / 96), steps)["it"]
     shows = set()
     for before, row in pairwise(rows):
         assert isinstance(row, TransformsFrame)
@@ -228,7 +228,7 @@ def test_members_that_show_a_mesh_head_along_their_way(
     assert shows == set(range(8))
     # All turn to x: who leans into it has its up there too.
     assert so3.rotate(rows[24].rotations, [0.0, 1, 0])[:, 0].mean() > 0.1
-    still = {**shown, "banking": 0}
+    still = {**mesh_indices, "banking": 0}
     level = simulator.simulate(flock(still, step=1 / 96), steps)["it"][24]
     tilts = [
         np.abs(so3.rotate(row.rotations, [1.0, 0, 0])[:, 1]).mean()
@@ -416,16 +416,16 @@ def test_meshes_of_a_clip_are_shown_at_phases_of_its_cycle(
 ) -> None:
     clip = write_nasty_clip(tmp_path)
     mesh = Rig.load(tmp_path / "nasty.rig.yaml").meshes[0].name
-    shown = {
+    mesh_indices = {
         **BIRD,
         "shows": {"file": clip.name, "mesh": mesh, "samples": 5},
         "beat": 2,
     }
-    rows = simulator.simulate(flock(shown), FRAMES)["it"]
+    rows = simulator.simulate(flock(mesh_indices), FRAMES)["it"]
     meshes = rows[0].meshes
     assert len(meshes) == 5
     assert any(not np.array_equal(one.points, meshes[0].points) for one in meshes)
-    missing = {**shown, "shows": {"file": clip.name, "mesh": "none"}}
+    missing = {**mesh_indices, "shows": {"file": clip.name, "mesh": "none"}}
     with pytest.raises(AnimtoolError) as error:
         simulator.simulate(flock(missing), [0.0])
     assert error.value.faults[0].code == "SIM053"
@@ -444,8 +444,8 @@ def test_who_flies_one_way_is_in_order_however_fast(simulator: Simulator) -> Non
 def test_members_that_show_a_shape_keep_a_distance_without_a_radius() -> None:
     bird = {"file": "bird.usda", "prim": "/bird/body"}
     plain = {"name": "birds"}
-    assert least_distance(SpeciesModel.model_validate(plain)) == 0
-    shown = SpeciesModel.model_validate({**plain, "shows": bird})
-    assert least_distance(shown) == pytest.approx(2 * shown.radius)
+    assert min_distance(SpeciesModel.model_validate(plain)) == 0
+    mesh_indices = SpeciesModel.model_validate({**plain, "shows": bird})
+    assert min_distance(mesh_indices) == pytest.approx(2 * mesh_indices.radius)
     free = {**plain, "shows": bird, "repulsion": {"weight": 0}}
-    assert least_distance(SpeciesModel.model_validate(free)) == 0
+    assert min_distance(SpeciesModel.model_validate(free)) == 0

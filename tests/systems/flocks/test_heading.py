@@ -19,21 +19,26 @@ from animtool.systems.flocks.flock import (
     Heading,
     build,
     first_heading,
+    mesh_indices,
     next_heading,
-    shown,
     wrapped,
 )
 from animtool.systems.flocks.members import (
     Members,
     _problems,
     _start_motion,
-    farthest,
+    interaction_radius,
     max_speed,
 )
-from animtool.systems.flocks.rules import FlockRule, flocking, max_pairs, rules_of
+from animtool.systems.flocks.rules import (
+    FlockRule,
+    max_pairs,
+    rule_accelerations,
+    rules_of,
+)
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
-from animtool.systems.flocks.steering import steered
+from animtool.systems.flocks.steering import limit_steering
 from animtool.systems.particles import BoxShape, Point, find_force
 from animtool.systems.particles.emitter import uniforms
 
@@ -105,7 +110,7 @@ def test_who_turns_leans_to_what_carries_it_as_quickly_as_said(banking: float) -
 def test_each_shows_a_mesh_of_its_species_by_its_phase() -> None:
     own = members(np.zeros((6, 3)), species(), species())
     phases = np.array([0.0, 0.24, 0.99, -0.01, 1.5, 2.0])
-    found = shown(own, np.array([[0, 4], [4, 3]]), phases)
+    found = mesh_indices(own, np.array([[0, 4], [4, 3]]), phases)
     assert found.tolist() == [0, 0, 3, 6, 5, 4]
 
 
@@ -113,15 +118,15 @@ def test_members_are_counted_by_their_species() -> None:
     big = species(name="big", radius=0.5, mass=3.0)
     own = members(np.arange(12.0).reshape(4, 3), species(radius=0.1, mass=2.0), big)
     assert own.kinds.tolist() == [0, 0, 1, 1]
-    assert own.parted == [slice(0, 2), slice(2, 4)]
+    assert own.rows_by_entry == [slice(0, 2), slice(2, 4)]
     assert own.radii.tolist() == [0.1, 0.1, 0.5, 0.5]
     seen = own.particles
     assert seen.masses.tolist() == [2, 2, 3, 3]
     assert seen.radii.tolist() == [0.1, 0.1, 0.5, 0.5]
     assert seen.births.tolist() == [2] * 4
     assert_array_equal(seen.origins, own.points)
-    assert own.named(1) == "member 1 of 's'"
-    assert own.named(2) == "member 0 of 'big'"
+    assert own.label(1) == "member 1 of 's'"
+    assert own.label(2) == "member 0 of 'big'"
     twice = members([[0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 0, 0]], species(), big)
     with pytest.raises(AnimtoolError, match="member 1 of 's' and member 1 of 'big'"):
         twice.check_distinct()
@@ -133,7 +138,7 @@ def test_who_begins_in_a_collider_is_moved_out_to_its_surface_and_no_more() -> N
     own = members(
         [[5, 0, 0], [0, 1.05, 0], [0, 1.1, 0], [0, 0, -0.5]], species(radius=0.1)
     )
-    points, (notice,) = own.outside(ball)
+    points, (notice,) = own.clear_positions(ball)
     far = 1.1 + 0.1 * 1e-6
     assert_allclose(
         points, [[5, 0, 0], [0, far, 0], [0, 1.1, 0], [0, 0, -far]], rtol=1e-12
@@ -142,7 +147,7 @@ def test_who_begins_in_a_collider_is_moved_out_to_its_surface_and_no_more() -> N
     assert notice.message.startswith(
         "2 members would start inside a collider, member 1"
     )
-    points, notices = own.outside(Colliders([]))
+    points, notices = own.clear_positions(Colliders([]))
     assert points is own.points
     assert notices == []
 
@@ -159,7 +164,7 @@ def test_what_members_are_moved_by_is_told_from_a_share_of_their_radius_on(
     given = [{}, {"points": rows[:2]}]
     own = members(rows, species(radius=0.2), species(name="b", radius=0.1), parts=given)
     off = np.array([[1.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, moved, 0]])
-    found = own.spread(rows + off, overlap)
+    found = own.separation_notices(rows + off, overlap)
     assert [fault.code for fault in found] == ["SIM147"] * codes
     if moved == 1:
         assert found[0].message.startswith("1 member would")
@@ -236,11 +241,13 @@ def test_who_is_seen_farthest_and_how_fast_one_may_be() -> None:
         "flees": [{"species": "a", "weight": 1, "radius": 5}],
     }
     chases = {"chases": [{"species": "a", "weight": 1, "radius": 7}]}
-    assert [farthest(species(**k)) for k in ({"vision": {"radius": 3}}, heeds)] == [
+    assert [
+        interaction_radius(species(**k)) for k in ({"vision": {"radius": 3}}, heeds)
+    ] == [
         3,
         5,
     ]
-    assert farthest(species(**heeds, **chases)) == 7
+    assert interaction_radius(species(**heeds, **chases)) == 7
     assert max_speed(species(speed={"cruise": 3})) == 6
     assert max_speed(species(speed={"cruise": 3, "most": 4})) == 4
 
@@ -277,7 +284,7 @@ def test_pulls_of_all_rules_add_up_for_those_that_they_are_of() -> None:
     own = FlockRule(
         second, np.array([0], np.int32), 2.0, -1.0, 0, pull, none, none, 0.0
     )
-    found = flocking([every, own], None, x, 0 * x)
+    found = rule_accelerations([every, own], None, x, 0 * x)
     assert_allclose(found, [[2, 0, 0], [-4, 0, 0], [0, 0, 0]], atol=1e-12)
 
 
@@ -304,7 +311,7 @@ def test_nobody_keeps_a_distance_alone_or_without_a_size() -> None:
     assert mixed.distances.tolist() == [0, 0.6]
     # Of two the mean of both, and a hair more; each goes half of the way.
     own = Spacing(np.array([1.0, 0.5]), np.zeros((2, 3)))
-    x, overlap = own.separated(np.array([[5.0, 0, 0], [5.5, 0, 0]]), 400)
+    x, overlap = own.separate(np.array([[5.0, 0, 0], [5.5, 0, 0]]), 400)
     assert x[1, 0] - x[0, 0] == pytest.approx(0.75, rel=2e-4)
     assert x[1, 0] - x[0, 0] >= 0.75
     assert x[:, 0].mean() == pytest.approx(5.25)
@@ -401,7 +408,7 @@ def test_who_is_limited_changes_nothing_that_was_given() -> None:
     model = species(acceleration=1.0, turning=90)
     own = members([[0.0, 5, 0], [9, 9, 9]], model)
     wanted, v = np.full((2, 3), 7.0), np.ones((2, 3))
-    found = steered(own, v, wanted)
+    found = limit_steering(own, v, wanted)
     assert np.linalg.norm(found, axis=1).max() <= 1 + 1e-12
     assert (wanted == 7).all()
 

@@ -12,14 +12,14 @@ from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import rules_of, wrapping
+from animtool.systems.flocks.rules import periodic_box, rules_of
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import (
     avoidance,
+    clamp_speeds,
     goal_accelerations,
-    kept_speeds,
-    steered,
+    limit_steering,
 )
 
 
@@ -197,7 +197,7 @@ def test_who_closes_in_is_slower_at_the_end_of_a_step() -> None:
     before = np.array([[2.0, 0, 0], [0, 0, 0], [1, 1, 1]])
     v = np.array([[3.0, 0, 0], [0, 0, 0], [2, 2, 2]])
     each = 0.3 * 9 / (2 * 0.7) / 2
-    found = forces._braked(0.1, before, x, v)
+    found = forces._brake_velocities(0.1, before, x, v)
     expected = [[3 - 0.1 * each, 0, 0], [0.1 * each, 0, 0], [2, 2, 2]]
     assert_allclose(found, expected, atol=1e-12)
     settled = forces.settle(0.0, 0.1, np.stack([x, before]), np.stack([x, v]))
@@ -211,13 +211,13 @@ def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
     for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
         own = Members([model], [3], [parts], 0.0, rows, 0 * rows)
         moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
-        found = own.spread(moved, 0.0)
+        found = own.separation_notices(moved, 0.0)
         assert [fault.code for fault in found] == codes
         for fault in found:
             assert fault.severity is Severity.WARNING
             assert "1 member would" in fault.message
             assert "member 2 of 's' first: moved apart by up to 0.15 m" in fault.message
-        (crowded,) = own.spread(rows, 0.05)
+        (crowded,) = own.separation_notices(rows, 0.05)
         assert (crowded.code, crowded.severity) == ("SIM147", Severity.WARNING)
         assert "0.05 m closer" in crowded.message
 
@@ -226,19 +226,19 @@ def test_limits_of_turning_and_acceleration() -> None:
     """At 2 m/s 90 degrees a second are an acceleration of pi m/s² across."""
     own = members({"turning": 90})
     v = np.array([[2.0, 0.0, 0.0]])
-    assert_allclose(steered(own, v, np.array([[5.0, 8, 0]])), [[5, np.pi, 0]])
-    assert_allclose(steered(own, v, np.array([[5.0, 3, 0]])), [[5, 3, 0]])
-    assert_allclose(steered(own, 0 * v, np.array([[5.0, 8, 0]])), [[5, 8, 0]])
+    assert_allclose(limit_steering(own, v, np.array([[5.0, 8, 0]])), [[5, np.pi, 0]])
+    assert_allclose(limit_steering(own, v, np.array([[5.0, 3, 0]])), [[5, 3, 0]])
+    assert_allclose(limit_steering(own, 0 * v, np.array([[5.0, 8, 0]])), [[5, 8, 0]])
     own = members({"acceleration": 2})
-    assert_allclose(steered(own, v, np.array([[3.0, 0, 4]])), [[1.2, 0, 1.6]])
+    assert_allclose(limit_steering(own, v, np.array([[3.0, 0, 4]])), [[1.2, 0, 1.6]])
 
 
 def test_speeds_are_those_of_each_species() -> None:
     own = members({"speed": {"least": 1, "most": 2}}, {"speed": {"cruise": 2}}, count=2)
     v = np.array([[0.3, 0.4, 0], [3, 4, 0], [3, 4, 0], [0.3, 0.4, 0]])
     expected = [[0.6, 0.8, 0], [1.2, 1.6, 0], [2.4, 3.2, 0], [0.3, 0.4, 0]]
-    assert_allclose(kept_speeds(own, v), expected)
-    assert_allclose(kept_speeds(own, 0 * v), 0)
+    assert_allclose(clamp_speeds(own, v), expected)
+    assert_allclose(clamp_speeds(own, 0 * v), 0)
 
 
 def test_rules_are_of_half_the_angle_and_no_farther_than_they_see() -> None:
@@ -270,14 +270,14 @@ def test_who_flees_and_who_chases_heeds_the_other_species_alone() -> None:
 
 def test_a_domain_that_wraps_is_about_its_middle() -> None:
     domain = DomainModel(at=[1, 5, -2], size=[4, 10, 6], wrap=True)
-    assert_allclose(wrapping(domain), [[-1, 0, -5], [4, 10, 6]])
-    assert not wrapping(DomainModel(size=[4, 10, 6])).any()
+    assert_allclose(periodic_box(domain), [[-1, 0, -5], [4, 10, 6]])
+    assert not periodic_box(DomainModel(size=[4, 10, 6])).any()
 
 
 def test_what_they_would_like_to_do_is_left_as_it_is() -> None:
     wanted, v = np.full((2, 3), 40.0), np.tile([3.0, 0, 0], (2, 1))
     own = members({"turning": 30, "acceleration": 5}, count=2)
-    found = steered(own, v, wanted)
+    found = limit_steering(own, v, wanted)
     assert (wanted == 40).all()
     assert (v == [3, 0, 0]).all()
     assert_allclose(np.linalg.norm(found, axis=1), 5.0)

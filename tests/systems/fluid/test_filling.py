@@ -26,8 +26,8 @@ from animtool.systems.fluid.filling import (
     _check_outside,
     _lattice,
     coarse_drops,
-    filled,
     has_room,
+    initial_fluid,
 )
 from animtool.systems.fluid.spec import FluidModel
 
@@ -69,12 +69,12 @@ def test_fills_end_half_a_spacing_before_walls_and_have_their_velocity() -> None
         (-0.11, [-0.05, 0.05, 0.15]),
     ):
         floor = Colliders([Collider(Plane(), Poses.fixed((0, height, 0)))])
-        x, v = filled(own, [shape, given], floor, 0.0)
+        x, v = initial_fluid(own, [shape, given], floor, 0.0)
         assert_allclose(x, [*([0, y, 0] for y in ys), [7, 8, 9]], atol=1e-12)
         assert_allclose(v, [*[[1, 2, 3]] * len(ys), [4, 5, 6]])
     under = Colliders([Collider(Plane(), Poses.fixed((0, 0.19, 0)))])
     with pytest.raises(AnimtoolError, match="fill 0 has no particle") as error:
-        filled(own, [shape, given], under, 0.0)
+        initial_fluid(own, [shape, given], under, 0.0)
     assert error.value.faults[0].code == "SIM064"
 
 

@@ -19,12 +19,12 @@ from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.filling import (
-    JET,
+    JET_DROP_RATIO,
     Nozzle,
     _points_of_file,
     coarse_drops,
 )
-from animtool.systems.fluid.fluid import Fluid, Pressed
+from animtool.systems.fluid.fluid import Fluid, PressureResult
 from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
 from animtool.systems.framework.run import SimulationRun
 
@@ -505,7 +505,7 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
 def test_drops_of_a_jet_are_wider_than_it(radius: float, codes: list[str]) -> None:
     """Rayleigh: 4.508 widths of a jet become a drop, of 1.89 of its radius."""
     # A ball of as much volume: r³ is 3/4 of the radius squared times the length.
-    assert pytest.approx((0.75 * 4.508 * 2) ** (1 / 3), rel=1e-3) == JET
+    assert pytest.approx((0.75 * 4.508 * 2) ** (1 / 3), rel=1e-3) == JET_DROP_RATIO
     tap = {"radius": radius, "speed": 1}
     spec = FluidModel.model_validate(
         {"name": "it", "spacing": 0.1, "tension": WATER, "emitters": [tap]}
@@ -607,15 +607,15 @@ def test_parts_are_doubled_beyond_the_density_that_is_allowed(
     assert isinstance(own, Fluid)
     state, asked = own.initial(), list[tuple[float, int]]()
 
-    def steps(*given: Any) -> Pressed:
+    def steps(*given: Any) -> PressureResult:
         asked.append(given[-2:])
         dense = found[len(asked) - 1]
-        return Pressed(state.motion, state.pressures, dense, ())
+        return PressureResult(state.motion, state.pressures, dense, ())
 
-    monkeypatch.setattr(own, "_kernel", steps)
+    monkeypatch.setattr(own, "_run_kernel", steps)
     notices: list[Fault] = []
     still = np.zeros_like(state.motion[0])
-    after, _ = own._pressed(state, 0.0, 0.01, still, notices)
+    after, _ = own._after_pressure(state, 0.0, 0.01, still, notices)
     assert len(asked) == len(found)
     sound, parts = asked[0]
     assert asked == [(sound * 2**k, parts * 2**k) for k in range(len(found))]

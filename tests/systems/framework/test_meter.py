@@ -8,7 +8,7 @@ import pytest
 from animtool.systems.framework.meter import (
     ClosedSurface,
     ContactMeter,
-    Sides,
+    MeasuredSurface,
     depths_in,
     pierced_pairs,
 )
@@ -28,8 +28,8 @@ def lengths(points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points[ENDS[:, 0]] - points[ENDS[:, 1]], axis=1)
 
 
-def sides(points: np.ndarray, free: tuple[int, ...] = (0, 1, 2)) -> Sides:
-    return Sides(np.array(free), np.array([[0, 1, 2]]), ENDS, lengths(points))
+def sides(points: np.ndarray, free: tuple[int, ...] = (0, 1, 2)) -> MeasuredSurface:
+    return MeasuredSurface(np.array(free), np.array([[0, 1, 2]]), ENDS, lengths(points))
 
 
 def test_depth_is_the_way_out_of_the_nearest_face() -> None:
@@ -39,8 +39,8 @@ def test_depth_is_the_way_out_of_the_nearest_face() -> None:
 
 def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
     meter = ContactMeter()
-    meter.look(3.0, SHEET, sides(SHEET), [CUBE])
-    meter.look(4.0, SHEET + 0.05 * ALONG, sides(SHEET), [CUBE])
+    meter.measure(3.0, SHEET, sides(SHEET), [CUBE])
+    meter.measure(4.0, SHEET + 0.05 * ALONG, sides(SHEET), [CUBE])
     assert meter.depth.value == pytest.approx(0.1)
     assert (meter.depth.frame, meter.depth.point) == (3.0, 0)
     assert meter.depth.at == pytest.approx((0.9, 0.4, 0.4))
@@ -50,7 +50,7 @@ def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
 
 def test_what_is_held_may_be_inside() -> None:
     meter = ContactMeter()
-    meter.look(1.0, SHEET, sides(SHEET, (1, 2)), [CUBE])
+    meter.measure(1.0, SHEET, sides(SHEET, (1, 2)), [CUBE])
     assert meter.depth.value == 0
 
 
@@ -70,7 +70,7 @@ def test_edges_through_a_solid_are_counted_and_its_own_are_not() -> None:
 def test_strain_is_of_longer_and_shorter_sides() -> None:
     meter = ContactMeter()
     shrunk = sides(SHEET)
-    meter.look(2.0, SHEET * 0.8, shrunk)
+    meter.measure(2.0, SHEET * 0.8, shrunk)
     assert meter.strain.value == pytest.approx(0.2)
     assert meter.strain_99.value == pytest.approx(0.2)
     assert [notice.code for notice in meter.notices("it")] == ["SIM182"]

@@ -23,7 +23,7 @@ from animtool.systems.molecules.atoms import (
     Atoms,
     PeriodicBox,
     _read,
-    mixed,
+    pair_coefficients,
 )
 from animtool.systems.molecules.molecules import (
     MEGAPASCALS,
@@ -150,7 +150,7 @@ def radial(
     from scipy.spatial import cKDTree
 
     edges = np.linspace(0.25, 1.0, 151)
-    box = made._placing.size
+    box = made._periodic_box.size
     counts = np.zeros(150)
     for state in states:
         tree = cKDTree(state.motion[0] % box % box, boxsize=box)
@@ -318,7 +318,7 @@ def test_two_kinds_act_by_the_mean_sigma_and_the_geometric_mean_epsilon() -> Non
     spec = MoleculesModel(
         name="it", species=kinds, box=[4, 4, 4], cutoff=1.5, step=0.01
     )
-    c12, c6 = np.moveaxis(mixed(spec), -1, 0)
+    c12, c6 = np.moveaxis(pair_coefficients(spec), -1, 0)
     assert_allclose(c6 / c12, np.array([[0.3, 0.35], [0.35, 0.4]]) ** -6.0)
     assert_allclose(c6**2 / (4 * c12), [[1, 2], [2, 4]])
     # At the sixth root of 2 of sigma they rest, and that far down.

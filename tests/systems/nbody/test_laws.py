@@ -16,16 +16,16 @@ from animtool.sim.colliders import Poses
 from animtool.systems.framework import matter
 from animtool.systems.nbody.galaxies import (
     MassProfile,
-    _from_outside,
+    _integral_to_end,
+    build_galaxies,
     build_galaxy,
-    built_galaxies,
     disc_speeds,
     disc_surface,
     disc_velocities,
     enclosed,
-    on_orbit,
+    orbit_starts,
 )
-from animtool.systems.nbody.nbody import BARE_PHASE, PHASE, Pulls, build
+from animtool.systems.nbody.nbody import MAX_PHASE, MAX_UNSOFTENED_PHASE, Pulls, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -51,10 +51,10 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
     state = made.initial()
     reach = (4 + softening**2) ** 1.5
     assert state.pulls.rates.max() == pytest.approx(2 * 5 / reach)
-    mass, said = made._closest(X, state.pulls.rates)
+    mass, said = made._fastest_pair(X, state.pulls.rates)
     assert (mass, said) == (5.0, "bodies 1 and 2 are 2 m apart")
     assert made.suspect(X, state.pulls) == said
-    found = made._closest(X, np.array([0.0, 0, 0, 9.0]))
+    found = made._fastest_pair(X, np.array([0.0, 0, 0, 9.0]))
     assert found == (1.5, "bodies 0 and 3 are 9 m apart")
     alone = Pulls(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
     assert made.suspect(X[:1], alone) == ""
@@ -74,22 +74,24 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
 def test_who_stops_two_that_are_too_close_says_what_follows_them() -> None:
     """Softened by 5 % more than what 64 parts of a step of 0.02 s go through."""
     made = nbody(X, 0 * X, MASSES, 2.0, 0.0, 0.02, substeps=64)
-    stopped = made._encounter(0.02, 1.5, X, made.initial().pulls.rates)
+    stopped = made._encounter_error(0.02, 1.5, X, made.initial().pulls.rates)
     (fault,) = stopped.faults
     assert fault.code == "SIM110"
     assert fault.message.startswith("bodies 1 and 2 are 2 m apart at 1.5 s")
     assert "steps of 0.000313 s" in fault.message
-    enough = 1.05 * (2 * 5 / (PHASE * 64 / 0.02) ** 2) ** (1 / 3)
+    enough = 1.05 * (2 * 5 / (MAX_PHASE * 64 / 0.02) ** 2) ** (1 / 3)
     assert f"softening: {enough:.3g}," in str(fault.hint)
 
 
-@pytest.mark.parametrize(("softening", "phase"), [(0.0, BARE_PHASE), (0.5, PHASE)])
+@pytest.mark.parametrize(
+    ("softening", "phase"), [(0.0, MAX_UNSOFTENED_PHASE), (0.5, MAX_PHASE)]
+)
 def test_without_softening_steps_are_finer(softening: float, phase: float) -> None:
-    assert (BARE_PHASE, PHASE) == (0.03, 0.15)
+    assert (MAX_UNSOFTENED_PHASE, MAX_PHASE) == (0.03, 0.15)
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01, substeps=8)
     for turned, parts in ((1.01, 2), (7.9, 8), (8.0, 16), (np.inf, 16), (0.0, 1)):
         rates = np.array([0.0, (turned * phase / 0.01) ** 2])
-        assert made._parts(rates, 0.01) == parts
+        assert made._substeps_for(rates, 0.01) == parts
 
 
 @pytest.mark.parametrize("parts", [1, 4])
@@ -123,7 +125,7 @@ def test_a_step_is_advised_by_the_first_to_fall() -> None:
     assert (reach > 6).any()
     sizes = np.linalg.norm(pulls(X, MASSES, 2.0, 6.0), axis=1)
     expected = 0.1 * np.sqrt(reach / sizes).min()
-    assert made._advised(state, 0.0) == pytest.approx(expected)
+    assert made._suggested_step(state, 0.0) == pytest.approx(expected)
 
 
 def test_what_is_kept_is_told_over_what_there_is() -> None:
@@ -156,7 +158,7 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
     outside = build(placed, _Context(parts))
     assert "energy_drift" not in outside._values(outside.initial(), 0.0)
     # At an attractor without softening nothing is infinite.
-    found = outside.from_placed(placed.attractors[0], X[0], X[:1])
+    found = outside.external_effect(placed.attractors[0], X[0], X[:1])
     assert np.isfinite(found[0]).all()
 
 
@@ -166,7 +168,7 @@ def galaxy(**parts: Any) -> GalaxyModel:
 
 def test_integrals_from_outside_are_those_of_trapezoids() -> None:
     r = np.array([1.0, 2, 4, 5])
-    found = _from_outside(np.array([3.0, 5, 1, 7]), r)
+    found = _integral_to_end(np.array([3.0, 5, 1, 7]), r)
     assert_allclose(found, [4 + 6 + 4, 6 + 4, 4, 0])
 
 
@@ -179,7 +181,7 @@ def test_pulls_and_speeds_about_a_point_are_keplers(softening: float) -> None:
     assert (r[0], r[-1], len(r)) == pytest.approx((5e-5, 12, 4096))
     squares = 2 * 3 * r**2 / (r**2 + softening**2) ** 1.5
     assert_allclose(own.circular**2, squares, rtol=1e-6)
-    assert_allclose(own.pull, squares / r, rtol=1e-6)
+    assert_allclose(own.acceleration, squares / r, rtol=1e-6)
     if not softening:
         assert_allclose(own.escape**2, 2 * 2 * 3 / r, rtol=1e-4)
     alone = MassProfile(galaxy(nucleus=3), 2.0, 0.0)
@@ -190,7 +192,7 @@ def test_all_parts_of_a_galaxy_pull() -> None:
     ball = {"mass": 2, "radius": 1, "cutoff": 4, "count": 9}
     parts = {"bulge": ball, "halo": {**ball, "mass": 5}, "disc": {**ball, "mass": 3}}
     own = MassProfile(galaxy(nucleus=1, **parts), 2.0, 0.0)
-    at = [np.interp(9.0, own.r, each) for each in (own.pull, own.circular)]
+    at = [np.interp(9.0, own.r, each) for each in (own.acceleration, own.circular)]
     assert at[0] == pytest.approx(2 * 11 / 81, rel=1e-4)
     far = own.r[-1]
     disc = float(disc_speeds(own.galaxy.disc, np.array([far]))[0])  # type: ignore[arg-type]
@@ -236,7 +238,7 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     out, around, upward, mean = (
         np.interp(r, profile.r, one) for one in disc_velocities(own.disc, profile)
     )
-    chance = matter.normals(u[:, 3:6])
+    chance = matter.normal_samples(u[:, 3:6])
     radial = (v[:, 0] * np.sin(angle)) + v[:, 2] * np.cos(angle)
     turning = (v[:, 0] * np.cos(angle)) - v[:, 2] * np.sin(angle)
     assert_allclose(radial, out * chance[:, 0], atol=1e-12)
@@ -265,10 +267,10 @@ def test_bodies_of_a_spheroid_are_bound_and_drawn_by_their_own_seed(kind: str) -
     u = uniforms(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
     model = getattr(own, kind)
     r = np.interp(u[:, 0] * 3, enclosed(model, profile.r), profile.r)
-    x = r[:, None] * matter.directions(u[:, 1:3])
+    x = r[:, None] * matter.random_directions(u[:, 1:3])
     assert_allclose(made.points, x - x.mean(axis=0), atol=1e-12)
     sigma = np.interp(r, profile.r, profile.dispersion(model))
-    v = sigma[:, None] * matter.normals(u[:, 3:6])
+    v = sigma[:, None] * matter.normal_samples(u[:, 3:6])
     fast = np.linalg.norm(v, axis=1)
     most = 0.95 * np.interp(r, profile.r, profile.escape)
     v *= np.minimum(most / fast, 1)[:, None]
@@ -292,7 +294,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
             ],
         }
     )  # fmt: skip
-    first, second = built_galaxies(spec)
+    first, second = build_galaxies(spec)
     own = build_galaxy(spec.galaxies[0], 2.0, 0.1)
     turn = so3.exp(np.array([np.pi / 2, 0, 0]))
     assert_allclose(
@@ -302,10 +304,10 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     assert_allclose(first.velocities, moved, atol=1e-12)
     assert second.masses.tolist() == [7]
     made = build(spec, _Context({}))
-    assert made.several
+    assert made.has_many_species
     assert made.species.tolist() == [0] * 20 + [1]
     assert_array_equal(made.shown, np.arange(21))
-    assert nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01).several is False
+    assert nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01).has_many_species is False
 
 
 @pytest.mark.parametrize(
@@ -320,7 +322,7 @@ def test_what_stays_on_an_orbit_is_that_of_its_pericentre(
         pericentre=near, eccentricity=eccentricity, separation=separation,
         rotate=[1.0, 0, 0, 1],
     )  # fmt: skip
-    (x, v), (y, w) = on_orbit(orbit, [2.0, 3.0], 2.0)
+    (x, v), (y, w) = orbit_starts(orbit, [2.0, 3.0], 2.0)
     off, way = y - x, w - v
     mu = 2.0 * 5
     energy = way @ way / 2 - mu / np.linalg.norm(off)
@@ -353,6 +355,6 @@ def test_two_may_begin_where_they_are_farthest() -> None:
     for e in np.linspace(0.05, 0.95, 181):
         far = 0.3 * (1 + e) / (1 - e)
         orbit = EncounterModel(pericentre=0.3, eccentricity=e, separation=far)
-        (x, v), (y, w) = on_orbit(orbit, [2.0, 3.0], 2.0)
+        (x, v), (y, w) = orbit_starts(orbit, [2.0, 3.0], 2.0)
         assert np.linalg.norm(y - x) == pytest.approx(far)
         assert (y - x) @ (w - v) == pytest.approx(0, abs=1e-6)

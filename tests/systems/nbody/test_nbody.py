@@ -23,9 +23,9 @@ from animtool.systems.nbody.galaxies import (
     build_galaxy,
     disc_velocities,
     enclosed,
-    on_orbit,
+    orbit_starts,
 )
-from animtool.systems.nbody.nbody import ADVISED, PHASE, build
+from animtool.systems.nbody.nbody import MAX_PHASE, RECOMMENDED_STEP, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
@@ -84,11 +84,11 @@ def test_the_rotation_curve_is_that_of_its_mass() -> None:
     pulls = _kernels.gravity(made.points, made.masses, 2.0, 0.05, 1e-3)[0]
     x, v = made.points[:8000], made.velocities[:8000]
     r = np.hypot(x[:, 0], x[:, 2])
-    inwards = -(pulls[:8000] * x)[:, [0, 2]].sum(axis=1) / r
+    to_local = -(pulls[:8000] * x)[:, [0, 2]].sum(axis=1) / r
     for low, high in ((0.5, 1), (1, 2), (2, 3)):
         ring = (r > low) & (r < high)
         curve = np.interp(r[ring], profile.r, profile.circular)
-        found = np.sqrt((inwards * r)[ring].mean())
+        found = np.sqrt((to_local * r)[ring].mean())
         assert found == pytest.approx(np.sqrt((curve**2).mean()), rel=0.04)
         # Cold, it goes around as the curve has it.
         assert_allclose(np.linalg.norm(v[ring], axis=1), curve, rtol=0.02)
@@ -322,7 +322,7 @@ def test_two_of_unequal_mass_meet_about_their_centre_of_mass() -> None:
     orbit = EncounterModel(
         pericentre=0.5, eccentricity=1.0, separation=4.0, at=[1.0, 2.0, 3.0]
     )
-    (x, v), (y, w) = on_orbit(orbit, [3.0, 1.0], 2.0)
+    (x, v), (y, w) = orbit_starts(orbit, [3.0, 1.0], 2.0)
     at = np.array([1.0, 2.0, 3.0])
     assert_allclose(3 * (x - at) + (y - at), 0, atol=1e-12)
     assert_allclose(3 * v + w, 0, atol=1e-12)
@@ -357,8 +357,8 @@ def test_a_step_is_advised_by_how_soon_a_body_would_reach_the_centre() -> None:
         x, np.array([[9.0, 0, 0], [0, 0, -2]]), np.array([3.0, 1.0]), 2.0, 0.0, 0.01
     )
     assert made._potential(made.initial(), 0.0) == pytest.approx(-2 * 3 * 1 / 4)
-    expected = ADVISED * np.sqrt(4.0**3 / (2 * 4.0))
-    assert made._advised(made.initial(), 0.0) == pytest.approx(expected)
+    expected = RECOMMENDED_STEP * np.sqrt(4.0**3 / (2 * 4.0))
+    assert made._suggested_step(made.initial(), 0.0) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -370,12 +370,12 @@ def test_a_step_is_parted_until_the_closest_pair_turns_little(
     """A power of two; what is beyond the most parts is told by twice as many."""
     x = np.array([[0.0, 0, 0], [4, 0, 0]])
     made = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, substeps=64)
-    rates = np.array([0.0, (phase * PHASE / 0.02) ** 2])
-    assert made._parts(rates, 0.02) == parts
-    assert made._parts(rates[:0], 0.02) == 1
+    rates = np.array([0.0, (phase * MAX_PHASE / 0.02) ** 2])
+    assert made._substeps_for(rates, 0.02) == parts
+    assert made._substeps_for(rates[:0], 0.02) == 1
     # A method that finds its steps by itself parts none.
     adaptive = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, method="rk45")
-    assert adaptive._parts(rates, 0.02) == 1
+    assert adaptive._substeps_for(rates, 0.02) == 1
 
 
 def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
@@ -384,7 +384,7 @@ def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
     v = np.array([[-10.0, 0, 0], [10, 0, 0]])
     made = nbody(x, v, np.array([0.015, 0.005]), 1.0, 0.0, 0.1)
     state = made.initial()
-    assert made._parts(state.pulls.rates, 0.1) == 1
+    assert made._substeps_for(state.pulls.rates, 0.1) == 1
     after = made.step(state, 0.0, 0.1)
     assert (after.encounters, after.divided) == (1, 4)
     assert np.linalg.norm(np.subtract(*after.motion[0])) == pytest.approx(0.2, rel=0.01)
@@ -455,7 +455,7 @@ def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     )  # fmt: skip
     context = _Context({"bodies": [{"points": TWO}]})
     far = PointMasses(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
-    monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
+    monkeypatch.setattr("animtool.systems.nbody.nbody.build_galaxies", lambda _: [far])
     with pytest.raises(AnimtoolError, match="numbers overflow") as error:
         build(spec, context)
     assert error.value.faults[0].code == "SIM070"

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Poses
 from animtool.systems.particles import BoxShape, Disc, Emitter, MeshSurface, SphereShape
-from animtool.systems.particles.emitter import Births, mixed, uniforms
+from animtool.systems.particles.emitter import Births, hash64, uniforms
 
 
 def splitmix(state: int) -> int:
@@ -24,8 +24,8 @@ def splitmix(state: int) -> int:
 
 
 def test_bits_are_mixed_as_splitmix_does() -> None:
-    assert mixed(np.array([0], np.uint64))[0] == 0xE220A8397B1DCDAF
-    assert mixed(np.array([1234567], np.uint64))[0] == 6457827717110365317
+    assert hash64(np.array([0], np.uint64))[0] == 0xE220A8397B1DCDAF
+    assert hash64(np.array([1234567], np.uint64))[0] == 6457827717110365317
     keys = [0, 7, 2**40 + 3]
     found = uniforms(5, np.array(keys), 3)
     for row, key in zip(found, keys, strict=True):
@@ -82,7 +82,7 @@ def test_each_draws_speed_life_and_radius_by_its_own_numbers() -> None:
         radius_spread=0.1, seed=11,
     )  # fmt: skip
     u = uniforms(11, keys, 8)
-    x, v, lives, radii = emitter.drawn(Births(np.zeros(3), keys, 0))
+    x, v, lives, radii = emitter.sample_births(Births(np.zeros(3), keys, 0))
     assert_array_equal(x, np.zeros((3, 3)))
     assert_allclose(v[:, 1], 2.5 + u[:, 5])
     assert_allclose(v[:, [0, 2]], 0, atol=1e-12)
@@ -146,7 +146,7 @@ def test_places_and_speeds_are_of_the_emitters_frame() -> None:
 
 def test_a_burst_of_its_own_is_drawn_at_a_time() -> None:
     emitter = Emitter(rate=50.0, speed=2.0, place=BoxShape((1, 1, 1)), seed=4)
-    x, v = emitter.drawn_at(3.0, 5)
+    x, v = emitter.sample_at(3.0, 5)
     u = uniforms(4, 2**40 + np.arange(5), 8)
     assert_allclose(x, u[:, :3] - 0.5)
     assert_allclose(v, np.tile([0.0, 2, 0], (5, 1)))
@@ -197,7 +197,7 @@ def test_places_by_their_chances() -> None:
     surface = MeshSurface(Mesh(corners, [[0, 1, 2], [0, 3, 2]]))
     chances = np.array([[0.24, 0.25, 0.5], [0.24, 0.75, 1.0], [0.26, 0.5, 0.25]])
     x, out = surface.points(chances)
-    places, rows = surface.mesh.welded()
+    places, rows = surface.mesh.weld()
     expected = []
     for which, u, v in ((0, 0.25, 0.5), (0, 0.25, 0.0), (1, 0.5, 0.25)):
         a, b, c = places[rows[which]]

@@ -27,8 +27,8 @@ from animtool.systems.particles.moving import (
     DivergenceCheck,
     ParticleFlow,
     ParticleForces,
+    advance_births,
     energies,
-    spawned,
 )
 
 
@@ -57,7 +57,7 @@ def test_who_is_born_within_a_step_begins_then() -> None:
     """Of a force that grows with time the way is exact: t³ of each from its birth."""
     born = np.array([[[0.0, 5, 0]] * 2, [[1.0, 0, 0]] * 2])
     own = some([2.0, 4.0], [1.0, 1.5])
-    found = spawned(
+    found = advance_births(
         setup(("field", {"x": "6 * t * mass"}), DOWN), Colliders([]), own, born, 1, 2
     )
     for k, (since, t) in enumerate(((1.0, 1.0), (0.5, 1.5))):
@@ -71,7 +71,7 @@ def test_who_is_born_in_a_field_goes_with_it_from_then_on() -> None:
     field = VelocityField("3 * t * t", "age", "0")
     own = some([1.0, 1.0], [1.0, 1.5])
     born = np.zeros((2, 2, 3))
-    found = spawned(
+    found = advance_births(
         Particles([Emitter(rate=1)], velocity=field), Colliders([]), own, born, 1, 2
     )
     assert_allclose(found[0], [[7, 0.5, 0], [8 - 1.5**3, 0.125, 0]], atol=1e-12)
@@ -81,7 +81,7 @@ def test_who_is_born_in_a_field_goes_with_it_from_then_on() -> None:
 def test_who_is_born_over_a_floor_ends_on_it() -> None:
     born = np.array([[[0.0, 1.0, 0], [0, 9, 0]], [[0.0, -5, 0], [0, -5, 0]]])
     own = some([1.0, 1.0], [0.25, 0.25])
-    found = spawned(setup(), FLOOR, own, born, 0.0, 1.0)
+    found = advance_births(setup(), FLOOR, own, born, 0.0, 1.0)
     assert_allclose(found[0], [[0, 0.1, 0], [0, 5.25, 0]], atol=1e-9)
     assert found[1, 0, 1] >= 0
     assert_allclose(found[1, 1], [0, -5, 0])
@@ -140,7 +140,7 @@ def test_bodies_take_what_meets_their_own_shapes(
         velocities=np.full((8, 3), 5.0),
         contacts=SimpleNamespace(colliders=hit),
     )
-    found = ParticleForces._shared(whole, 2.0, 0.25, "free", done)  # type: ignore[arg-type]
+    found = ParticleForces._exchange_momentum(whole, 2.0, 0.25, "free", done)  # type: ignore[arg-type]
     assert took == [
         (0, 2.0, [-3, -2, -1, 0, 1, -1, -1, -1], "free", "masses"),
         (2, 2.0, [-6, -5, -4, -3, -2, -1, 0, 2], "free", "masses"),
@@ -221,11 +221,11 @@ def test_what_was_usual_is_the_most_of_what_there_was(
 
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(least * share, DOWN)
-        check.look_at(some([2.0]), state(*before))
-        assert bool(check.sign(0.0, state(*after))) is blown
+        check.watch(some([2.0]), state(*before))
+        assert bool(check.divergence(0.0, state(*after))) is blown
     spoiled = state(*after)
     spoiled[1, 0, 2] = np.nan
-    assert check.sign(0.0, spoiled) == "its state is not finite"
+    assert check.divergence(0.0, spoiled) == "its state is not finite"
 
 
 def test_a_piston_may_bring_what_its_speed_gives() -> None:
@@ -233,26 +233,26 @@ def test_a_piston_may_bring_what_its_speed_gives() -> None:
     moves = Poses([0, 2], [[0, -9, 0], [0, -3, 0]], [[0, 0, 0, 1]] * 2)
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(2.0 * share, DOWN, colliders=[Collider(Plane(), moves)])
-        check.look_at(some([2.0]), placed([0.0], [0.0]))
-        assert bool(check.sign(0.0, placed([0.0], [6.0]))) is blown
+        check.watch(some([2.0]), placed([0.0], [0.0]))
+        assert bool(check.divergence(0.0, placed([0.0], [6.0]))) is blown
 
 
 def test_who_is_born_or_removed_is_no_gain() -> None:
     """The energy of each counts from where it was first seen, by its id."""
     check = checked(0.5, DOWN)
-    check.look_at(some([2.0, 2.0], first=4), placed([0.0, 5.0], [10.0, 0.0]))
+    check.watch(some([2.0, 2.0], first=4), placed([0.0, 5.0], [10.0, 0.0]))
     later = placed([5.0, 0.0], [0.0, 30.0])
-    check.look_at(some([2.0, 2.0], first=5), later)
+    check.watch(some([2.0, 2.0], first=5), later)
     # Of id 5 as it was, of id 6 as it came: 80 J, and 900 J.
-    assert_allclose(check._first, [[0, 900], [80, 0]])
-    assert not check.sign(0.0, later)
+    assert_allclose(check._first_energies, [[0, 900], [80, 0]])
+    assert not check.divergence(0.0, later)
     check.restart(np.array([True, False]), placed([1.0, 9.0], [3.0, 9.0]))
-    assert_allclose(check._first, [[9, 900], [16, 0]])
-    check.look_at(some([2.0], first=2), placed([1.0], [1.0]))
-    assert_allclose(check._first, [[1], [16]])
-    check.look_at(some([]), np.zeros((2, 0, 3)))
-    check.look_at(some([2.0], first=9), placed([1.0], [1.0]))
-    assert_allclose(check._first, [[1], [16]])
+    assert_allclose(check._first_energies, [[9, 900], [16, 0]])
+    check.watch(some([2.0], first=2), placed([1.0], [1.0]))
+    assert_allclose(check._first_energies, [[1], [16]])
+    check.watch(some([]), np.zeros((2, 0, 3)))
+    check.watch(some([2.0], first=9), placed([1.0], [1.0]))
+    assert_allclose(check._first_energies, [[1], [16]])
 
 
 def test_without_all_potentials_energy_tells_of_steps_too_long_alone() -> None:
@@ -264,13 +264,13 @@ def test_without_all_potentials_energy_tells_of_steps_too_long_alone() -> None:
         ([DOWN, ("charges", {})], True, False),
     ):
         check = checked(1.0, *forces)
-        check.look_at(some([2.0]), placed([0.0], [10.0]))
+        check.watch(some([2.0]), placed([0.0], [10.0]))
         check.too_long = too_long
-        assert bool(check.sign(0.0, far)) is blown
+        assert bool(check.divergence(0.0, far)) is blown
     field = Particles([Emitter(rate=1)], velocity=VelocityField("1"))
     check = DivergenceCheck(field, Colliders([]))
-    check.look_at(some([2.0]), placed([0.0], [10.0]))
-    assert check.sign(0.0, far) == ""
+    check.watch(some([2.0]), placed([0.0], [10.0]))
+    assert check.divergence(0.0, far) == ""
 
 
 def test_charges_are_softened_and_sum_over_more_than_a_block() -> None:

@@ -141,7 +141,7 @@ def test_steps_are_judged_again_where_motions_are_faster_by_a_twentieth(
         asked.append(float(times[0]))
         return []
 
-    monkeypatch.setattr("animtool.systems.particles.simulation.step_notices", notices)
+    monkeypatch.setattr("animtool.systems.particles.simulation.step_warnings", notices)
     own = simulation(Emitter(bursts=[(0.0, 1)], mass=2.0), forces=[DOWN])
 
     class System:
@@ -157,7 +157,7 @@ def test_steps_are_judged_again_where_motions_are_faster_by_a_twentieth(
         [[(2.0, 1.0)], [(2.09, 1.0)], [(2.11, 1.0)], [(2.0, 1.0)], [(2.0, 1.1)],
          [(2.0, 1.1), (1.0, 0.0)]]
     ):  # fmt: skip
-        own._look_at_steps(System(*rows), float(t), t + 1.0)  # type: ignore[arg-type]
+        own._check_step_length(System(*rows), float(t), t + 1.0)  # type: ignore[arg-type]
     assert asked == [0, 2, 3, 4, 5]
     assert not own._watch.too_long
 

@@ -209,10 +209,10 @@ def test_pushes_of_others_are_felt_by_mass_and_inertia(tmp_path: Path) -> None:
     now = rng.normal(0, 0.3, (count, 6))
     moved = rng.normal(0, 1e-4, (count, 6))
     after = simulation.pushed(state, Wrenches(now, moved))
-    back = simulation.push_between(state, after)
-    np.testing.assert_allclose(back.now, now, atol=1e-9)
+    back = simulation.push_to(state, after)
+    np.testing.assert_allclose(back.impulses, now, atol=1e-9)
     # A turn of a hundredth is less than a millionth off what is added to it.
-    np.testing.assert_allclose(back.moved, moved, atol=1e-6)
+    np.testing.assert_allclose(back.delayed, moved, atol=1e-6)
     masses = simulation.bodies.masses[:, None]
     gained = masses * (after.motion[:, 7:10] - state.motion[:, 7:10])
     np.testing.assert_allclose(gained, now[:, :3], atol=1e-12)

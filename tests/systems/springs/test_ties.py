@@ -91,7 +91,7 @@ class Tied:
 
 def pull_on(run: EntryRun, t: float) -> np.ndarray:
     """Return the force on the first body in the step at a time [s] [N]."""
-    found = run.run.simulation.pulls(run.run.state.state, t)[0].now[0, :3]
+    found = run.run.simulation.pulls(run.run.state.state, t)[0].impulses[0, :3]
     return np.asarray(found / run.run.step_length)
 
 

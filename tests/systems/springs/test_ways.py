@@ -18,7 +18,7 @@ from animtool.sim.trials.trial import Figure, Setting, Trial
 @pytest.fixture(autouse=True)
 def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     # How long anything takes is of no interest here.
-    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+    monkeypatch.setattr("animtool.sim.trials.measuring.MAX_REPEATS", 1)
 
 
 def trial(folder: Path, stiffness: float = 200.0, **keys: Any) -> Trial:
@@ -65,7 +65,9 @@ def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated(
     same = trial(tmp_path, **asked)
     assert same.chosen == auto.chosen
     one, other = auto.run(auto.chosen), same.run(same.chosen)
-    np.testing.assert_allclose(one.shots[-1].points, other.shots[-1].points, atol=1e-12)
+    np.testing.assert_allclose(
+        one.snapshots[-1].points, other.snapshots[-1].points, atol=1e-12
+    )
     assert one.steps == other.steps
 
 

@@ -89,7 +89,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     # Its root is turned, so that the chain points along Z of what it hangs on.
     "a pole along a chain that is turned": (
         LEG.replace("KNEE", "type: ball").replace(
-            "{name: thigh,", "{name: thigh, rotate: [0.5, 0.5, 0, 0],"
+            "{name: thigh,", "{name: thigh, rotate: [0.7071, 0.7071, 0, 0],"
         ),
         ["RIG215"],
     ),

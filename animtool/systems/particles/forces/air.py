@@ -39,10 +39,10 @@ class Drag(Force):
     ) -> tuple[FloatArray, FloatArray]:
         """Return its Jacobians: see `Force`."""
         speed = np.linalg.norm(v, axis=1)[:, None]
-        along = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
-        across = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
-        grown = (self.quadratic * speed)[:, :, None] * along[:, :, None]
-        return np.zeros_like(across), -across - grown * along[:, None]
+        directions = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
+        isotropic = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
+        radial = (self.quadratic * speed)[:, :, None] * directions[:, :, None]
+        return np.zeros_like(isotropic), -isotropic - radial * directions[:, None]
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return its damping coefficient [kg/s]."""
@@ -105,7 +105,7 @@ class Wind(Force):
 class Friction(Force):
     """Dry friction against the velocity, everywhere.
 
-    Of surfaces that particles touch, the colliders have their own.
+    Friction on surfaces is an option of colliders.
     """
 
     deceleration: NotNegative = 0.0  # [m/s²]

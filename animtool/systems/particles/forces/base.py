@@ -21,11 +21,11 @@ NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
     float, Range("above 0", "SIM022", 0.0, reached=False, finite=True)
 ]
-# One for all particles, or one per particle ``(N,)`` [s].
+# A time for all particles, or one per particle ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
-# Relative step of finite differences, of positions and velocities of at least 1 [m],
-# [m/s].
+# Step of finite differences, relative to positions [m] and velocities [m/s], which are
+# at least 1 for this.
 DIFFERENCE = 1e-6
 
 
@@ -35,7 +35,7 @@ class Force(ABC):
     Attributes:
         pairs: Whether particles act on each other.
         drains: Whether it takes energy from particles and never gives any.
-        varies: Whether it depends on where particles are, how fast, or when.
+        varies: Whether it depends on position, velocity or time.
     """
 
     pairs: bool = False
@@ -53,20 +53,25 @@ class Force(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return its Jacobians by positions and by velocities of each particle.
 
-        ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
-        not be exact: methods are stable where they are as steep as the force.
+        ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and 0 for
+        pair forces. They need not be exact: methods are stable if they are about as
+        steep as the force.
         """
         by_position, by_speed = np.zeros((2, len(x), 3, 3))
         if self.pairs:
             return by_position, by_speed
         for k in range(3):
-            off = np.zeros_like(x)
-            off[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
-            far, near = (self.force(t, x + s * off, v, particles) for s in (1, -1))
-            by_position[:, :, k] = (far - near) / (2 * off[:, k, None])
-            off[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
-            far, near = (self.force(t, x, v + s * off, particles) for s in (1, -1))
-            by_speed[:, :, k] = (far - near) / (2 * off[:, k, None])
+            offset = np.zeros_like(x)
+            offset[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
+            forward, backward = (
+                self.force(t, x + sign * offset, v, particles) for sign in (1, -1)
+            )
+            by_position[:, :, k] = (forward - backward) / (2 * offset[:, k, None])
+            offset[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
+            forward, backward = (
+                self.force(t, x, v + sign * offset, particles) for sign in (1, -1)
+            )
+            by_speed[:, :, k] = (forward - backward) / (2 * offset[:, k, None])
         return by_position, by_speed
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:

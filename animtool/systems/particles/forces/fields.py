@@ -27,7 +27,7 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.particles.velocity_field import (
     VARIABLES,
     Expressions,
-    evaluated,
+    evaluate_expressions,
     expression_faults,
 )
 
@@ -44,7 +44,7 @@ class Field(Expressions, Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        return evaluated(self.expressions, t, x, v, particles)
+        return evaluate_expressions(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""
@@ -68,19 +68,19 @@ class Turbulence(Force):
         """Return forces ``(N, 3)`` [N]."""
         noise = np.zeros_like(x)
         for octave in range(self.octaves):
-            finer = 2.0**octave
-            lattice = x * (finer / self.size)
+            frequency = 2.0**octave
+            lattice = x * (frequency / self.size)
             times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
             seed = (self.seed + octave) % 2**64
-            noise += _kernels.curl_noise(lattice, times * finer, seed) / finer
+            noise += _kernels.curl_noise(lattice, times * frequency, seed) / frequency
         return noise * (self.strength * particles.masses[:, None])
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zeros: it has no restoring part: see `Force`."""
-        none = np.zeros((len(x), 3, 3))
-        return none, none
+        """Return zeros, as it has no restoring part; see `Force`."""
+        zeros = np.zeros((len(x), 3, 3))
+        return zeros, zeros
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ class Electromagnetic(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        turned = np.cross(v, np.asarray(self.magnetic, np.float64))
-        return particles.charges[:, None] * (np.asarray(self.electric) + turned)
+        magnetic_part = np.cross(v, np.asarray(self.magnetic, np.float64))
+        return particles.charges[:, None] * (np.asarray(self.electric) + magnetic_part)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
@@ -109,8 +109,8 @@ class Electromagnetic(Force):
         )
 
 
-# Pairs at once: bounds the memory.
-_ROWS = 256
+# Number of particles processed at once, to limit memory.
+_BLOCK_ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,10 @@ class Charges(Force):
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         fields = np.zeros_like(x)
-        for first in range(0, len(x), _ROWS):
-            rows = slice(first, first + _ROWS)
-            off = x[rows, None] - x
-            squared = (off * off).sum(axis=2) + self.softening**2
+        for first in range(0, len(x), _BLOCK_ROWS):
+            rows = slice(first, first + _BLOCK_ROWS)
+            offsets = x[rows, None] - x
+            squared = (offsets * offsets).sum(axis=2) + self.softening**2
             weights = particles.charges / squared**1.5
-            fields[rows] = (off * weights[:, :, None]).sum(axis=1)
+            fields[rows] = (offsets * weights[:, :, None]).sum(axis=1)
         return fields * (self.constant * particles.charges[:, None])

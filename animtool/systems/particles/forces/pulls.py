@@ -21,7 +21,7 @@ from animtool.systems.particles.forces.base import (
 from animtool.systems.particles.state import ParticleState
 
 # Slower particles count as stopped by a brake [m/s].
-STOPPED = 1e-9
+MIN_BRAKED_SPEED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -75,26 +75,26 @@ class Central(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        off = np.asarray(self.centre) - x
+        offsets = np.asarray(self.centre) - x
         distance = self._distance(x)[:, None]
         return np.asarray(
             particles.masses[:, None]
-            * off
+            * offsets
             * self.strength
             * distance ** (self.power - 1)
         )
 
     def _distance(self, x: FloatArray) -> FloatArray:
-        off = x - np.asarray(self.centre)
-        return np.asarray(np.sqrt((off * off).sum(axis=1) + self.softening**2))
+        offsets = x - np.asarray(self.centre)
+        return np.asarray(np.sqrt((offsets * offsets).sum(axis=1) + self.softening**2))
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
         distance = self._distance(x)
         if self.power == -1:
             return np.asarray(particles.masses * self.strength * np.log(distance))
-        raised = distance ** (self.power + 1) / (self.power + 1)
-        return np.asarray(particles.masses * self.strength * raised)
+        powers = distance ** (self.power + 1) / (self.power + 1)
+        return np.asarray(particles.masses * self.strength * powers)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""
@@ -117,30 +117,36 @@ class Spring(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        off = x - self._anchors(particles)
+        offsets = x - self._anchors(particles)
         if self.rest == 0 and self.kd == 0:
-            return -self.k * off
-        length = np.linalg.norm(off, axis=1)[:, None]
-        along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
-        rate = (v * along).sum(axis=1)[:, None]
-        return np.asarray(-(self.k * (length - self.rest) + self.kd * rate) * along)
+            return -self.k * offsets
+        length = np.linalg.norm(offsets, axis=1)[:, None]
+        directions = np.divide(
+            offsets, length, out=np.zeros_like(offsets), where=length > 0
+        )
+        rate = (v * directions).sum(axis=1)[:, None]
+        return np.asarray(
+            -(self.k * (length - self.rest) + self.kd * rate) * directions
+        )
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
         """Return its Jacobians: see `Force`."""
         unit = np.eye(3)
-        off = x - self._anchors(particles)
+        offsets = x - self._anchors(particles)
         stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
         if self.rest == 0 and self.kd == 0:
             return stiffness, np.zeros_like(stiffness)
-        length = np.linalg.norm(off, axis=1)[:, None]
-        along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
-        outer = along[:, :, None] * along[:, None]
-        short = np.divide(
+        length = np.linalg.norm(offsets, axis=1)[:, None]
+        directions = np.divide(
+            offsets, length, out=np.zeros_like(offsets), where=length > 0
+        )
+        outer = directions[:, :, None] * directions[:, None]
+        length_ratio = np.divide(
             self.rest, length, out=np.zeros_like(length), where=length > 0
         )
-        by_position = stiffness + self.k * short[:, :, None] * (unit - outer)
+        by_position = stiffness + self.k * length_ratio[:, :, None] * (unit - outer)
         return by_position, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
@@ -173,24 +179,24 @@ class Propulsion(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        heading = v
+        axis = v
         if self.direction is not None:
-            heading = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
-        length = np.linalg.norm(heading, axis=1)[:, None]
-        along = np.divide(heading, length, out=np.zeros_like(x), where=length > 0)
-        burns = (t - particles.births <= self.duration)[:, None]
-        return np.asarray(self.thrust * along * burns)
+            axis = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
+        length = np.linalg.norm(axis, axis=1)[:, None]
+        directions = np.divide(axis, length, out=np.zeros_like(x), where=length > 0)
+        is_burning = (t - particles.births <= self.duration)[:, None]
+        return np.asarray(self.thrust * directions * is_burning)
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a brake's force over velocity, else zeros: see `Force`."""
-        none = np.zeros((len(x), 3, 3))
+        """Return force over velocity for a brake, else zeros; see `Force`."""
+        zeros = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
-            return none, none
-        burns = t - particles.births <= self.duration
-        speed = np.maximum(np.linalg.norm(v, axis=1), STOPPED)
-        return none, (self.thrust * burns / speed)[:, None, None] * np.eye(3)
+            return zeros, zeros
+        is_burning = t - particles.births <= self.duration
+        speed = np.maximum(np.linalg.norm(v, axis=1), MIN_BRAKED_SPEED)
+        return zeros, (self.thrust * is_burning / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return invalid options, each with a message."""

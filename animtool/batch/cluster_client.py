@@ -1,0 +1,120 @@
+"""The connection to a dask cluster, and the files by which its disks are known."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any
+from uuid import uuid4
+
+from animtool.batch.records import RecordError, json_of_file, text_in
+from animtool.core.errors import Fault, OutputError, excerpt
+from animtool.core.files.leftovers import new_temporary
+
+# A scheduler that has not answered by then is not there: with the start of a command,
+# it is reported within 10 s [s].
+TIMEOUT = 6.5
+MAX_TOKENS = 50
+# A scheduler writes a kilobyte about itself, and some for each worker.
+MAX_SCHEDULER = 16_000_000
+ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
+
+
+def scheduler_address(path: Path) -> str:
+    """Return the address in a scheduler file."""
+    try:
+        address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
+    except RecordError as error:
+        raise _unreachable(str(path), error) from error
+    if not ADDRESS.fullmatch(address):
+        raise _unreachable(
+            str(path), RecordError(f"{excerpt(address)} is not an address")
+        )
+    return address
+
+
+def connected_client(address: str) -> Any:
+    """Return a client of the scheduler at an address."""
+    from distributed import Client
+
+    connections: SimpleQueue[Any] = SimpleQueue()
+
+    def connect() -> None:
+        try:
+            connections.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+        except Exception as error:
+            connections.put(error)
+
+    # Its own timeout does not cover answers of a server that is not a scheduler.
+    with warnings.catch_warnings():
+        # Versions of workers are compared before the first item.
+        warnings.simplefilter("ignore")
+        Thread(target=connect, daemon=True).start()
+        try:
+            client = connections.get(timeout=TIMEOUT)
+        except Empty:
+            client = TimeoutError(f"no answer within {TIMEOUT:g} s")
+    if isinstance(client, Exception):
+        raise _unreachable(address, client) from client
+    return client
+
+
+def _unreachable(about: str, error: Exception) -> OutputError:
+    why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+    if not isinstance(error, OSError | ValueError):
+        why = f"the scheduler there runs another version of dask ({why})"
+    hint = (
+        "check that the scheduler runs, at this address, with the same version of "
+        "distributed"
+    )
+    return unusable(about, why, hint)
+
+
+def unusable(about: str, why: str, hint: str) -> OutputError:
+    """Return the error of a cluster that cannot build items."""
+    message = f"the dask cluster at {about} cannot be used: {why}"
+    return OutputError(Fault("BAT035", message, hint=hint))
+
+
+def leave_cluster(client: Any, name: str) -> None:
+    """Stop the work of this run on workers, and disconnect.
+
+    A scheduler that does not answer is not waited for.
+    """
+
+    def release(dask_worker: Any) -> None:
+        from animtool.batch.cluster_worker import release
+
+        release(dask_worker, name)
+
+    def leave() -> None:
+        with suppress(Exception):
+            client.run(release, on_error="ignore")
+
+    leaving = Thread(target=leave, daemon=True)
+    leaving.start()
+    leaving.join(TIMEOUT)
+    with suppress(TimeoutError):
+        client.close(TIMEOUT)
+
+
+@contextmanager
+def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
+    """Create files in output folders by which workers recognise them."""
+    texts: dict[str, str] = {}
+    try:
+        for folder in folders[:MAX_TOKENS]:
+            path = new_temporary(folder.absolute() / "token")
+            with suppress(OSError):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                texts[str(path)] = text = uuid4().hex
+                path.write_text(text, "utf-8")
+        yield texts
+    finally:
+        for name in texts:
+            Path(name).unlink(missing_ok=True)

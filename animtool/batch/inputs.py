@@ -1,0 +1,171 @@
+"""The inputs of a batch: files that match, or the clips of a timeline."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.batch.cut_frames import CutOptions
+from animtool.batch.cuts import Cut, CutList, read_cuts
+from animtool.batch.spec import BatchSpec
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, NoMatchError, OptionError, Severity, listed
+from animtool.core.files.reading import (
+    MatchedFile,
+    PathResolver,
+    exists,
+    is_pattern,
+    matching_files,
+    nearest_file,
+)
+from animtool.core.rates import rate_label
+from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS, URDF, is_timeline
+
+# How names end of the files that a folder is searched for. USD is left out: outputs
+# are of that kind, and would be inputs of the next run.
+SUFFIXES = (
+    *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
+    *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
+)
+SCENES = tuple(
+    f".scene{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT
+)
+
+
+def cuts_of(spec: BatchSpec) -> CutList:
+    """Return the cuts of the items: clips of a timeline, or the inputs."""
+    cuts, left_out, unmatched = _matched_inputs(spec)
+    if spec.cuts is None:
+        return CutList([Cut(file) for file in cuts], unmatched)
+    options, start = spec.options, spec.options.start
+    fps = options.fps
+    if spec.scene is not None:
+        from animtool.scene.file.read import stated_rate
+
+        start, fps = None, stated_rate(spec.scene)
+    if None not in {fps, spec.fps} and fps != spec.fps:
+        assert fps is not None
+        assert spec.fps is not None
+        message = f"{argument('fps')} is {rate_label(spec.fps)}, but the scene has "
+        raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
+    if start is not None and start.denominator != 1:
+        message = f"start is {float(start):g}, but shots begin at a whole frame"
+        raise OptionError(Fault("CLI002", message))
+    first = None if start is None else int(start)
+    cut_options = CutOptions(
+        spec.handles, first, spec.fps or fps, spec.cut_start, spec.first_timecode
+    )
+    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, left_out)
+    return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
+
+
+def _with_rate(spec: BatchSpec) -> BatchSpec:
+    """Return a batch with the frame rate of the command line.
+
+    Raises:
+        OptionError: What is for timelines is given without one (CLI002).
+    """
+    flags = []
+    if spec.cuts is None:
+        flags = (
+            [] if spec.cut_start is None else [f"cut_start ({argument('cut_start')})"]
+        )
+        flags += [] if spec.first_timecode is None else ["first_timecode"]
+        if spec.fps is not None and spec.scene is not None:
+            flags.append(f"{argument('fps')} together with a scene")
+    if flags:
+        message = f"{listed(flags)}: only for a timeline, and the inputs contain none"
+        raise OptionError(Fault("CLI002", message))
+    if spec.fps is None or spec.scene is not None:
+        return spec
+    return replace(spec, options=replace(spec.options, fps=spec.fps))
+
+
+def with_timeline(spec: BatchSpec) -> BatchSpec:
+    """Return a batch with a timeline among its inputs as its cut list.
+
+    With it goes the frame rate of the command line.
+    """
+    named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
+    if not named:
+        return _with_rate(spec)
+    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
+    if len(cuts) > 1:
+        message = f"the inputs contain several timelines: {listed(cuts)}"
+        hint = "a batch takes the shots of one timeline"
+        raise OptionError(Fault("BAT050", message, hint=hint))
+    inputs = tuple(text for text in spec.inputs if text not in named)
+    return _with_rate(replace(spec, cuts=spec.folder / named[0], inputs=inputs))
+
+
+def _matched_inputs(
+    spec: BatchSpec,
+) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
+    """Return the distinct inputs in order, and a test for excluded files.
+
+    And a warning for each entry that matches no file.
+    """
+    suffixes = input_suffixes(spec)
+    resolve = PathResolver()
+    left_out = {
+        resolve(file.path)
+        for text in spec.exclude
+        for file in _meant(spec.folder, text, suffixes)
+    }
+    files: dict[Path, MatchedFile] = {}
+    unmatched = []
+    for i, text in enumerate(spec.inputs):
+        meant = _meant(spec.folder, text, suffixes)
+        remaining = {resolve(file.path): file for file in meant}
+        remaining = {at: f for at, f in remaining.items() if at not in left_out}
+        if not meant or _is_missing(text, remaining):
+            unmatched.append(_unmatched(spec, i, suffixes))
+        files = {**remaining, **files}
+    ordered = [files[path] for path in sorted(files, key=os.fspath)]
+    return ordered, lambda path: resolve(path) in left_out, unmatched
+
+
+def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
+    """Return a warning for each entry of the inputs without a match."""
+    return _matched_inputs(spec)[2]
+
+
+def _is_missing(text: str, meant: Mapping[Path, MatchedFile]) -> bool:
+    """Return whether an entry names one file, and that does not exist."""
+    return "://" not in text and len(meant) == 1 and not exists(next(iter(meant)))
+
+
+def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
+    text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
+    hint = nearest_file(Path(text), spec.folder)
+    if hint is None and (spec.folder / text).is_dir():
+        hint = f"folders are searched for {', '.join(suffixes)}"
+    where = None if path is None else f"inputs[{i}]"
+    message = f"no file matches {text!r}"
+    if not is_pattern(text) and not (spec.folder / text).is_dir():
+        message = f"{text!r} does not exist"
+    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
+
+
+def no_input(spec: BatchSpec) -> NoMatchError:
+    """Return the error of a batch without items."""
+    path = None if spec.path is None else str(spec.path)
+    if spec.cuts is not None:
+        message = "has no clip with media"
+        hint = "a clip without media uses the INPUT with its name: pass takes too"
+        return NoMatchError(Fault("BAT005", message, str(spec.cuts), (), hint))
+    suffixes = input_suffixes(spec)
+    message = f"no input in {listed(spec.inputs) or 'nothing'}"
+    hint = f"folders are searched for {', '.join(suffixes)}"
+    return NoMatchError(Fault("BAT005", message, path, (), hint))
+
+
+def input_suffixes(spec: BatchSpec) -> Sequence[str]:
+    """Return how names end of the files that folders are searched for."""
+    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
+
+
+def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
+    return list(matching_files(os.fspath(folder / text), suffixes))

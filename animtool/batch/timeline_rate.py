@@ -1,0 +1,124 @@
+"""Frame rates of timelines: stated, asked for, or counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.batch.edl import Edl
+from animtool.batch.timeline import HIGHEST_RATE, LOWEST_RATE, exact_rate
+from animtool.core.arguments import argument
+from animtool.core.config import find_config
+from animtool.core.errors import Fault, FormatError, OptionError, Severity
+from animtool.core.rates import rate_from_float, rate_label
+
+SET_RATE_HINT = (
+    f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
+    "batch file's options, or `fps` under [timeline] in animtool.toml"
+)
+COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
+
+
+def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
+    """Return the frame rate of an EDL's time codes.
+
+    It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
+
+    Raises:
+        OptionError: Nothing states it (BAT054), or two do (BAT051).
+    """
+    path = str(edl.path)
+    if edl.fps is not None:
+        return _agreed(edl.fps, asked, path)
+    configured = asked or find_config(edl.path).timeline.fps
+    if configured is not None:
+        return configured
+    message = "states no frame rate, which its time codes need"
+    how = COMMON_RATES_HINT
+    if edl.drop:
+        message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
+        how = SET_RATE_HINT.format("30000/1001", "60000/1001")
+    elif edl.last_label > 0:
+        message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
+        message += f"above {edl.last_label} fps"
+    raise OptionError(Fault("BAT054", message, path, (), how))
+
+
+def timeline_rate(
+    timeline: Any, path: Path, stated: Fraction | None, requested_fps: Fraction | None
+) -> tuple[Fraction, list[Fault]]:
+    """Return the rate of a timeline's shots, and a warning for mixed rates.
+
+    It is the stated one, else that of the global start time, else the one asked for,
+    else the project's, else the one that all clips and gaps count at, or more than half
+    of them.
+
+    Args:
+        timeline: As OpenTimelineIO has it.
+        path: Its file.
+        stated: What its metadata states.
+        requested_fps: What options ask for.
+
+    Raises:
+        FormatError: Its global start time has no rate (BAT041).
+        OptionError: No rate is known (BAT054), or the one asked for is not that of
+            the timeline (BAT051).
+    """
+    path_text, begin = str(path), timeline.global_start_time
+    if stated is None and begin is not None and begin.rate > 0:
+        try:
+            stated = exact_rate(begin.rate)
+        except ValueError as error:
+            message = f"invalid global start time: {error}"
+            raise FormatError(Fault("BAT041", message, path_text)) from error
+    if stated is not None:
+        return _agreed(stated, requested_fps, path_text), []
+    configured = requested_fps or find_config(path).timeline.fps
+    if configured is not None:
+        return configured, []
+    rates = Counter(picture_rates(timeline.tracks))
+    total = sum(rates.values())
+    if not total:
+        # No clip has a visible range; each clip is reported.
+        return Fraction(1), []
+    chosen, count = rates.most_common(1)[0]
+    if len(rates) == 1:
+        return chosen, []
+    each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
+    message = f"states no rate, and its clips and gaps use several: {each}"
+    if 2 * count <= total:
+        raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
+    message += f"; using {rate_label(chosen)}"
+    return chosen, [
+        Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
+    ]
+
+
+def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
+    """Return a stated rate (BAT051 if another one is requested)."""
+    if asked is not None and asked != stated:
+        message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
+        hint = "shots are written at the rate of their timeline"
+        raise OptionError(Fault("BAT051", message, path, (), hint))
+    return stated
+
+
+def picture_rates(composition: Any) -> Iterator[Fraction]:
+    """Yield the rate of every clip and gap on video tracks.
+
+    A clip without a source range counts at the rate of its media range.
+    """
+    for child in composition:
+        if hasattr(child, "find_children"):
+            if getattr(child, "kind", "Video") == "Video":
+                yield from picture_rates(child)
+            continue
+        span = getattr(child, "source_range", None)
+        if span is None:
+            media = getattr(child, "media_reference", None)
+            span = getattr(media, "available_range", None)
+        if span is not None and LOWEST_RATE <= span.start_time.rate <= HIGHEST_RATE:
+            yield rate_from_float(span.start_time.rate)

@@ -1,0 +1,222 @@
+"""Samples long clips block by block, in flat memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel, evaluate_channels, is_static
+from animtool.clip.sample import (
+    ClipNotice,
+    SampledMotion,
+    sample_channels,
+    sample_values,
+    with_keys,
+)
+from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.record import dataclass
+from animtool.maths import so3
+from animtool.maths.curves import Extrapolation
+from animtool.motion.motion import Channel, Motion
+from animtool.rig.joints import KEYED_PARTS, split_part
+from animtool.rig.skeleton import Rig
+
+if TYPE_CHECKING:
+    from animtool.motion.driver_run import DriverRun
+
+# Values of joints, shapes and controls in a block: some 10 MB an array.
+BLOCK_ROWS = 2**17
+# Keys before and after a block that its segments depend on.
+MARGIN_KEYS = 3
+# Channels with fewer keys are evaluated with all of them.
+MANY_KEYS = 256
+_PARTS = ("translations", "rotations", "scales", "weights", "controls")
+_ENDING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+
+
+def sample_blocks(
+    channels: Sequence[ClipChannel],
+    rig: Rig,
+    times: FloatArray,
+    *,
+    clamp: bool = False,
+) -> Iterator[SampledMotion]:
+    """Yield the motion of `sample_channels` in blocks of consecutive times.
+
+    Blocks share their rest and animated joints. The last one has the notices of all.
+    """
+    rows = max(1, len(rig.joints) + len(rig.shapes) + len(rig.controls))
+    size = max(1, BLOCK_ROWS // rows)
+    if len(times) <= size:
+        yield sample_channels(channels, rig, times, clamp=clamp)
+        return
+    begins = range(0, len(times), size)
+    # Each begins with the last time of the one before: signs and moves continue there.
+    spans = [times[max(0, begin - 1) : begin + size] for begin in begins]
+    layout = _layout(channels, rig, spans, clamp=clamp)
+    blocks = _BlockSampler(channels, rig, clamp)
+    for i, span in enumerate(spans):
+        motion = layout.arranged(blocks.sample(span), skip=min(i, 1))
+        last = i == len(spans) - 1
+        yield SampledMotion(motion, blocks.notices(times) if last else [])
+
+
+@dataclass(slots=True)
+class _BlockSampler:
+    """Samples consecutive blocks, and keeps the worst notice of each target."""
+
+    channels: Sequence[ClipChannel]
+    rig: Rig
+    clamp: bool
+    _worst: dict[tuple[str, str], ClipNotice] = field(default_factory=dict, init=False)
+    _run: DriverRun | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if self.rig.is_driven:
+            from animtool.motion.driver_run import DriverRun
+
+            self._run = DriverRun(self.rig, report_replaced=True)
+
+    def sample(self, times: FloatArray) -> Motion:
+        """Return the motion at times."""
+        first, last = float(times.min()), float(times.max())
+        near = [_near_keys(channel, first, last) for channel in self.channels]
+        values = evaluate_channels(near, times)
+        sampled = sample_values(
+            values, self.rig, times, clamp=self.clamp, run=self._run
+        )
+        for notice in sampled.targeted:
+            at = notice.fault.code, notice.target
+            if at not in self._worst or notice.amount > self._worst[at].amount:
+                self._worst[at] = notice
+        return sampled.motion
+
+    def notices(self, times: FloatArray) -> list[ClipNotice]:
+        """Return the worst notices so far; ``times`` of all blocks."""
+        notices = [
+            with_keys(notice, self.channels, self.rig, times)
+            for notice in self._worst.values()
+        ]
+        driven = [] if self._run is None else self._run.located_notices()
+        return [*notices, *(ClipNotice(*notice) for notice in driven)]
+
+
+def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
+    """Return a channel with only the keys that its values between two times need."""
+    few = len(channel.times) < MANY_KEYS
+    if few or not {channel.pre, channel.post} <= _ENDING:
+        return channel
+    begin = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
+    end = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
+    keys = slice(max(begin, 0), end)
+    return replace(
+        channel,
+        times=channel.times[keys],
+        values=channel.values[keys],
+        interps=channel.interps[keys],
+        tangents=channel.tangents[keys],
+        ins=channel.ins[keys],
+        outs=channel.outs[keys],
+        tcb=channel.tcb[keys],
+    )
+
+
+@dataclass(slots=True)
+class _BlockLayout:
+    """What moves in any block, by part; parts that no block has are absent."""
+
+    moving: dict[str, BoolArray] = field(default_factory=dict)
+    _rest: dict[str, FloatArray] = field(default_factory=dict, init=False)
+    # Rotations at the end of the block before.
+    _last: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
+
+    def add(self, motion: Motion) -> None:
+        """Add what moves in a block."""
+        for part in _PARTS:
+            channel: Channel | None = getattr(motion, part)
+            if channel is not None:
+                still = np.zeros(len(channel.rest), np.bool_)
+                self.moving.setdefault(part, still)[channel.animated] = True
+
+    def has(self, targets: set[tuple[str, int]]) -> bool:
+        """Return whether all targets, as part and index, move."""
+        return all(part in self.moving and self.moving[part][i] for part, i in targets)
+
+    def arranged(self, motion: Motion, skip: int) -> Motion:
+        """Return a block with the same rest and animated joints as all.
+
+        Args:
+            motion: Of the block.
+            skip: Number of its frames that the block before has.
+        """
+        arranged: dict[str, Any] = {
+            part: self._arranged(part, getattr(motion, part), motion.frames, skip)
+            for part in self.moving
+        }
+        return replace(motion, **arranged)
+
+    def _arranged(
+        self, part: str, channel: Channel | None, frames: int, skip: int
+    ) -> Channel:
+        if channel is None:
+            width = len(self.moving[part])
+            channel = Channel.static(np.zeros((width, 1)), frames)
+        rest = self._rest.setdefault(part, channel.rest)
+        animated = np.flatnonzero(self.moving[part])
+        values = channel.values
+        if not np.array_equal(channel.animated, animated):
+            values = channel.gather(animated)
+        if part == "rotations":
+            # Within a block signs continue already.
+            flips = (values[0] * self._last).sum(axis=-1, keepdims=True) < 0
+            values = np.where(flips, -values, values) if flips.any() else values
+            self._last = values[-1]
+        return Channel(rest, animated, values[skip:])
+
+
+def _layout(
+    channels: Sequence[ClipChannel],
+    rig: Rig,
+    spans: Sequence[FloatArray],
+    *,
+    clamp: bool,
+) -> _BlockLayout:
+    """Return what moves at any time; reads until all that can move has moved."""
+    layout, blocks = _BlockLayout(), _BlockSampler(channels, rig, clamp)
+    targets = _moving_targets(channels, rig)
+    for span in spans:
+        layout.add(blocks.sample(span))
+        if targets is not None and layout.has(targets):
+            break
+    return layout
+
+
+def _moving_targets(
+    channels: Sequence[ClipChannel], rig: Rig
+) -> set[tuple[str, int]] | None:
+    """Return all that can move, as part and index; None if more than keys decide."""
+    indirect = (
+        rig.controls
+        or rig.is_driven
+        or any(joint.mimic is not None for joint in rig.joints)
+        or any(shape.combine for shape in rig.shapes)
+    )
+    if indirect:
+        return None
+    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    targets = set()
+    for channel in channels:
+        if is_static(channel):
+            continue
+        group, _, name = channel.target.partition("/")
+        if group == "shape":
+            targets.add(("weights", shapes[name]))
+            continue
+        joint, part = split_part(name, KEYED_PARTS)
+        kind = {"scale": "scales", "angle": "rotations", "slide": "translations"}
+        other = "rotations" if part.endswith("rotation") else "translations"
+        targets.add((kind.get(part, other), rig.index(joint)))
+    return targets

@@ -1,0 +1,113 @@
+"""Warnings about clips whose key times or rate look mistaken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted, listed
+from animtool.core.rates import rate_warning
+from animtool.documents.document import Document
+from animtool.maths.curves import Extrapolation
+
+# Extrapolation that does not repeat the keys.
+_NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+# Samples as dense as this are a time in seconds at 10 frames a second and more [frame].
+DENSE, MIN_SAMPLES = 0.1, 3
+# Keys this close together are hardly set by hand [frame].
+CLOSE = 2.0
+# Times that differ by less from a whole frame are on it [frame].
+ON_FRAME = 1e-6
+
+
+def warn_of_times(
+    document: Document,
+    channels: Sequence[ClipChannel],
+    fps: Fraction,
+    first: Fraction,
+    last: Fraction,
+) -> None:
+    """Warn of an implausible rate, times in seconds, and keys outside the range."""
+    for fault in rate_warning(fps, None):
+        document.warn(fault.code, ("fps",), fault.message, fault.hint)
+    if 0 < last - first < 1 and "range" in document.value:
+        message = f"the range from {float(first):g} to {float(last):g} holds one frame"
+        hint = "frames run from the first in steps of 1: widen the range"
+        document.warn("TAKE010", ("range",), message, hint)
+    if not _warn_of_seconds(document, channels, fps):
+        _warn_of_range(document, channels, float(first), float(last))
+
+
+def _warn_of_seconds(
+    document: Document, channels: Sequence[ClipChannel], fps: Fraction
+) -> bool:
+    """Warn of key times in seconds, and return whether they are (CLIP110)."""
+    if not channels or not _in_seconds([channel.times for channel in channels], fps):
+        return False
+    first, last = (
+        pick(float(channel.times[end]) for channel in channels)
+        for pick, end in ((min, 0), (max, -1))
+    )
+    rate = float(fps)
+    message = (
+        f"key times from {first:g} to {last:g} look like seconds: as frames at "
+        f"{rate:g} fps they last {(last - first) / rate:.3g} s"
+    )
+    hint = f"write frames: {last:g} s is frame {last * rate:g}"
+    i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
+    at = ("channels", i, "keys", len(channels[i].times) - 1, "t")
+    document.warn("CLIP110", at, message, hint)
+    return True
+
+
+def _in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
+    """Return whether the key times of channels are likely seconds."""
+    steps = np.concatenate([np.diff(each) for each in times])
+    together = np.concatenate(times)
+    on_frame = np.abs(together - np.round(together)) <= ON_FRAME
+    if not len(steps) or on_frame.all():
+        return False
+    step = float(np.median(steps))
+    if step < DENSE and len(steps) >= MIN_SAMPLES:
+        return True
+    # Several seconds from 0, keyed by hand; even steps are samples between frames.
+    even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
+    short = float(np.ptp(together)) < fps
+    return bool(0 <= together.min() < 1 and step < CLOSE and short and not even)
+
+
+def _warn_of_range(
+    document: Document, channels: Sequence[ClipChannel], first: float, last: float
+) -> None:
+    """Warn of keys outside the clip's range that have no effect (CLIP201).
+
+    The first one on either side shapes the curve on its way there, and all are played
+    where a channel repeats them.
+    """
+    outside = {i: keys_beyond(c, first, last) for i, c in enumerate(channels)}
+    outside = {i: keys for i, keys in outside.items() if len(keys)}
+    if not outside:
+        return
+    i, keys = next(iter(outside.items()))
+    frames = listed([f"{t:g}" for t in channels[i].times[keys]])
+    more = len(outside) - 1
+    message = (
+        f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the range "
+        f"from {first:g} to {last:g}: {frames}"
+    )
+    message += f"; keys of {counted(more, 'other channel')} too" if more else ""
+    hint = "widen the range, or remove what is never played"
+    document.warn("CLIP201", ("channels", i, "keys", int(keys[0]), "t"), message, hint)
+
+
+def keys_beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
+    """Return the keys of a channel that have no effect inside a frame range."""
+    if not {channel.pre, channel.post} <= _NOT_CYCLING:
+        return np.zeros(0, np.int64)
+    before = np.flatnonzero(channel.times < first)[:-1]
+    behind = np.flatnonzero(channel.times > last)[1:]
+    return np.concatenate([before, behind])

@@ -1,0 +1,153 @@
+"""A character whose meshes and strands are written as points."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from animtool.core.arguments import argument
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, FormatError
+from animtool.core.record import dataclass
+from animtool.core.units import UpAxis, up_from_up
+from animtool.maths import so3
+from animtool.motion.motion import Motion
+from animtool.rig.kinematics import bind_matrices
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.scene.bake.frames import TakePlan, TimedBlocks
+from animtool.scene.sources.open import is_usd
+from animtool.skin.character import CharacterMesh, character_meshes, character_strands
+
+if TYPE_CHECKING:
+    from animtool.usd.rigs.joint_map import RigJointMap
+    from animtool.usd.rigs.target import RigTarget
+
+# Frames whose joints are held at once: 60 joints take 1.5 MB.
+PIECE = 256
+
+
+@dataclass(frozen=True, slots=True)
+class DeformedCharacter:
+    """Meshes and strands that a bake deforms."""
+
+    rig: Rig  # the joints that carry the meshes
+    surfaces: tuple[Surface, ...]
+    strands: tuple[Strands, ...]  # meshes that follow single joints
+    # How the take's joints stand in the rig; None where they are its own.
+    mapping: RigJointMap | None
+    meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
+    origin: str  # whose meshes they are, for reports
+
+    def only(
+        self, surfaces: Sequence[str], strands: Sequence[str]
+    ) -> DeformedCharacter:
+        """Return a copy with some of its meshes and strands, in its order."""
+        kept = [part.name in surfaces for part in self.surfaces]
+        kept += [part.name in strands for part in self.strands]
+        return replace(
+            self,
+            surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
+            strands=tuple(part for part in self.strands if part.name in strands),
+            meshes=tuple(itertools.compress(self.meshes, kept)),
+        )
+
+
+def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
+    """Return the meshes and strands that a take deforms.
+
+    That is the meshes and strands of its own rig where this has meshes; else those of
+    the rig layer, else those of the USD file that the take is from.
+    """
+    stream, source, mapping = take.stream, take.source, take.mapping
+    options = take.options
+    rig = stream.rig
+    shapes = tuple(shape.name for shape in rig.shapes)
+    if rig.meshes or (target is None and not is_usd(source)):
+        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
+        source_label, mapping = f"rig {rig.name!r} of the take", None
+    else:
+        from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
+
+        if target is not None:
+            assert mapping is not None
+            shapes = mapping.shapes
+            rig, source_label = target.skeleton.rig, str(target.path)
+            targets = target_meshes(target)
+        else:
+            source_label, targets = (
+                str(source),
+                source_meshes(source, options.source.prim_path, options.placement),
+            )
+        take.notices.extend(targets.notices)
+        surfaces = _turned(targets.surfaces, rig.up, targets.up)
+        strands, bind = targets.strands, targets.bind
+    if options.normals is False:
+        surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
+    if not surfaces and not strands:
+        message = "there is no mesh to deform"
+        hint = (
+            f"use a rig with meshes: in the clip, or with {argument('source.rig')} "
+            f"or {argument('rig_layer')}"
+        )
+        raise FormatError(Fault("USD040", message, str(source), (), hint))
+    meshes = character_meshes(surfaces, rig.names, bind, shapes)
+    meshes += character_strands(strands, rig.names, bind)
+    return DeformedCharacter(
+        rig, surfaces, strands, mapping, tuple(meshes), source_label
+    )
+
+
+def _turned(
+    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
+) -> tuple[Surface, ...]:
+    """Rotate meshes without a skin to another up axis; joints carry the others.
+
+    Where the joints are turned, so is what they carry, wherever it was bound.
+    """
+    rotation = up_from_up(up, source_up)
+    if rotation is None:
+        return surfaces
+    transform = np.eye(4)
+    transform[:3, :3] = so3.to_matrix(np.array(rotation))
+    return tuple(
+        surface
+        if surface.skin is not None
+        else replace(surface, geom_bind=transform @ surface.geom_bind)
+        for surface in surfaces
+    )
+
+
+def pieces(
+    blocks: TimedBlocks, *, neighbours: bool
+) -> Iterator[tuple[FloatArray, Motion, slice]]:
+    """Yield short pieces of a motion, each with a slice of the frames that count."""
+    before: tuple[FloatArray, Motion] | None = None
+    cut = _cut(blocks)
+    piece = next(cut, None)
+    while piece is not None:
+        after = next(cut, None)
+        codes, motion = piece
+        parts = [piece]
+        if neighbours and before is not None:
+            parts.insert(0, before)
+        if neighbours and after is not None:
+            parts.append((after[0][:1], after[1].select(slice(0, 1))))
+        if len(parts) > 1:
+            codes = np.concatenate([codes for codes, _ in parts])
+            motion = Motion.concatenate([motion for _, motion in parts])
+        lead = 1 if neighbours and before is not None else 0
+        yield codes, motion, slice(lead, lead + len(piece[0]))
+        before = piece[0][-1:], piece[1].select(slice(-1, None))
+        piece = after
+
+
+def _cut(blocks: TimedBlocks) -> TimedBlocks:
+    for codes, motion in blocks:
+        for begin in range(0, len(codes), PIECE):
+            part = slice(begin, begin + PIECE)
+            yield codes[part], motion.select(part)
