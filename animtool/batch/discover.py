@@ -284,10 +284,10 @@ def _check_variables(
     if sample is not None:
         used_in_output |= set(getattr(sample, "variables", ()))
     elif any(is_named(path, "scene") for path in item_task.kinds):
-        # Each error holds its faults until the items are built.
+        # Each holds its faults until the items are built.
         used_in_output |= set(variables)
-    reserved = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used_in_output - reserved)
+    taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+    check_unused(variables, used_in_output - taken, spec.path)
 
 
 @dataclass(slots=True)

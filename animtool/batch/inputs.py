@@ -159,7 +159,19 @@ def no_input(spec: BatchSpec) -> NoMatchError:
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
+    hint = _other_case(spec, suffixes) or hint
     return NoMatchError(Fault("BAT005", message, path, (), hint))
+
+
+def _other_case(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
+    """Return a hint for a pattern whose suffix files have in the other case."""
+    for text in spec.inputs:
+        stem, dot, suffix = text.rpartition(".")
+        for other in (suffix.lower(), suffix.upper()):
+            meant = f"{stem}{dot}{other}"
+            if dot and other != suffix and _meant(spec.folder, meant, suffixes):
+                return f"did you mean {meant!r}?"
+    return None
 
 
 def input_suffixes(spec: BatchSpec) -> Sequence[str]:

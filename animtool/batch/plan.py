@@ -190,7 +190,7 @@ def check_output_files(batch: Batch) -> None:
 def _clashes(
     batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
-    owner_of_path: dict[str, Item] = {}
+    writers: dict[str, list[tuple[Item, Path]]] = {}
     for item in batch.items:
         item_names: set[str] = set()
         for path in batch.outputs(item):
@@ -200,15 +200,20 @@ def _clashes(
                 hint = f"choose another {argument('output')}"
                 yield Fault("OUT003", message, str(path), (), hint)
             name = name_key(resolved)
-            owner = owner_of_path.setdefault(name, item)
-            if owner is not item:
-                message = f"would be written for both {owner.label} and {item.label}"
-                hint = _separating_hint(item, owner)
-                yield Fault("OUT007", message, str(path), (), hint)
-            elif name in item_names:
+            if name in item_names:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
+            else:
+                writers.setdefault(name, []).append((item, path))
             item_names.add(name)
+    for (first, _), *others in writers.values():
+        if others:
+            second, path = others[0]
+            message = f"would be written for both {first.label} and {second.label}"
+            if len(others) > 1:
+                message += f", and for {len(others) - 1} more"
+            hint = _separating_hint(second, first)
+            yield Fault("OUT007", message, str(path), (), hint)
 
 
 def _separating_hint(item: Item, other: Item) -> str:

@@ -53,7 +53,8 @@ def opened_sources(
         used_variables |= scene.variables
         sources_opened.append(scene)
     if variables:
-        check_unused(variables, used_variables)
+        only = sources[0] if len(sources) == 1 else None
+        check_unused(variables, used_variables, only)
     return sources_opened
 
 

@@ -113,6 +113,7 @@ class Console:
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # whether Python tracebacks are shown
     calling: Calling = as_flag  # the command's spelling of arguments
+    context: click.Context | None = None  # of the command
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""

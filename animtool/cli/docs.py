@@ -110,7 +110,8 @@ def _page_of(topic: str) -> PageEntry:
 def _text(page: PageEntry) -> str:
     """Return the Markdown of a page, generated or stored."""
     from animtool.cli.docs_reference import codes_markdown, commands_markdown
-    from animtool.core.rules import page_text
+    from animtool.cli.explain import ignoring
+    from animtool.core.rules import find_rule, page_text
 
     if page == CODES_PAGE:
         return codes_markdown()
@@ -118,7 +119,9 @@ def _text(page: PageEntry) -> str:
     if name == COMMANDS_PAGE.name:
         return commands_markdown(anchor or None)
     if name.startswith("rules/"):
-        return page_text(name.removeprefix("rules/")) or f"# {page.title}\n"
+        code = name.removeprefix("rules/")
+        text = page_text(code)
+        return text + ignoring(find_rule(code)) if text else f"# {page.title}\n"
     return page_markdown(page)
 
 

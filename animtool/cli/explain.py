@@ -32,7 +32,8 @@ class RulePage:
         """Markdown of the rule page; None if it has none."""
         from animtool.core.rules import page_text
 
-        return page_text(self.rule.code)
+        text = page_text(self.rule.code)
+        return None if text is None else text + ignoring(self.rule)
 
     @property
     def kind(self) -> Kind | None:
@@ -51,6 +52,37 @@ class Pages:
 
     rules: list[RulePage]
     json_keys: ClassVar[str] = "'explain' rules"
+
+
+# Families of warnings about files with a key `ignore`, and about other files.
+_NOTED = ("BAT", "CAM", "CLIP", "DOC", "FAC", "MAP", "MKT", "RIG", "SCN", "TGT")
+_CHECKED = (
+    "BVH",
+    "FBX",
+    "GLT",
+    "LLF",
+    "MKR",
+    "MOF",
+    "MOT",
+    "TAKE",
+    "TRC",
+    "URD",
+    "USD",
+)
+
+
+def ignoring(rule: Rule) -> str:
+    """Return the part of a page on how to accept a warning; empty for others."""
+    family, head = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
+    if rule.severity != "warning" or family not in _NOTED + _CHECKED:
+        return ""
+    option = f"`animtool validate --ignore {rule.code}` leaves it out of one run."
+    if family in _CHECKED:
+        return f"{head}{option}\n"
+    entry = f"ignore: [{{code: {rule.code}, why: it is meant}}]"
+    return (
+        f"{head}If it is meant, say so in the file. {option}\n\n```yaml\n{entry}\n```\n"
+    )
 
 
 _PREFIX = re.compile(r"[A-Z]{2,8}[0-9]{0,2}")

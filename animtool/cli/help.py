@@ -287,6 +287,7 @@ class LazyGroup(click.Group):
         table: By command name, its ``module:object`` and its one-line help.
         sections: Names of the commands below each heading of the help.
         other_names: What users of other tools type, and the command for it.
+        takes_files: Command to suggest for a file in place of a command.
     """
 
     def __init__(
@@ -295,12 +296,14 @@ class LazyGroup(click.Group):
         table: Mapping[str, tuple[str, str]],
         sections: Mapping[str, tuple[str, ...]] | None = None,
         other_names: Mapping[str, str] | None = None,
+        takes_files: str = "",
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
         self.table = table
         self.sections = sections or {"Commands": tuple(sorted(table))}
         self.other_names = other_names or {}
+        self.takes_files = takes_files
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
@@ -341,6 +344,9 @@ class LazyGroup(click.Group):
         if args and args[0] not in self.table and not args[0].startswith("-"):
             from difflib import get_close_matches
 
+            if self.takes_files and "." in args[0]:
+                hint = f"{ctx.command_path} {self.takes_files} {args[0]}"
+                ctx.fail(f"{args[0]!r} is not a command; did you mean {hint!r}?")
             near = get_close_matches(args[0], self.table, 1)
             meant = self.other_names.get(args[0]) or next(iter(near), "")
             hint = f"; did you mean {meant!r}?" if meant else ""

@@ -76,6 +76,7 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         Each(
             "driven", ("  driven    {self}",), MAX_PRIMS, "  driven    and {left} more"
         ),
+        "[  controls  {control_names:list 40}]",
         "  and       [{others:counts}|nothing else]",
         "[  mass      {mass:plain 4} kg]",
     ),

@@ -221,6 +221,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     table=COMMANDS,
     sections=SECTIONS,
     other_names=OTHER_NAMES,
+    takes_files="bake",
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start here: animtool bake walk.bvh -o walk.usdc",
 )
@@ -325,7 +326,7 @@ def _report(console: Console, error: BaseException) -> int:
     """Report the error that ended the command and return its exit code."""
     match error:
         case AnimtoolError():
-            console.faults(error.faults, fatal=True)
+            console.faults(_with_options(console, error.faults), fatal=True)
             if isinstance(error, StrictError):
                 console.say("--strict treats warnings as errors: nothing was written")
             code = int(error.exit_code)
@@ -367,6 +368,16 @@ def _report(console: Console, error: BaseException) -> int:
     return code
 
 
+def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
+    """Return faults with the options that name their files."""
+    from animtool.cli.usage import with_option
+
+    context = console.context
+    if context is None:
+        return faults
+    return [with_option(fault, context) for fault in faults]
+
+
 def _logs_json(arguments: Sequence[str]) -> bool:
     """Return whether stderr is JSON.
 
@@ -379,51 +390,10 @@ def _logs_json(arguments: Sequence[str]) -> bool:
     )
 
 
-# Options of other commands and tools, with the corresponding options here.
-OTHER_OPTIONS = {
-    "--frames": ("--range",),
-    "--frame-range": ("--range",),
-    "--out": ("--output",),
-    "--out-file": ("--output",),
-    "--rig": ("--to",),
-    "--start-frame": ("--range",),
-    "--end-frame": ("--range",),
-    "--anim": ("--take",),
-    "--animation": ("--take",),
-    "--count": ("--repeats",),
-    "--repeat": ("--repeats",),
-    "--target": ("--to", "--targets"),
-    "--to": ("--rig",),
-    "--prim": ("--source-prim",),
-    "--unit": ("--units",),
-    "--scale": ("--units",),
-    "--up-axis": ("--up",),
-    "--rate": ("--fps",),
-    "--frame-rate": ("--fps",),
-    "--tolerance": ("--reduce",),
-    "--threads": ("--jobs",),
-    "--force": ("--overwrite",),
-    "--dry-run": ("--plan", "--diff"),
-    "--json": ("--format",),
-}
-
-
-def _with_suggested_option(error: click.NoSuchOption) -> click.ClickException:
-    """Return a usage error that suggests this command's option."""
-    params = [] if error.ctx is None else error.ctx.command.params
-    known_flags = {flag for option in params for flag in option.opts}
-    suggested = [
-        o for o in OTHER_OPTIONS.get(error.option_name, ()) if o in known_flags
-    ]
-    if not suggested:
-        return error
-    text = f"No such option {error.option_name!r}. Did you mean {suggested[0]!r}?"
-    return click.UsageError(text, error.ctx)
-
-
 def _usage(console: Console, error: click.ClickException) -> None:
-    if isinstance(error, click.NoSuchOption):
-        error = _with_suggested_option(error)
+    from animtool.cli.usage import explained
+
+    error = explained(error)
     text = worded(error.format_message(), console.calling)
     if console.json_log:
         console.error(text)

@@ -37,6 +37,7 @@ COMMANDS = {
 @click.group(
     cls=LazyGroup,
     table=COMMANDS,
+    takes_files="clean",
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc

@@ -64,7 +64,11 @@ def _tolerance(text: str) -> float:
         value = math.nan
     # NaN is no tolerance.
     if not value >= 0:
-        raise ValueError(f"{text!r} is not a tolerance: use a number from 0 up")
+        from animtool.documents.value_faults import number_hint
+
+        hint = number_hint("", text)
+        message = f"{text!r} is not a number from 0 up"
+        raise ValueError(f"{message}; {hint}" if hint else message)
     return value
 
 
@@ -164,6 +168,7 @@ def _set(name: str, value: Any) -> Callable[..., None]:
         console = ctx.find_object(Console)
         if console is not None:
             console.calling = FlagCalling(ctx.command)
+            console.context = ctx
         if console is not None and chosen:
             setattr(console, name, value)
 

@@ -46,7 +46,7 @@ PAGE = Template(
         "[, {page.manifest.points:n set of points/sets of points}]"
         "[, {page.manifest.instances:n set of copies/sets of copies}]"
         "[, {page.manifest.cameras:n camera}][, {page.manifest.channels:n curve}]"
-        "[, {page.manifest.findings:n finding}]",
+        "[, {page.manifest.findings:n finding} ({codes:list 8})]",
         "  exact within {page.manifest.errors.position_mm:g} mm and "
         "{page.manifest.errors.rotation_deg:g} degrees",
         Each("page.manifest.notices", ("  {self}",)),

@@ -140,7 +140,7 @@ Examples:
     type=INPUT,
     required=True,
     metavar="RIG",
-    help="The target rig: a rig file, USD file or BVH.",
+    help="The target rig: a rig file, USD, BVH, glTF, FBX, URDF or MJCF.",
 )
 @take_output_option
 @record_option(RetargetOptions, *RETARGET_OPTIONS)

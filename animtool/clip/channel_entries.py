@@ -302,14 +302,20 @@ class ChannelReader:
         self, at: Location, model: CurveModel, components: int, is_positive: bool
     ) -> FloatArray | None:
         value_rows = []
+        shown: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(_key_models(model)):
             value_row = key.v if isinstance(key.v, list) else [key.v]
             if components == 3 and len(value_row) == 1 and is_positive:
                 value_row = value_row * 3
             if len(value_row) != components:
                 location = (*at, "keys", k, "v")
-                message = f"{counted(len(value_row), 'number')} instead of {components}"
-                self.document.add("CLIP007", location, message)
+                hint = _form_hint(model, len(value_row), components)
+                if hint not in shown:
+                    count = counted(len(value_row), "number")
+                    message = f"{count} instead of {components}"
+                    hint = hint or self.document.decimal_commas(location, components)
+                    self.document.add("CLIP007", location, message, hint)
+                    shown |= {hint} if hint else set()
                 continue
             value_rows.append(value_row)
         if len(value_rows) < len(_key_models(model)):
@@ -368,6 +374,15 @@ class ChannelReader:
             message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
+
+
+def _form_hint(model: CurveModel, count: int, components: int) -> str | None:
+    """Return a hint where a rotation's keys have the form of another kind."""
+    if components == 4 and count == 3:
+        return "add 'euler: XYZ' to the channel, or write quaternions [w, x, y, z]"
+    if model.euler and count == 4:
+        return "remove 'euler' for quaternions, or write three angles"
+    return None
 
 
 def _key_models(model: CurveModel) -> list[KeyModel]:

@@ -22,7 +22,7 @@ from animtool.maths.curves import (
 )
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
-from animtool.rig.joints import KEYED_PARTS, nearest_part, split_part
+from animtool.rig.joints import KEYED_PARTS, part_hint, split_part
 from animtool.rig.skeleton import Rig
 
 
@@ -79,8 +79,25 @@ local_rotation, scale
         return group
     if group != "joint" or not name:
         hint = "write control/NAME, shape/NAME or joint/NAME.PART"
+        hint = _full_target(target, rig) or hint
         return Fault("CLIP001", f"{target!r} is not a target", hint=hint)
     return _joint_kind(name, rig)
+
+
+def _full_target(text: str, rig: Rig | None) -> str | None:
+    """Return a hint with the target that the bare name of a part of a rig means."""
+    if rig is None:
+        return None
+    for kind, names in (("control", rig.control_names), ("shape", rig.shape_names)):
+        if text in names:
+            return f"write {kind}/{text}"
+    joint = text if text in rig.names else text.rpartition(".")[0]
+    if joint not in rig.names:
+        return None
+    joint_type = rig.joints[rig.index(joint)].type
+    parts = [part for part, types in KEYED_PARTS.items() if joint_type in types]
+    written = text[len(joint) + 1 :]
+    return f"write joint/{joint}.{written if written in parts else parts[0]}"
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
@@ -105,36 +122,17 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
     """Return the fault of a joint target without a known part."""
-    hint = f"write a joint's name and one of .{', .'.join(KEYED_PARTS)}"
-    hint = nearest_part(name, KEYED_PARTS) or hint
+    joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
+    if part and rig is not None and joint in rig.names:
+        hint = f"write joint/{joint}.{part}"
+        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
     joint, _, part = name.rpartition(".")
     if not joint or rig is None or joint not in rig.names or name in rig.names:
+        kind = rig.joints[rig.index(name)].type if rig and name in rig.names else None
+        hint = part_hint(name, KEYED_PARTS, kind)
         return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
-    kind = rig.joints[rig.index(joint)].type
-    fitting = [
-        kinds_of_part for kinds_of_part, types in KEYED_PARTS.items() if kind in types
-    ]
-    intended = _OTHER_PARTS.get(part.lower())
-    if intended in fitting:
-        hint = f"the part is .{intended}"
-    else:
-        hint = nearest_part(name, fitting) or ""
-        hint = hint or f"a {kind} joint has .{', .'.join(fitting)}"
+    hint = part_hint(name, KEYED_PARTS, rig.joints[rig.index(joint)].type)
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
-
-
-# Names of joint parts in other applications.
-_OTHER_PARTS = {
-    "position": "translation",
-    "translate": "translation",
-    "location": "translation",
-    "pos": "translation",
-    "rotate": "rotation",
-    "rotation_euler": "rotation",
-    "orientation": "rotation",
-    "rot": "rotation",
-    "quaternion": "rotation",
-}
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:

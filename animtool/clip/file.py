@@ -15,7 +15,7 @@ from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.suspicions import warn_of_numbers
 from animtool.clip.suspicious_times import warn_of_times
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, clause
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import exists
@@ -114,9 +114,8 @@ def _note_missing(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
     suggestion = missing_hint(file.document, file.model.rig or "")
-    hint = "; ".join(
-        filter(None, [suggestion, f"pass another rig with {argument('source.rig')}"])
-    )
+    other = clause(f"pass another rig with {argument('source.rig')}")
+    hint = f"{suggestion}; {other}" if suggestion else other
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
@@ -167,6 +166,10 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
     return units
 
 
+# Targets of which none is in a rig, so that the rig is at fault and not their names.
+MIN_TARGETS = 3
+
+
 class _ClipReader:
     def __init__(self, document: Document, model: ClipModel, rig: Rig | None) -> None:
         self.document, self.model, self.rig = document, model, rig
@@ -188,12 +191,27 @@ class _ClipReader:
             message = "the clip has no channels"
             self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
+        self._blame_rig()
         self.document.check()
         warn_of_times(self.document, channels, fps, first, last)
         warn_of_numbers(self.document, channels, fps, self.units, self.rig)
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
         return Clip(name, fps, first, last, tuple(channels), notices)
+
+    def _blame_rig(self) -> None:
+        """Record once, and not for each channel, that the rig is another one."""
+        faults, count = self.document.faults, len(self.model.channels)
+        unknown = [fault for fault in faults if fault.code == "CLIP002"]
+        if self.rig is None or count < MIN_TARGETS or len(unknown) < count:
+            return
+        message = f"rig {self.rig.name!r} has none of the {count} targets"
+        hint = "is it the right rig?"
+        if self.model.rig is not None:
+            hint = f"the clip names {self.model.rig}; animtool retarget transfers "
+            hint += "its take to another rig"
+        other = replace(unknown[0], message=message, hint=hint)
+        self.document.faults[:] = [other, *(f for f in faults if f not in unknown)]
 
     def _fps(self) -> Fraction:
         try:

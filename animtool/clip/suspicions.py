@@ -127,9 +127,13 @@ def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
         return
     for i, values in quaternion_channels:
         keys = document.value["channels"][i]["keys"]
-        for k in np.flatnonzero(abs(values[:, 2]) == 1.0):
-            if keys[k]["v"] == HALF_CIRCLE_Z:
-                warn_of_quaternion(document, "CLIP106", (*_at(i, int(k)), "v"))
+        for k in np.flatnonzero(abs(values[:, 2]) == 1.0).tolist():
+            # Of an array, which is not a list in the document, by its values.
+            from_array = isinstance(keys, str)
+            written = [0.0, 0.0, 0.0, values[k, 2]] if from_array else keys[k]["v"]
+            if written == HALF_CIRCLE_Z:
+                at = ("channels", i, "keys") if from_array else (*_at(i, k), "v")
+                warn_of_quaternion(document, "CLIP106", at)
                 return
 
 

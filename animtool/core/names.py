@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.quantities import CONTROL
 
@@ -99,18 +100,21 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(sorted_names[:MAX_LISTED])}{omitted_text}"
 
 
-def check_unused(variables: Iterable[str], used_names: Iterable[str]) -> None:
-    """Refuse variables that nothing uses.
+def check_unused(
+    stated: Iterable[str], used: Iterable[str], path: Path | None = None
+) -> None:
+    """Refuse variables that nothing uses; ``path`` is the file that states them.
 
     Raises:
         OptionError: Has a fault for each of them (SCN031).
 
     >>> check_unused(["shot"], ["shot", "rate"])
     """
-    names = sorted(used_names)
+    names, where = sorted(used), None if path is None else str(path)
+    option = argument("variables")
     faults = [
-        Fault("SCN031", f"no scene uses a variable {name!r}", hint=hint)
-        for name in variables
+        Fault("SCN031", f"{option}: no scene uses {name!r}", where, hint=hint)
+        for name in stated
         if name not in names
         for hint in [
             nearest(name, names) if names else f"write ${{{name}}} for it in a scene"

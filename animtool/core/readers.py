@@ -12,7 +12,12 @@ from typing import Any, cast
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.files.reading import not_a_file_reason, open_input, unreadable
+from animtool.core.files.reading import (
+    exists,
+    not_a_file_reason,
+    open_input,
+    unreadable,
+)
 from animtool.core.plugins import FormatTable, ListedEntry, load_object, suffix_text
 from animtool.core.record import dataclass
 
@@ -322,7 +327,8 @@ def find_reader(path: Path) -> Reader:
         return reader
     reason = not_a_file_reason(path)
     if reason is not None:
-        raise unreadable(path, reason)
+        missing = FileNotFoundError() if not exists(path) else reason
+        raise unreadable(path, missing)
     if path.suffix.lower() in EXPORTS:
         raise OptionError(export_fault(path))
     message = f"{suffix_text(path)} is not a format that animtool reads"

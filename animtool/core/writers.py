@@ -194,6 +194,8 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
         message = f"holds {writer.about}, not motion of joints"
     else:
         message = f"{suffix_text(path)} is not a format that animtool writes"
+        if not path.suffix:
+            message = "has no suffix, which tells the format"
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if writer is None and path.suffix.lower() in _READ_ONLY:
         message, hint = _read_only(path)

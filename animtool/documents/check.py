@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,13 +11,13 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
-from animtool.core.errors import Fault, counted, excerpt
-from animtool.core.names import KINDS, nearest, similar
+from animtool.core.errors import Fault, excerpt, listed
+from animtool.core.names import KINDS, by_likeness, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.documents.forms import form_hint, paired_entries
-from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES
+from animtool.documents.forms import example_hint, form_hint, paired_entries
+from animtool.documents.other_words import AXES, OTHER_KEYS
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -26,6 +25,13 @@ from animtool.documents.placeholders import (
     models_of,
     placeholder_of,
     replaced,
+)
+from animtool.documents.value_faults import (
+    expected_structures,
+    is_angles,
+    type_fault,
+    value_hint,
+    values_message,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.documents.yaml_values import flow_value
@@ -37,6 +43,8 @@ else:
 
 # Faulty values to replace by placeholders before validation stops.
 MAX_REPLACED = 200
+# Unknown keys of an entry of which one is named, and not each.
+MIN_UNKNOWN = 2
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
@@ -101,8 +109,8 @@ def validated(document: Document, model: type[Model]) -> Model:
             _Faults(document, model, value).replace_faulty(error)
 
 
-def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
-    """Return location and message of each fault in a value outside of a model."""
+def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
+    """Return the fault of each wrong value outside of a model."""
     by_location = _by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
     ancestors = {
         location[:depth]
@@ -110,9 +118,10 @@ def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str
         for depth in range(len(location))
     }
     return [
-        (location, "; or ".join(dict.fromkeys(map(_fault_message, faults))))
+        (location, Fault("SCN002", values_message(faults), hint=hint))
         for (location, _), faults in by_location.items()
         if location not in ancestors
+        for hint in [value_hint(location[-1], faults) if location else None]
     ]
 
 
@@ -124,8 +133,19 @@ def unknown_options(
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
         if key not in names
-        for hint in [nearest(key, names)]
+        for hint, _ in [_key_meant(key, names)]
     ]
+
+
+def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
+    """Return a hint for an unknown key, and the key that was likely meant."""
+    plain = key.replace("_", "").lower()
+    other = next((one for one in OTHER_KEYS.get(plain, ()) if one in names), None)
+    if other is not None:
+        return f"the key is {other!r}", other
+    if plain in OTHER_KEYS:  # a word of its own, not a misspelling
+        return f"allowed: {', '.join(by_likeness(key, names))}", None
+    return nearest(key, names), similar(key, names)
 
 
 def record_of_options(
@@ -135,11 +155,20 @@ def record_of_options(
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
     known_options = {key: value for key, value in options.items() if key in names}
+    keys = {name: name for name in known_options}
+    for (key, *_), _fault in faults:
+        # A misspelt key is not missing too.
+        meant = _key_meant(str(key), names)[1]
+        if meant is not None and meant not in known_options:
+            known_options[meant], keys[meant] = options[str(key)], str(key)
     try:
         return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
         wrong = wrong_values(known_options, error)
-    return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
+    return None, faults + [
+        ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
+        for at, fault in wrong
+    ]
 
 
 def renamed_options(
@@ -193,15 +222,21 @@ class _Faults:
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in by_location.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
+        known = frozenset(self.document.doubts)
         # In this order: a misspelt key is not missing too.
-        for location, _ in by_kind.pop("extra_forbidden", ()):
-            self._unknown_key(location)
+        unknown = [location for location, _ in by_kind.pop("extra_forbidden", ())]
+        entries = {at[:-1] for at in unknown if at[:-1] and isinstance(at[-2], int)}
+        strange = {at for at in sorted(entries, key=str) if self._no_known_key(at)}
+        for location in unknown:
+            if location[:-1] not in strange:
+                self._unknown_key(location)
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
             # In a union, the author meant the member with the most deeply nested
             # faults.
-            if key[0] not in ancestors:
+            new = self.document.doubts - known
+            if key[0] not in ancestors | new and key[0][:-1] not in new:
                 self._wrong_value(key[0], by_location[key])
         if len(errors) > MAX_REPLACED:
             self.document.check()
@@ -224,17 +259,59 @@ class _Faults:
             return
         if self._depends_on_kind(location):
             return
+        if str(key).startswith("-"):
+            self._tight_dash(location, node)
+            return
         message = f"unknown key {excerpt(str(key))}"
-        normalized = str(key).replace("_", "").lower()
-        intended = next((k for k in OTHER_KEYS.get(normalized, ()) if k in names), None)
-        hint = f"the key is {intended!r}" if intended else nearest(str(key), names)
+        hint, intended = _key_meant(str(key), names)
+        if hint.startswith("allowed"):
+            hint = self._key_of_sibling(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
-        intended = intended or similar(str(key), names)
         if intended and intended not in node:
             # Its names may be referenced, but whether it was meant is unknown.
             node[intended] = value
             self.document.spellings[*mapping, intended] = str(key)
             self.document.guesses.add((*mapping, intended))
+
+    def _key_of_sibling(
+        self, mapping: Location, node: dict[str, Any], key: str
+    ) -> str | None:
+        """Return a hint at the mapping beside an unknown key that has it."""
+        for sibling, value in node.items():
+            within = value[0] if isinstance(value, list) and value else value
+            inner = (0,) if within is not value else ()
+            if isinstance(within, dict):
+                location = (*mapping, sibling, *inner)
+                if key in fields_at(self.model, self.value, location):
+                    return f"it is a key of {sibling!r}: write it there"
+        return None
+
+    def _no_known_key(self, mapping: Location) -> bool:
+        """Record once that a list's entry has no key that is allowed."""
+        node = self.value
+        for step in mapping:
+            node = node[step]
+        names = fields_at(self.model, self.value, mapping)
+        unknown = [key for key in node if key not in names]
+        if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
+            return False
+        models = models_of(annotation_at(self.model, self.value, mapping), node)
+        is_pair = bool(paired_entries(models, node))
+        if is_pair or any(_key_meant(str(key), names)[1] for key in unknown):
+            return False
+        message = f"no known key in {_cut_names(unknown)}"
+        self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
+        self._put_placeholder(mapping)
+        return True
+
+    def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
+        """Record an entry of a list that was read as a key."""
+        *outer, key = location
+        hint = f"write '- {str(key)[1:].strip()}: …'"
+        self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
+        for other, value in list(mapping.items()):
+            if value is None:  # the list's key
+                self._put_placeholder((*outer, other))
 
     def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
         """Record an entry that pairs two names, such as {Hips: hips}, and mend it."""
@@ -260,9 +337,19 @@ class _Faults:
             self.document.add("DOC021", mapping, f"key {key!r} is missing")
         self._put_placeholder(location)
 
+    def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
+        """Record once that a list has another form than its entries show."""
+        *outer, last = location
+        if not isinstance(last, int) or not outer or not expected_structures(faults):
+            return False
+        hint = form_hint(self.model, self.value, tuple(outer), expects_list=True)
+        if hint is None or not hint.startswith("write "):
+            return False
+        self.document.add("DOC022", tuple(outer), values_message(faults), hint)
+        self._put_placeholder(tuple(outer))
+        return True
+
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
-        sizes = [fault for fault in faults if fault["type"] in _SIZES]
-        texts = dict.fromkeys(_fault_message(fault) for fault in sizes or faults)
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
             misspelt = similar(tag, map(str, faults[0]["input"]))
@@ -272,26 +359,37 @@ class _Faults:
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
-        if not self._depends_on_kind(location):
-            hint = (
-                _entry_hint(location, faults[0])
-                or _choice_hint(faults)
-                or self._form_hint(location, faults)
-            )
-            self.document.add("DOC022", location, _join_messages(texts), hint)
+        value = faults[0]["input"]
+        if self._wrong_entry(location, faults):
+            return
+        if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
+            self._tight_dash((*location, next(iter(value))), {})
+        elif not self._depends_on_kind(location):
+            hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
+            hint = hint or self._form_hint(location, faults)
+            self.document.add("DOC022", location, values_message(faults), hint)
         self._put_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return a hint with the right form where a mapping or list is expected."""
-        expected = {_KINDS.get(fault["type"]) for fault in faults}
-        if not expected & _STRUCTURES:
-            return None
-        axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None and expected == {_KINDS["list_type"]}:
+        """Return a hint with the right form of a key's value."""
+        value, structures = faults[0]["input"], expected_structures(faults)
+        commas = self.document.decimal_commas(location)
+        if structures and commas is not None:
+            return commas
+        if is_angles(faults):
+            return "write a quaternion [w, x, y, z]"
+        axis = AXES.get(str(value).upper())
+        if axis is not None and structures == {"a list"}:
             numbers = flow_value([round(number) for number in axis])
-            return f"write three numbers: {faults[0]['input']} is {numbers}"
-        expects_list = expected & _STRUCTURES == {_KINDS["list_type"]}
-        return form_hint(self.model, self.value, location, expects_list=expects_list)
+            return f"write three numbers: {value} is {numbers}"
+        if structures:
+            expects_list = structures == {"a list"}
+            return form_hint(
+                self.model, self.value, location, expects_list=expects_list
+            )
+        if type_fault(faults):
+            return example_hint(self.model, self.value, location)
+        return None
 
     def _depends_on_kind(self, location: Location) -> bool:
         """Return whether a key exists in only some kinds, and the kind is faulty."""
@@ -314,6 +412,10 @@ class _Faults:
         annotation = annotation_at(self.model, self.value, location)
         self.document.doubts.add(location)
         replaced(self.value, location, placeholder_of(annotation))
+
+
+def _cut_names(names: Sequence[Any]) -> str:
+    return listed([excerpt(str(name)) for name in names])
 
 
 def _by_location(
@@ -339,131 +441,16 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(steps)
 
 
-def _missing_message(last: int | str, value: Any) -> str:
-    """Return a message for a missing key or list item."""
-    if isinstance(last, str):
-        return f"key {last!r} is missing"
-    return f"{counted(len(value), 'item')} where {_count_is(last + 1)} needed"
-
-
-def _join_messages(texts: Iterable[str]) -> str:
-    """Join the messages of a union's members into one."""
-    first, *more = texts
-    start, negation, _ = first.partition(" is not ")
-    if more and negation and all(text.startswith(start + negation) for text in more):
-        kinds = [text.removeprefix(start + negation) for text in (first, *more)]
-        return f"{start} is neither {' nor '.join(kinds)}"
-    return "; or ".join((first, *more))
-
-
-# Faults of values outside an enumeration.
-_CHOICES = {"literal_error", "enum", "union_tag_invalid"}
-
-
-def _fault_message(fault: Any) -> str:
-    """Return the message of a fault, with the value."""
-    value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(value) if isinstance(value, str) else _shown(value)
-    if kind in {"too_short", "too_long", "string_too_long"}:
-        length = context.get("min_length", context.get("max_length"))
-        noun = "letter" if isinstance(value, str) else "item"
-        return f"{counted(len(value), noun)} where {_count_is(length)} needed"
-    if kind == "missing":
-        return _missing_message(fault["loc"][-1], value)
-    if kind == "union_tag_not_found":
-        return f"key {context['discriminator']} is missing"
-    if kind in _CHOICES:
-        allowed = context.get("expected", context.get("expected_tags"))
-        tag = excerpt(str(context["tag"])) if "tag" in context else shown
-        return f"{tag} is not one of {allowed}"
-    if kind in _KINDS:
-        return f"{shown} is not {_KINDS[kind]}"
-    return _value_fault(shown, fault)
-
-
-def _value_fault(shown: str, fault: Any) -> str:
-    """Return the message for a value of the right type but out of range."""
-    context, kind = fault.get("ctx", {}), fault["type"]
-    if kind == "extra_forbidden":
-        return f"unknown key {excerpt(str(fault['loc'][-1]))}"
-    bound = context.get(_BOUNDS.get(kind))
-    if bound is not None and abs(bound) >= LARGE:
-        return f"{shown} is beyond {bound:g}"
-    if bound is not None and 0 < bound <= SMALL:
-        above = fault["input"] > 0
-        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
-    if kind == "value_error":
-        return str(context["error"])
-    return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _choice_hint(faults: list[Any]) -> str | None:
-    """Return a hint with the nearest allowed value."""
-    for fault in faults:
-        context = fault.get("ctx", {})
-        value = context.get("tag", fault["input"])
-        allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICES and isinstance(value, str):
-            names = re.findall(r"'([^']*)'", str(allowed))
-            our_name = OTHER_VALUES.get(value.lower())
-            if our_name in names:
-                return f"{value!r} is called {our_name!r} here"
-            similar_name = similar(value, names)
-            if similar_name is not None:
-                return f"did you mean {similar_name!r}?"
-    return None
-
-
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return a hint on how to write an entry that is only a name, such as a pass."""
-    value, expected = fault["input"], _KINDS.get(fault["type"])
-    if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
+    value = fault["input"]
+    if fault["type"] != "dict_type":
+        return None
+    if len(location) > 1 and isinstance(location[-2], int):
+        # Of an entry that is named by its only key, the value.
+        return f"write {location[-1]}: {{OPTION: VALUE}}"
+    if not isinstance(location[-1], int):
         return None
     if not isinstance(value, str) or not value.isidentifier():
         return None
     return f"write '{value}: {{}}'"
-
-
-def _count_is(count: int) -> str:
-    return f"{count} is" if count == 1 else f"{count} are"
-
-
-# Larger bounds are general limits, not the key's.
-LARGE = 1e9
-# A bound at most this small is how "above 0" is checked.
-SMALL = 1e-30
-_BOUNDS = {"less_than_equal": "le", "greater_than_equal": "ge"}
-_KINDS = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-    "string_type": "text",
-    "string_pattern_mismatch": "a name on one line, without tabs",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "path_type": "the name of a file",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "a mapping of keys",
-    "model_type": "a mapping of keys",
-    "model_attributes_type": "a mapping of keys",
-}
-
-
-# Length faults of lists of the right type; the other members of a union were not meant.
-_SIZES = {"too_short", "too_long"}
-# Types of containers.
-_STRUCTURES = {"a list", "a mapping of keys"}
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict | list | tuple):
-        return excerpt(flow_value(value))[1:-1]
-    return excerpt(str(value)).strip("'")

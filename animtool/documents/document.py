@@ -19,6 +19,8 @@ from animtool.documents.yaml_values import Marks, read_values
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
+# A list that is read for decimal commas; others are no vectors.
+MAX_NUMBERS = 16
 
 
 @dataclass(slots=True)
@@ -61,6 +63,34 @@ class Document:
     def written(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for anything else."""
         return self._marked().plain.get(self._index(location))
+
+    def decimal_commas(self, location: Location, width: int = 0) -> str | None:
+        """Return a hint for a list whose numbers have decimal commas; None for others.
+
+        Args:
+            location: Of the list.
+            width: How many numbers are needed; 0 is any that the commas leave.
+        """
+        value: Any = self.value
+        for step in self._as_written(location):
+            value = value.get(step) if isinstance(value, dict) else value[step]
+        if not isinstance(value, list) or len(value) > MAX_NUMBERS:
+            return None
+        texts = [self.written((*location, i)) or "" for i in range(len(value))]
+        spots = [self.position((*location, i)) for i in range(len(value))]
+        numbers: list[str] = []
+        last = None  # where the one before ends, if it may be followed by decimals
+        for text, (line, column) in zip(texts, spots, strict=True):
+            if last == (line, column - 1) and text.isdigit():
+                numbers[-1] += f".{text}"
+                last = None
+            else:
+                numbers.append(text)
+                is_integer = text.lstrip("-+").isdigit()
+                last = (line, column + len(text)) if is_integer else None
+        if len(numbers) == len(texts) or len(numbers) != (width or len(numbers)):
+            return None
+        return f"write [{', '.join(numbers)}], with decimal points"
 
     def _marked(self) -> Marks:
         if self._marks is None:

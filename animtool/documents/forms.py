@@ -19,10 +19,12 @@ from animtool.documents.placeholders import (
     models_of,
 )
 from animtool.documents.yaml_text import flow_text
+from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
 MAX_EXAMPLE = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
+_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _RANGE_LENGTH = 2
 
 
@@ -53,12 +55,8 @@ def form_hint(
         entry = entry[step]
     examples = info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
-    if (
-        expects_list
-        and isinstance(entry, dict)
-        and not inner_steps
-        and not _converted(entry, example)
-    ):
+    is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
+    if is_mapping and not _converted(entry, example):
         entries = _list_entries(annotation_of(info), entry)
         for shown in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), shown)
@@ -77,10 +75,38 @@ def form_hint(
     key = str(location[depth - 1])
     converted = None if inner_steps else _converted(entry, example)
     if converted is not None:
-        return f"write {flow_text(key, converted)}"
+        return f"write {_short(key, converted)}"
     text = flow_text(key, example)
     word = "write" if _contains(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
+
+
+def _short(key: str, entries: Sequence[Any]) -> str:
+    """Return a key with its list on one line, cut after the first entries."""
+    for count in range(len(entries), 0, -1):
+        text = flow_text(key, list(entries[:count]))
+        if len(text) <= MAX_EXAMPLE or count == 1:
+            return text if count == len(entries) else f"{text[:-1]}, …]"
+    return flow_text(key, list(entries))
+
+
+def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
+    """Return a hint with the example of a key whose value is a scalar."""
+    match = field_at(model, value, location)
+    if match is None or match[0] != len(location):
+        return None
+    example = (match[1].examples or [None])[0]
+    around: Any = value
+    for step in location[:-1]:
+        around = around[step]
+    entry = around.get(location[-1]) if isinstance(around, dict) else None
+    unit = _UNIT.fullmatch(example) if isinstance(example, str) else None
+    if unit is not None and type(entry) in (int, float):
+        return f"add a unit, such as {entry}{unit[1]}"
+    if example is None or isinstance(example, bool | list | tuple | dict):
+        return None
+    text = flow_text(str(location[-1]), example)
+    return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
 
 
 def paired_entries(
@@ -101,7 +127,9 @@ def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, A
     """Return the entries of a list that a mapping stands for; empty if none fit."""
     models = models_of(annotation_inside(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
-    if not keys or value.keys() <= keys:
+    if not keys:  # entries that are named by their only key, such as passes
+        return [{key: one} for key, one in value.items()]
+    if value.keys() <= keys:
         return [dict(value)]
     if "name" in keys and all(isinstance(one, dict) for one in value.values()):
         return [{"name": name, **entry} for name, entry in value.items()]
@@ -114,13 +142,10 @@ _ENDS = ("min", "low", "lower", "first", "start", "max", "high", "upper", "last"
 
 def _converted(value: Any, example: Any) -> list[Any] | None:
     """Convert a value to the form of an example, if its meaning is unambiguous."""
-    if not isinstance(example, list | tuple):
+    if not isinstance(example, list | tuple) or not example:
         return None
-    ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
-    if ends is not None and len(example) == _RANGE_LENGTH:
-        return [
-            float(number) if "." in number else int(number) for number in ends.groups()
-        ]
+    if isinstance(value, str):
+        return _listed(value.strip(), example)
     if isinstance(value, dict) and len(example) == _RANGE_LENGTH:
         bounds = [value.get(key) for key in _ENDS if key in value]
         return bounds if len(bounds) == len(value) == _RANGE_LENGTH else None
@@ -130,9 +155,34 @@ def _converted(value: Any, example: Any) -> list[Any] | None:
         if len(example) > _RANGE_LENGTH and len(axes) == 1:
             sign = -1 if example[axes[0]] < 0 < value else 1
             return [sign * value if i in axes else 0 for i in range(len(example))]
-    if isinstance(value, list) and example and isinstance(example[0], list):
-        return [value] if len(value) == len(example[0]) else None
+    if isinstance(value, list):
+        return _nested(value, example)
     return None
+
+
+def _nested(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
+    """Return a list as an entry of the list that is meant, or without a step."""
+    if isinstance(example[0], list):
+        return [value] if len(value) == len(example[0]) else None
+    keys = list(example[0]) if isinstance(example[0], dict) else []
+    rows = [row for row in value if isinstance(row, list) and len(row) == len(keys)]
+    if keys and rows and len(rows) == len(value):
+        return [dict(zip(keys, row, strict=True)) for row in value]
+    if len(keys) == 1 and all(isinstance(row, dict) for row in value):
+        return [{key: row[key]} for row in value for key in row]
+    is_range = len(value) == _RANGE_LENGTH + 1 and len(example) == _RANGE_LENGTH
+    return value[:_RANGE_LENGTH] if is_range and value[0] < value[1] else None
+
+
+def _listed(text: str, example: Sequence[Any]) -> list[Any] | None:
+    """Return a text of numbers, or of one name, as the list that is meant."""
+    if all(isinstance(one, str) for one in example):
+        return [text]
+    ends = _PAIR.fullmatch(text)
+    parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
+    numbers = [plain_scalar(part) for part in parts if part]
+    are_numbers = all(isinstance(one, int | float) for one in numbers)
+    return numbers if are_numbers and len(numbers) == len(example) else None
 
 
 def _contains(example: Any, value: Any) -> bool:

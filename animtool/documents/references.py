@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import find_config, project_around
-from animtool.core.files.reading import exists, nearest_file, path_from_folder
+from animtool.core.files.reading import (
+    exists,
+    nearest_file,
+    path_from_folder,
+    unexpanded_hint,
+)
 from animtool.documents.document import Document, Location
 
 
@@ -87,7 +92,7 @@ def _outside_hint(path: Path, name: str, written: bool) -> str:
 
 def missing_hint(document: Document, name: str) -> str | None:
     """Return a hint with a similar file name; None if there is no match."""
-    return nearest_file(Path(name), document.path.parent)
+    return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
 
 
 def referred_input(

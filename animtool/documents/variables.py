@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, clause
 from animtool.core.errors import excerpt
 from animtool.core.files.output import name_problem
-from animtool.core.names import VARIABLE_NAME, is_variable_name, nearest
+from animtool.core.names import VARIABLE_NAME, is_variable_name, similar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
@@ -270,10 +270,9 @@ class _Resolver:
         self.uses.setdefault(key, set()).add(name)
         if name not in self.values and name not in self.faulty:
             message = f"unknown variable {name!r}"
-            hint = nearest(name, sorted(self.values))
-            hint += (
-                f"; set it with {argument('set', f'{name}=…')}, or its default under "
-                "variables: in the file"
-            )
+            hint = f"give it a value under {DEFAULTS}:"
+            hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
+            near = similar(name, sorted(self.values))
+            hint = f"did you mean {near!r}?" if near else hint
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

@@ -93,6 +93,9 @@ def version_of(
             (DOC012).
     """
     kinds_in_file = [name for name in KINDS if name in document.value]
+    path_kind = kind_named(document.path, "")
+    if kind is None and path_kind in table and path_kind not in kinds_in_file:
+        kind = path_kind
     named_kind = kind or next((name for name in kinds_in_file if name in table), "")
     if named_kind not in kinds_in_file or _of_another_kind(
         document, named_kind, kinds_in_file[0]
@@ -103,7 +106,9 @@ def version_of(
         message = "the first line is missing"
         expected = kind_named(document.path, kind or "rig")
         hint = f"write `{expected}: animtool/1` above line 1"
-        if kinds_in_file:
+        # A clip and a scene name their rig.
+        names_rig = kind == path_kind and kinds_in_file == ["rig"]
+        if kinds_in_file and not names_rig:
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {kinds_in_file[0]} file"
             hint += _INSTEAD.get(kinds_in_file[0], "") if kind == "clip" else ""
@@ -125,9 +130,8 @@ def version_of(
         document.add("DOC012", (named_kind,), message, hint)
     else:
         message = f"{named_kind} is {excerpt(str(file_version))}"
-        document.add(
-            "DOC009", (named_kind,), message, f"allowed: animtool/{newest_version}"
-        )
+        hint = f"write {named_kind}: animtool/{newest_version}"
+        document.add("DOC009", (named_kind,), message, hint)
     document.check()
     raise AssertionError(file_version)
 

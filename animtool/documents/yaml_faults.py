@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+
+from animtool.documents.yaml_slips import YamlFault, find_slip
 
 # Messages of libyaml's scanner, and how to fix the file. The first match counts.
 _SCANNER_FAULTS = {
@@ -34,15 +35,6 @@ _SCANNER_FAULTS = {
 }
 
 
-class YamlFault(NamedTuple):
-    """A syntax fault: message, line, column and hint."""
-
-    message: str
-    hint: str | None
-    line: int  # 1-based
-    column: int
-
-
 def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     r"""Return the syntax fault of a text.
 
@@ -56,29 +48,46 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     ('line 2 is indented further than line 1', 'start it in column 1')
     """
     lines = text.splitlines() or [""]
-    line_text = lines[min(line, len(lines)) - 1]
-    # A tab at or before the scanner's position, which is often one line late.
+    return (
+        _tab(lines, line)
+        or find_slip(text, line)
+        or _no_colon(lines, problem, line)
+        or _scanned(lines, problem, line, column)
+    )
+
+
+def _tab(lines: list[str], line: int) -> YamlFault | None:
+    """Return the fault of a tab before the scanner's position, often a line later."""
     for number in (line, line - 1):
         source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]
         if "\t" in indent:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
+    return None
+
+
+def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
+    """Return the fault of a key without a colon above the scanner's position."""
+    here = lines[min(line, len(lines)) - 1]
     above = _above(lines, line)
-    keyless = _bare_key(lines[above - 1]) if above else None
-    if keyless is not None and (
+    bare = _bare_key(lines[above - 1]) if above else None
+    if bare is None or not (
         "could not find expected ':'" in problem
-        or (
-            "mapping values" in problem
-            and _indent(line_text) > _indent(lines[above - 1])
-        )
+        or ("mapping values" in problem and _indent(here) >= _indent(lines[above - 1]))
     ):
-        column = lines[above - 1].index(keyless) + 1
-        name, _, value_text = keyless.partition(" ")
-        hint = f"write '{name}: {value_text.strip() or 'value'}'"
-        return YamlFault("a key has no colon", hint, above, column)
+        return None
+    name, _, rest = bare.partition(" ")
+    hint = f"write '{name}: {rest.strip(' =') or 'value'}'"
+    at = lines[above - 1].index(bare) + 1
+    return YamlFault("a key has no colon", hint, above, at)
+
+
+def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
+    """Return the fault at the scanner's position."""
     if "mapping values are not allowed" in problem:
-        if above and _indent(line_text) > _indent(lines[above - 1]):
+        here, above = lines[min(line, len(lines)) - 1], _above(lines, line)
+        if above and _indent(here) > _indent(lines[above - 1]):
             message = f"line {line} is indented further than line {above}"
             hint = f"start it in column {_indent(lines[above - 1]) + 1}"
             return YamlFault(message, hint, line, column)

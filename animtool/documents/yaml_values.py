@@ -17,10 +17,11 @@ from typing import Any, NamedTuple, NoReturn, cast
 import yaml
 
 from animtool.core.errors import Fault, FormatError, excerpt
-from animtool.core.names import VARIABLE_NAME, unreadable
+from animtool.core.names import KINDS, VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_faults import YamlFault, yaml_fault
+from animtool.documents.yaml_faults import yaml_fault
+from animtool.documents.yaml_slips import YamlFault
 
 # Hand-written files nest five or six deep.
 MAX_DEPTH = 50
@@ -48,6 +49,8 @@ _NUMBER = re.compile(
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
 )
 _BASES = {"octal": 8, "hexadecimal": 16}
+# A key that lacks a space: `{t:25}`.
+_TIGHT_KEY = re.compile(r"([A-Za-z_][\w.]*):([^\s/\\].*)")
 _NUMERIC = frozenset("+-.0123456789")
 _CONSTANTS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -124,6 +127,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
             fault = YamlFault(message, None, 1, 1)
             hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
+            fault = fault._replace(message="'${' without the name of a variable")
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:
@@ -223,6 +227,11 @@ class _YamlReader:
         )
         if len(self.faults) >= MAX_FAULTS:
             raise FormatError(self.faults)
+
+    def before(self) -> tuple[str, tuple[int, int]]:
+        """Return the node before the last one: its unquoted text, and its position."""
+        index = max(0, len(self.positions) - 2)
+        return self.plain.get(index, ""), self.positions[index]
 
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
@@ -329,6 +338,8 @@ class _Open:
             self.value.append(value)
             return
         if self.key is not None:
+            if value is None and not plain and self.flow:
+                self._tight_key(reader)
             self.value[self.key] = value
             self.key = None
             if self.flow and (self.pieces or "(" in plain):
@@ -336,6 +347,12 @@ class _Open:
             return
         if self.timed and type(value) in (int, float):
             self.times.append((value, position))
+            value = f"\0{position}"
+        elif plain.isdigit() and self._is_decimal(position, reader):
+            digits, spot = reader.before()
+            message = f"'{digits},{plain}' has a decimal comma"
+            hint = f"write {digits}.{plain}, with a decimal point"
+            reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
@@ -351,12 +368,28 @@ class _Open:
         elif value in self.keys:
             message = f"duplicate key {excerpt(value)}"
             hint = f"the first is on line {self.keys[value]}"
+            if self.keys[value] == 1 and value in KINDS:
+                hint += ", and states what the file is"
             reader.fault("DOC004", message, position, hint)
         self.keys.setdefault(value, position[0])
         self.key = value
         if self.pieces:
             self.pieces.append(plain)
             self.brackets += _open_brackets(plain)
+
+    def _tight_key(self, reader: _YamlReader) -> None:
+        """Report a key that contains its value, for want of a space."""
+        key, position = reader.before()
+        match = _TIGHT_KEY.fullmatch(key)
+        if match is not None:
+            message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
+            reader.fault("DOC001", message, position, f"{hint}{match[2]}'")
+
+    def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
+        """Return whether a key is the decimals of the number before it."""
+        digits, (line, column) = reader.before()
+        is_integer = self.flow and digits.lstrip("+-").isdigit()
+        return is_integer and position == (line, column + len(digits) + 1)
 
     def close(self, reader: _YamlReader) -> None:
         """Report once that times are mapping keys; show the right form."""

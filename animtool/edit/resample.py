@@ -160,6 +160,33 @@ def _refusal(message: str) -> OptionError:
     return OptionError(Fault("CLI005", message))
 
 
+def outside_take(
+    frame_range: FrameRange,
+    first: Fraction,
+    last: Fraction,
+    *,
+    name: str = "frame_range",
+    noun: str = "take",
+) -> Fault:
+    """Return the fault of frames that a take does not have (CLI005).
+
+    Args:
+        frame_range: The frames.
+        first: First frame of the take.
+        last: Its last frame.
+        name: Argument that names the frames.
+        noun: What has the frames.
+
+    >>> outside_take(FrameRange(0, 0), Fraction(1), Fraction(64), name="rest").message
+    'rest: frame 0 is not in the take, which has frames 1-64'
+    """
+    low, high = frame_range.first, frame_range.last
+    frames = f"frame {low} is" if low == high else f"frames {low}-{high} are"
+    message = f"{argument(name)}: {frames} not in the {noun}, "
+    message += f"which has frames {frame_label(first)}-{frame_label(last)}"
+    return Fault("CLI005", message)
+
+
 def _codes(first: Fraction, frames: range) -> FloatArray:
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
@@ -180,10 +207,7 @@ def _within(
     range_first += max(0, math.ceil((take_first - range_first) / step)) * step
     frames = range(range_first, min(range_last, math.floor(take_last)) + 1, step)
     if not frames:
-        raise _refusal(
-            f"frames {frame_range.first}-{frame_range.last} are not in the take, "
-            f"which has {float(start):g}-{float(start + span):g}"
-        )
+        raise OptionError(outside_take(frame_range, start, start + span))
     return frames
 
 
@@ -201,10 +225,7 @@ def _kept_samples(
         last_index = min(last_index, (frame_range.last - start) // step)
         if first_index > last_index:
             last = start + (clock.count - 1) * step
-            raise _refusal(
-                f"frames {frame_range.first}-{frame_range.last} are not in the take, "
-                f"which runs from {float(start):g} to {float(last):g}"
-            )
+            raise OptionError(outside_take(frame_range, start, last))
     frames = np.arange(first_index, last_index + 1)
     first = start + first_index * step
     codes = time_codes(first, step, len(frames))

@@ -100,6 +100,12 @@ class PageReport:
     )
 
     @property
+    def codes(self) -> list[str]:
+        """Codes of the findings on the page."""
+        findings = self.page.manifest["findings"]
+        return list(dict.fromkeys(finding["code"] for finding in findings))
+
+    @property
     def counts(self) -> dict[str, int]:
         """Number of items of each kind on the page."""
         manifest = self.page.manifest

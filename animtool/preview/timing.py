@@ -14,6 +14,7 @@ from animtool.core.names import is_named
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
+from animtool.edit.resample import outside_take
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
 from animtool.preview.open_file import OpenFile, ShownTake
@@ -168,11 +169,7 @@ def timeline_of(
         last = min(last, Fraction(frames.last))
         first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
         if last < first:
-            message = (
-                f"frames {frames.first}-{frames.last} are not in the file, which has "
-                f"{frame_label(start)}-{frame_label(end)}"
-            )
-            raise OptionError(Fault("CLI005", message))
+            raise OptionError(outside_take(frames, start, end, noun="file"))
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"

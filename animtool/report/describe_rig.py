@@ -44,6 +44,7 @@ class RigDescription:
     combined: int  # shapes that combine other shapes
     arkit: int  # number of ARKit's 52 shapes
     controls: int  # number of controls
+    control_names: list[str]  # their names
     driven: list[str]  # drivers, as formulas
     ik: int  # number of IK chains
     attach: int  # number of attachments
@@ -57,7 +58,6 @@ class RigDescription:
     def others(self) -> dict[str, int]:
         """Counts of optional parts of a rig, by noun."""
         counts = {
-            "control": self.controls,
             "chain": self.ik,
             "attachment": self.attach,
             "collider": self.colliders,
@@ -93,6 +93,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         sum(bool(shape.combine) for shape in rig.shapes),
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
         len(rig.controls),
+        [control.name for control in rig.controls],
         _driven(rig),
         len(rig.chains),
         len(rig.attach),

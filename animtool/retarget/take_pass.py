@@ -314,7 +314,7 @@ def _rest(
             rotations = motion.select(slice(frame - 1 - count, frame - count)).rotations
             return rotations.dense()[0], chain(buffered, blocks)
         count += motion.frames
-    message = f"the rest pose is frame {frame}, but the take has {count}"
+    message = f"frame {frame} is not in the take, which has frames 1-{count}"
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 
 MAX_LENGTH = 1000
@@ -151,11 +152,20 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError) as error:
-        reason = getattr(error, "msg", None) or "too deep"
-        raise ValueError(f"invalid expression: {reason}") from error
+        raise ValueError(_syntax_fault(text.strip(), error)) from error
     names: set[str] = set()
     _check(tree, text.strip(), names, 0, coordinates=coordinates)
     return Expression(text, tuple(sorted(names)), tree)
+
+
+def _syntax_fault(text: str, error: Exception) -> str:
+    """Return where the syntax of an expression breaks."""
+    if isinstance(error, RecursionError | MemoryError):
+        return "the expression is nested too deep"
+    at = (getattr(error, "offset", None) or 1) - 1
+    if at >= len(text) or text.rstrip().endswith(tuple("+-*/,(")):
+        return "the expression ends too early"
+    return f"the expression cannot be read from {excerpt(text[at:])} on"
 
 
 def _coordinate(node: ast.expr) -> str | None:

@@ -437,7 +437,8 @@ def unit_vector(document: Document, location: Location, values: list[float]) -> 
     if abs(length - 1.0) <= UNIT_TOLERANCE:
         length = 1.0
     if not MIN_VECTOR < length < 1 / MIN_VECTOR:
-        document.add("RIG005", location, f"axis {values} has no direction")
+        message, hint = "an axis of zeros has no direction", "for example [1, 0, 0]"
+        document.add("RIG005", location, message, hint)
         return (0.0, 0.0, 1.0)
     x, y, z = (value / length for value in values)
     return (x, y, z)

@@ -15,7 +15,8 @@ All are relative to the rest frame: ``local = T(rest) · R(rest) · motion(q)``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -128,19 +129,62 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
 }
 
 
-def nearest_part(text: str, parts: Iterable[str]) -> str | None:
-    """Return a hint with the nearest part name of a joint.
+# Parts of a joint in other tools, without the name of an axis.
+_OTHER_PARTS = {
+    "position": "translation",
+    "translate": "translation",
+    "location": "translation",
+    "pos": "translation",
+    "t": "translation",
+    "rotate": "rotation",
+    "rotationeuler": "rotation",
+    "orientation": "rotation",
+    "rot": "rotation",
+    "r": "rotation",
+    "quaternion": "rotation",
+    "quat": "rotation",
+}
+# Of a joint with one degree of freedom.
+_SINGLE = {
+    (JointType.PIN, "rotation"): "angle",
+    (JointType.PRISMATIC, "translation"): "slide",
+}
 
-    >>> nearest_part("elbow_l.angel", KEYED_PARTS)
+
+def part_hint(
+    text: str, parts: Mapping[str, Sequence[JointType]], kind: JointType | None = None
+) -> str:
+    """Return a hint with the part of a joint that a target means.
+
+    Args:
+        text: The target: the joint's name, and what is no part of it.
+        parts: Allowed parts, and the joints that have them.
+        kind: Type of the joint; None if unknown.
+
+    >>> part_hint("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
+    >>> part_hint("knee.rotateX", DRIVEN_PARTS, JointType.PIN)
+    'the part is .angle'
     """
+    fitting = [part for part, kinds in parts.items() if kind is None or kind in kinds]
     words = text[-MAX_LENGTH:].split(".")
-    suffixes = [".".join(words[i:]) for i in range(1, len(words))]
-    names = list(parts)
-    suggestions = next(
-        filter(None, (similar(suffix, names) for suffix in suffixes)), None
-    )
-    return f"did you mean '.{suggestions}'?" if suggestions else None
+    tails = [".".join(words[i:]) for i in range(1, len(words))]
+    for tail in tails:
+        plain = re.sub("[._]", "", tail.lower())
+        bare = plain[:-1] if plain[-1:] in ("x", "y", "z") else plain
+        meant = _OTHER_PARTS.get(bare, bare)
+        axis = plain[-1] if bare != plain else "x"
+        single = _SINGLE.get((kind, meant)) if kind is not None else None
+        for part in (single, meant, f"{meant}.{axis}"):
+            if part in fitting:
+                return f"the part is .{part}"
+    near = next(filter(None, (similar(tail, fitting) for tail in tails)), None)
+    if near is not None:
+        return f"did you mean '.{near}'?"
+    if kind is None:
+        return f"write a joint's name and one of .{', .'.join(fitting)}"
+    has = f".{', .'.join(fitting)}" if fitting else "nothing that moves"
+    return f"a {kind} joint has {has}"
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

@@ -26,7 +26,7 @@ from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
 from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
-from animtool.rig.joints import DRIVEN_PARTS, nearest_part, split_part
+from animtool.rig.joints import DRIVEN_PARTS, part_hint, split_part
 from animtool.rig.mass_entries import read_masses
 from animtool.rig.parts import (
     ArraySource,
@@ -212,7 +212,13 @@ class PartReader:
             ]
             if all(are_known) and not self._below(chain.root, chain.tip):
                 message = f"{chain.tip!r} is not below {chain.root!r}"
-                self.document.add("RIG022", (*location, "tip"), message)
+                hint = "name a joint below the root"
+                if self._below(chain.tip, chain.root):
+                    hint = f"root and tip are swapped: write root: {chain.tip}, "
+                    hint += f"tip: {chain.root}"
+                elif chain.tip == chain.root:
+                    message = f"root and tip are both {chain.tip!r}"
+                self.document.add("RIG022", (*location, "tip"), message, hint)
             pole = None
             if chain.pole_dir is not None:
                 pole = unit_vector(
@@ -430,9 +436,7 @@ class PartReader:
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
-            message = f"missing part of joint {name!r}"
-            hint = f"write a joint's name and one of .{', .'.join(DRIVEN_PARTS)}"
-            hint = nearest_part(name, DRIVEN_PARTS) or hint
+            message, hint = self._part_fault(name)
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
@@ -447,6 +451,19 @@ class PartReader:
         length = part == "slide" or part.startswith("translation")
         unit = self.units.length if length else self.units.angle
         return f"joint/{name}", unit
+
+    def _part_fault(self, name: str) -> tuple[str, str]:
+        """Return message and hint for a drive without a known part of a joint."""
+        joint, _, part = name.rpartition(".")
+        if name in self.joints:
+            joint, message = name, f"missing part of joint {name!r}"
+        elif joint in self.joints:
+            message = f"unknown part {part!r} of joint {joint!r}"
+        else:
+            return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
+        typed = joint not in self.file_joints.untyped
+        kind = self.joints[joint].type if typed else None
+        return message, part_hint(name, DRIVEN_PARTS, kind)
 
     def _distinct(self, key: str, kind: str) -> None:
         first_entry: dict[str, int] = {}
@@ -466,7 +483,9 @@ class PartReader:
         has_unnamed = self.document.has_unnamed(_LIST_KEYS[kind])
         if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
-            self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
+            self.document.add(
+                code, at, f"unknown {kind} {name!r}", nearest(name, names)
+            )
         return False
 
     def _below(self, root: str, tip: str) -> bool:

@@ -75,9 +75,18 @@ def test_a_folder_that_is_a_file(takes: Path) -> None:
     assert [fault.code for fault in error.faults] == ["OUT002"]
 
 
+def test_an_output_of_many_is_one_fault(tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 9)
+    [fault] = refused(batch(tmp_path, "out/one.usdc")).faults
+    assert fault.code == "OUT007"
+    assert "7 more" in fault.message
+    assert "{stem}" in str(fault.hint)
+
+
 def test_many_faults_are_cut(tmp_path: Path) -> None:
-    take_files(tmp_path / "takes", 60)
-    error = refused(batch(tmp_path, "out/one.usdc"))
+    for folder in "ab":
+        take_files(tmp_path / "takes" / folder, 60)
+    error = refused(batch(tmp_path, "out/{stem}.usdc"))
     assert len(error.faults) == 51
     assert error.faults[-1].code == "DOC011"
 

@@ -316,3 +316,25 @@ def test_a_swapped_source_and_a_forgotten_o_are_usage_errors(
     forgotten = animtool("bake", walk, missing)
     assert (forgotten.code, f"use -o {missing}" in forgotten.stderr) == (2, True)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--range", "900-901"), ("--range", "1-64", "--start 900")),
+        (("--start", "1001", "--range", "1-10"), ("1001-1064", "--range 1001-1010")),
+        (("--rest", "frame:0"), ("--rest", "1-64")),
+    ],
+)
+def test_frames_outside_of_a_take_name_the_option(
+    walk: Path, tmp_path: Path, arguments: tuple[str, ...], said: tuple[str, ...]
+) -> None:
+    done = animtool("bake", walk, "-o", tmp_path / "a.usdc", *arguments)
+    assert (done.code, done.stderr.startswith(f"{walk}: CLI005")) == (2, True)
+    assert all(words in done.stderr for words in said)
+
+
+def test_a_variable_of_a_shell_in_a_path(tmp_path: Path) -> None:
+    done = animtool("bake", "$SHOT/a.bvh", "-o", tmp_path / "a.usdc")
+    assert (done.code, "IO001" in done.stderr) == (3, True)
+    assert "write ${SHOT}" in done.stderr

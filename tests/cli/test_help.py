@@ -69,7 +69,7 @@ def test_help_of_a_command_by_name() -> None:
         (("bake", "takes/**/walk.bvh"), "animtool batch"),
         (
             ("ik", "a.rig.yaml", "--missed-degrees", "0.1deg"),
-            "'0.1deg' is not a tolerance",
+            "'0.1deg' is not a number from 0 up",
         ),
         (("ik", "a.rig.yaml", "--seed", "random"), "'random' is not a whole number"),
         (("retarget", "a.rig.yaml", "--to", "b.bvh"), "swap SOURCE and --to"),

@@ -273,7 +273,7 @@ def test_one_of_a_kind_is_not_said_in_plural(
         "controls: [{name: x}]\nik: [{name: leg, root: a, tip: c}]\n"
     )
     done = animtool("info", rig)
-    assert "and       1 control, 1 chain\n" in done.stdout
+    assert "controls  x\n  and       1 chain\n" in done.stdout
 
 
 def test_skipping_a_clip_wants_its_rig_too(walk: Path, tmp_path: Path) -> None:

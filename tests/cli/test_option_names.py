@@ -116,4 +116,4 @@ def test_an_option_of_another_tool_has_ours_as_hint(
 ) -> None:
     done = animtool(*arguments)
     assert done.code == 2
-    assert f"Did you mean '{flag}'?" in done.stderr
+    assert f"did you mean '{flag}'?" in done.stderr

@@ -241,3 +241,11 @@ def test_a_map_file_says_enough_of_what_follows_what(
     )
     done = animtool("retarget", root / WALK, "--to", lamp, "--map", mapped)
     assert done.code == 0, done.stderr
+
+
+def test_a_file_that_cannot_be_read_is_named_by_its_option(walk: Path) -> None:
+    done = animtool("retarget", walk, "--to", walk, "--map", "W")
+    assert (done.code, done.stderr) == (
+        3,
+        "W: IO001 --map: does not exist; it takes a file\n",
+    )

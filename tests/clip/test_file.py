@@ -114,8 +114,8 @@ def faults(tmp_path: Path, channels: str, head: str) -> list[tuple[str, int, str
 PIN = "- target: joint/elbow_l.angle\n  keys:\n"
 # Channels from line 5 on: what is planted, its code, its line, words that it says.
 PLANTED = [
-    ("- {target: elbow_l.angle, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "joint/NAME"),
-    ("- {target: joint/elbow_l, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "slide"),
+    ("- {target: elbow_l.angle, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "/elbow_l.angle"),
+    ("- {target: joint/elbow_l, keys: [{t: 0, v: 0}]}", "CLIP001", 5, ".angle"),
     ("- {target: joint/elbw_l.angle, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'elbow_l'"),
     ("- {target: control/grim, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'grin'"),
     ("- {target: shape/smile, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "none are defined"),

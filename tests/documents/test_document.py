@@ -154,7 +154,7 @@ TRAPS = {
     "a control character": ("a: 1\nb: \x07", [("DOC001", 1)]),
     "5000 digits": ("a: 1\nb: " + "9" * 5000, [("DOC001", 2)]),
     "5000 hexadecimal digits": ("b: 0x" + "9" * 5000, [("DOC001", 1)]),
-    "an open bracket": ("a: [1, 2\nb: 3", [("DOC001", 2)]),
+    "an open bracket": ("a: [1, 2\nb: 3", [("DOC001", 1)]),
     "an open quote": ("a: 'x", [("DOC001", 1)]),
     "bad indent": ("a:\n    b: 1\n  c: 2", [("DOC001", 3)]),
     "a later YAML": ("%YAML 3.0\n---\na: 1", [("DOC001", 1)]),

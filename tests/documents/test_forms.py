@@ -12,6 +12,8 @@ from animtool.documents.forms import form_hint
 
 class Shown(BaseModel):
     gravity: list[float] = Field(examples=[[0, -1.62, 0]])
+    keys: list[dict[str, int]] = Field(examples=[[{"t": 1, "v": 0}]])
+    passes: list[dict[str, int]] = Field(examples=[[{"mirror": 0}, {"loop": 1}]])
     range: list[int] = Field(examples=[[1, 48]])
     spans: list[list[int]] = Field(examples=[[[12, 30], [48, 60]]])
 
@@ -26,6 +28,11 @@ class Shown(BaseModel):
         ("range", "3-9", "write range: [3, 9]"),
         ("range", "-4 - 12", "write range: [-4, 12]"),
         ("range", "3", "for example range: [1, 48]"),
+        ("range", [1, 25, 2], "write range: [1, 25]"),
+        ("keys", [[1, 0], [5, 2]], "write keys: [{t: 1, v: 0}, {t: 5, v: 2}]"),
+        ("passes", {"trim": {}, "loop": {}}, "write passes: [{trim: {}}, {loop: {}}]"),
+        ("passes", [{"trim": 1, "loop": 2}], "write passes: [{trim: 1}, {loop: 2}]"),
+        ("gravity", "0 -9.81 0", "write gravity: [0, -9.81, 0]"),
         ("spans", [1, 40], "write spans: [[1, 40]]"),
     ],
 )

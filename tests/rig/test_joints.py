@@ -8,9 +8,11 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.joints import (
+    DRIVEN_PARTS,
     coordinate_slices,
     coordinates_from_local,
     local_from_coordinates,
+    part_hint,
 )
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -95,3 +97,22 @@ def test_what_a_joint_cannot_do_is_left_out() -> None:
 def test_shape() -> None:
     with pytest.raises(ValueError, match="coordinates"):
         local_from_coordinates(every_type(), np.zeros((1, 12)))
+
+
+@pytest.mark.parametrize(
+    ("target", "kind", "part"),
+    [
+        ("knee.rotateX", JointType.PIN, ".angle"),
+        ("knee.rotation", JointType.PIN, ".angle"),
+        ("piston.tx", JointType.PRISMATIC, ".slide"),
+        ("chest.rz", JointType.BALL, ".rotation.z"),
+        ("hips.translate_y", JointType.FREE, ".translation.y"),
+        ("knee.angel", None, "'.angle'"),
+        ("knee", JointType.PIN, ".angle"),
+        ("root", JointType.FIXED, "nothing"),
+    ],
+)
+def test_a_part_in_the_words_of_other_tools(
+    target: str, kind: JointType | None, part: str
+) -> None:
+    assert part_hint(target, DRIVEN_PARTS, kind).endswith((part, f"{part}?", "moves"))

@@ -49,7 +49,7 @@ def document_faults(kind: str, line: str, number: int) -> list[Planted]:
     """
     key, _, value = line.partition(": ")
     planted = [
-        (f"{key}: [{value}", "DOC001", number + 1),
+        (f"{key}: [{value}", "DOC001", number),
         (f"{key}: &r {value}", "DOC002", number),
         (f"{key}: *r", "DOC002", number),
         (f"{key}: !!str {value}", "DOC003", number),

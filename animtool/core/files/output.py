@@ -179,8 +179,10 @@ def _check_folder(folder: Path, path: Path) -> None:
     except OSError as error:
         raise output_error(path, error) from error
     if missing:
-        message = f"cannot be written: {str(folder)!r} {missing}"
+        message = f"cannot be written: its folder {str(folder)!r} {missing}"
         hint = "make the folder first"
+        if missing == "is not a folder":
+            hint = f"choose another {argument('output')}"
         raise OutputError(Fault("OUT002", message, str(path), (), hint))
     if not os.access(folder, os.W_OK | os.X_OK):
         message = f"cannot be written: no permission in {str(folder)!r}"
@@ -209,7 +211,7 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
         input_path = input_by_key.get(name_key(output.final))
         if input_path is not None and same_file(output.final, input_path):
             message = "is an input of this command"
-            hint = "choose another -o"
+            hint = f"choose another {argument('output')}"
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, FormatError
 from animtool.core.names import similar
 from animtool.core.record import dataclass
@@ -186,8 +188,40 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
     else:
         if isinstance(reason, OSError):
             reason = reason.strerror or str(reason)
-        message = f"cannot be read: {reason}"
-    return FormatError(Fault("IO001", message, str(path), (), nearest_file(path)))
+        it = "it " if reason.startswith("is a ") else ""
+        message = f"cannot be read: {it}{reason}"
+    hint = unexpanded_hint(str(path)) or nearest_file(path) or _folder_hint(path)
+    return FormatError(Fault("IO001", message, str(path), (), hint))
+
+
+# A variable of a shell, and the home folder, which only shells replace.
+_SHELL = re.compile(r"\$(?!\{)(\w+)|%(\w+)%|^(~)/")
+
+
+def unexpanded_hint(text: str) -> str | None:
+    """Return a hint for a path with a variable of a shell; None for others.
+
+    >>> unexpanded_hint("$SHOT/walk.bvh")
+    'variables of a shell are not replaced: write ${SHOT} and give it a value'
+    """
+    match = _SHELL.search(text)
+    if match is None:
+        return None
+    if match[3]:
+        return "~ is not replaced: write the folder"
+    name = match[1] or match[2]
+    hint = f"variables of a shell are not replaced: write ${{{name}}} and give it a "
+    return hint + "value" + clause(f" with {argument('set', f'{name}=VALUE')}")
+
+
+def _folder_hint(path: Path) -> str | None:
+    """Return a hint at the first file in a folder; None for other paths."""
+    try:
+        entries = islice(path.iterdir(), MAX_NAMES)
+        files = sorted(entry for entry in entries if entry.is_file())
+    except (OSError, ValueError):
+        return None
+    return f"name a file in it, such as {files[0]}" if files else "name a file"
 
 
 class InputFile(io.FileIO):

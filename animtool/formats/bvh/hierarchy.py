@@ -277,7 +277,10 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
         header.rate = rate_from_frame_time(header.frame_time)
     except ValueError:
         message = f"Frame Time is {excerpt(header.frame_time)}"
-        lines.fail("BVH009", message, "a positive number of seconds is needed")
+        hint = "a positive number of seconds is needed"
+        if header.frame_time.replace(",", "", 1).isdigit():
+            hint = f"write {header.frame_time.replace(',', '.')}, with a decimal point"
+        lines.fail("BVH009", message, hint)
 
 
 def _field(lines: HeaderLines, name: str) -> str:

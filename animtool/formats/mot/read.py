@@ -14,6 +14,7 @@ from animtool.core.errors import (
     FormatError,
     OptionError,
     Severity,
+    counted,
     excerpt,
     naming,
 )
@@ -177,15 +178,13 @@ def _matched(
             table_columns.append(c)
             columns.append(coordinate)
     if not columns:
-        message = (
-            f"{rig.name!r} has no coordinate of this file, such as {unmatched[0]!r}"
-        )
+        option = argument("source.rig")
+        message = f"{option}: rig {rig.name!r} has none of the "
+        message += f"{counted(len(unmatched), 'coordinate')}, such as {unmatched[0]!r}"
         similar_name = similar(unmatched[0], by_name)
-        hint = (
-            f"did you mean {similar_name}?"
-            if similar_name
-            else "columns have the names of joints"
-        )
+        hint = f"read it with the rig that it was made for, or without {option}; "
+        hint += "animtool retarget transfers the take to another"
+        hint = f"did you mean {similar_name}?" if similar_name else hint
         raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
     check_once(
         table.path, tuple(columns), tuple(table.names[c] for c in table_columns), None

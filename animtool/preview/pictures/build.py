@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import check_outputs, protect_inputs
@@ -273,8 +274,9 @@ class PictureRenderer:
                 sample = int(np.argmin(np.abs(codes - frame)))
                 if abs(codes[sample] - frame) > 0.5:
                     ends = frame_label(codes[0]), frame_label(codes[-1])
-                    message = f"frame {frame} is not in the file, which has {ends[0]}"
-                    raise OptionError(Fault("CLI005", f"{message}-{ends[1]}"))
+                    message = f"{argument('frames')}: frame {frame} is not in the "
+                    message += f"file, which has frames {ends[0]}-{ends[1]}"
+                    raise OptionError(Fault("CLI005", message))
                 samples.append(sample)
             return samples
         sheet = sheet_of(self._options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from animtool.clip.keyed_curve import KeyedCurve
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, clause
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity
@@ -22,6 +23,7 @@ from animtool.edit.between import Between
 from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
+    outside_take,
     plan_samples,
     sample,
     single_frame_warning,
@@ -125,15 +127,21 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     source_frames = None
     if options.fps is not None and not options.keep_samples:
         source_frames = integer_frames(clock, plan.fps, plan.start)
-    times = plan_samples(
-        clock,
-        plan.fps,
-        plan.start,
-        frame_range=options.frame_range or source_frames,
-        offsets=options.samples,
-        keep_samples=options.keep_samples,
-        hold=options.shot is not None,
-    )
+    try:
+        times = plan_samples(
+            clock,
+            plan.fps,
+            plan.start,
+            frame_range=options.frame_range or source_frames,
+            offsets=options.samples,
+            keep_samples=options.keep_samples,
+            hold=options.shot is not None,
+        )
+    except OptionError as error:
+        fault = replace(error.faults[0], path=str(plan.source))
+        if options.frame_range is not None and fault.hint is None:
+            fault = replace(fault, hint=_range_hint(plan, options.frame_range, clock))
+        raise OptionError(fault) from error
     frame_range = options.frame_range
     if options.shot is None or frame_range is None:
         notices = _range_notice(plan, times)
@@ -155,6 +163,22 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         notices += [replace(notice, path=str(plan.source)) for notice in single]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
+
+
+def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
+    """Return how to name frames by the numbers that the take has."""
+    span = Fraction(clock.count - 1) * plan.fps / clock.rate
+    origin = Fraction(1) if plan.stream.start is None else plan.stream.start
+    moved = plan.start - origin
+    start = argument("start", frame_label(plan.start))
+    if moved and 0 <= frames.first - origin <= span:
+        text = f"{frames.first + math.floor(moved)}-{frames.last + math.floor(moved)}"
+        return f"{start} renumbers the take first: {argument('frame_range', text)}"
+    if plan.options.start is None and frames.last - frames.first <= span:
+        start = argument("start", frames.first)
+        text = f"{start} numbers the first frame of the take {frames.first}"
+        return clause(text) or None
+    return None
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
@@ -293,7 +317,12 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 def _with_rest(plan: TakePlan, interpolation: Between, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
     frames, take = FrameRange(frame, frame), interpolation.take
-    times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
+    try:
+        times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
+    except OptionError as error:
+        last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
+        fault = outside_take(frames, plan.start, last, name="rest_frame")
+        raise OptionError(replace(fault, path=str(plan.source))) from error
     ((_, pose),) = sample(interpolation, times)
     translations, rotations, _ = pose.dense()
     joints = tuple(

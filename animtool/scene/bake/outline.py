@@ -55,6 +55,18 @@ class OutputEntry:
         """Whether it contains systems."""
         return self.scene is not None and bool(self.scene.systems)
 
+    def locate(self, fault: Fault) -> Fault:
+        """Return a fault of the file at the place where a scene names it.
+
+        A file that exists is at fault itself.
+        """
+        if self.location is None or fault.code == "OUT001":
+            return fault
+        if fault.path == str(self.path):
+            where = "file" if fault.code.startswith("OUT") else fault.where
+            fault = replace(fault, path=None, where=where)
+        return self.location.locate(fault)
+
     @property
     def is_stage(self) -> bool:
         """Whether it is written as USD."""
@@ -192,7 +204,7 @@ def check_outline(outline: Outline) -> None:
         try:
             check_entry(entry, reading.inputs, reading.files[0])
         except AnimtoolError as error:
-            faults += error.faults
+            faults += map(entry.locate, error.faults)
             error_types.append(type(error))
     try:
         saved_states = [
@@ -221,6 +233,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
                     f"{str(path)!r} is also written by {first_entry.location.where}"
                 )
                 faults.append(entry.location.fault("OUT007", message, "name another"))
+                break
     return faults
 
 

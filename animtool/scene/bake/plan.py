@@ -119,17 +119,8 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
             else:
                 _planned(outline.reading.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
-            faults += [_at_entry(fault, entry) for fault in error.faults]
+            faults += map(entry.locate, error.faults)
     return faults
-
-
-def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
-    """Return the fault of an output, located at its entry in the scene."""
-    if entry.location is None:
-        return fault
-    if fault.path == str(entry.path):
-        fault = replace(fault, path=None)
-    return entry.location.locate(fault)
 
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:

@@ -9,6 +9,10 @@ from animtool.core.errors import excerpt
 from animtool.core.rates import MAX_FRAME, FractionLike, exact_number
 from animtool.core.shot import FrameList, FrameRange
 
+# Ends and a step of a range in the form of other tools.
+_NUMBERS = re.compile(
+    r"(-?\d{1,9})\s*[-,:;. ]+\s*(-?\d{1,9})(?:\s*[,:;x ]+\s*(\d{1,9}))?"
+)
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 
 
@@ -23,7 +27,12 @@ def parse_frame_range(text: str) -> FrameRange:
     """
     match = _RANGE.fullmatch(text.strip())
     if match is None:
-        raise ValueError(f"{text!r} is not a range such as 1-240 or 1-240x2")
+        numbers = _NUMBERS.fullmatch(text.strip())
+        meant = "1-240 or 1-240x2"
+        if numbers is not None:
+            first, last, step = numbers.groups()
+            meant = f"{first}-{last}" + (f"x{step}" if step else "")
+        raise ValueError(f"{text!r} is not a range such as {meant}")
     first = int(match[1])
     last, step = int(match[2] or first), int(match[3] or 1)
     if last < first:

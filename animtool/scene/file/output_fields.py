@@ -199,7 +199,7 @@ class OutputReader:
             message = "nothing would be written: it includes no system"
             hint = "remove systems to write all"
             self._document.add("SCN081", (*at, "systems"), message, hint)
-        location = entry_location(self._document, at)
+        location = entry_location(self._document, at, model)
         return SceneOutput(path, bake, location, systems)
 
     def _file(self, at: Location, name: str) -> Path:

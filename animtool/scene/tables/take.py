@@ -22,7 +22,7 @@ from animtool.core.files.output import STDOUT
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.edit.resample import resampled
+from animtool.edit.resample import outside_take, resampled
 from animtool.edit.retiming import trim
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
@@ -130,6 +130,15 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
         float(clock.start + (frame - plan.start) * codes_per_frame)
         for frame in (frames.first, frames.last)
     )
+    start, end = (clock.start + n * clock.step for n in (0, clock.count - 1))
+    if first > end or last < start:
+        ends = (
+            plan.start + (frame - clock.start) / codes_per_frame
+            for frame in (start, end)
+        )
+        raise OptionError(
+            replace(outside_take(frames, *ends), path=str(plan.takes[0].source))
+        )
     return trim(take, max(first, float(clock.start)), last)
 
 

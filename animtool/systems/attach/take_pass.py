@@ -167,7 +167,7 @@ def notices_of(simulation: AttachSimulation) -> list[Fault]:
 def _note(report: AttachReport, actor: Actor) -> Fault:
     parts = [
         f"{report.name}: {counted(report.steps, 'step')} per frame",
-        f"springs up to {percent(report.stretch)} longer",
+        f"springs stretch by up to {percent(report.stretch)}",
     ]
     if report.contacts:
         parts.append(f"up to {counted(report.contacts, 'particle')} in contact")

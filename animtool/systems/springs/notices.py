@@ -36,8 +36,6 @@ class _Simulation(Protocol):
     def strained(self) -> bool: ...
     @property
     def shortest(self) -> float: ...
-    @property
-    def unresolved(self) -> int: ...
 
 
 def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
@@ -47,8 +45,8 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         *_step_notices(simulation, stats),
         *_strain_notices(simulation),
     ]
-    if simulation.unresolved:
-        many = counted(simulation.unresolved, "particle")
+    if simulation.grid.unresolved:
+        many = counted(simulation.grid.unresolved, "particle")
         message = f"{many} could not be pushed out of colliders at once"
         hint = "they start inside, or colliders close in on them from several sides"
         notices.append(warning("SIM123", message, hint))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     TrialSettings,
 )
-from animtool.systems.framework.spec import Member
 from animtool.systems.springs.contacts import LOOK_BACK
 from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import SpringState, TimeGrid
@@ -42,19 +41,6 @@ LOOK_EVERY = 120
 STOPS = {"SIM102", "SIM105"}
 # Length relative to the start above which springs are reported as too soft [1].
 LONG = 2.0
-
-
-class TearingView(Protocol):
-    """A view that may tear."""
-
-    member: Member
-
-    @property
-    def tears(self) -> bool:
-        """Whether it is a surface that can tear."""
-
-    def part(self, last: SpringState) -> None:
-        """Prepare the split topology for the torn springs of the final state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +80,7 @@ class SpringSimulation:
     """
 
     checked = True
-    views: Sequence[TearingView] = ()
+    views: Sequence[Any] = ()  # of `SpringView`
     status, sign = Status.OK, ""
     longest = applied = 1.0
     stretch = 0.0
@@ -289,16 +275,6 @@ class SpringSimulation:
         """The shortest step so far [s]."""
         return self.grid.cell / self._max_substeps
 
-    @property
-    def taken(self) -> int:
-        """Number of steps."""
-        return self.grid.steps
-
-    @property
-    def unresolved(self) -> int:
-        """Most particles left inside colliders."""
-        return self.grid.unresolved
-
     def stats(self, reached: float) -> Stats:
         """Return the statistics up to a time [s]."""
         grid = self.grid
@@ -354,7 +330,7 @@ class SpringSimulation:
         return Diagnostics(
             self._energy(state, t),
             notices=self.notices,
-            steps=self.taken,
+            steps=self.grid.steps,
             stretch=self.stretch if long else None,
         )
 

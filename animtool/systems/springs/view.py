@@ -149,10 +149,10 @@ class SpringView:
             "solver": str(simulation.choice.solver),
             "reason": simulation.reason,
             "step": simulation.shortest,
-            "steps": simulation.taken,
+            "steps": simulation.grid.steps,
             "stretch": simulation.stretch,
             "torn": int(self.torn(state).sum()),
-            "unresolved": simulation.unresolved,
+            "unresolved": simulation.grid.unresolved,
         }
         if simulation.error is not None:
             values["error"] = (
@@ -181,7 +181,7 @@ class SpringView:
         parts = [
             f"{simulation.choice.solver} ({simulation.reason})",
             f"shortest step {plain(simulation.shortest)} s",
-            f"springs strained by up to {percent(simulation.stretch)}",
+            f"springs stretch by up to {percent(simulation.stretch)}",
         ]
         if simulation.error is not None and math.isfinite(simulation.error):
             parts.append(f"error {length_text(simulation.error)}")

@@ -48,6 +48,7 @@ from animtool.usd.layers.finite import (
 )
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
+from animtool.usd.layers.text_faults import layer_fault
 
 # Of files whose name is right, which are therefore not the one that is meant.
 AS_USD = "name a USD file; animtool convert writes one of a rig, a clip or a capture"
@@ -214,7 +215,7 @@ def usd_errors(path: Path) -> Iterator[None]:
         try:
             yield
         except Tf.ErrorException as error:
-            raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
+            raise FormatError(layer_fault(usd_reason(error, 2000), path)) from error
         except UnicodeEncodeError as error:
             raise unreadable(path, NO_TEXT) from error
         except UnicodeDecodeError as error:
@@ -222,14 +223,14 @@ def usd_errors(path: Path) -> Iterator[None]:
             raise FormatError(Fault("USD001", message, str(path))) from error
 
 
-def usd_reason(error: Tf.ErrorException) -> str:
-    """Return USD's error text without its source locations."""
+def usd_reason(error: Tf.ErrorException, most: int = 300) -> str:
+    """Return USD's error text without its source locations, cut to ``most`` letters."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
         head, _, tail = text.partition(marker)
         text = head + tail.split(marker)[0]
-    return text.strip()[:300] or "is not a USD layer"
+    return text.strip()[:most] or "is not a USD layer"
 
 
 def new_layer(path: Path) -> Any:

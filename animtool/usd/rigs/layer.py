@@ -14,7 +14,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
-from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -37,23 +36,9 @@ from animtool.usd.rigs.skeleton import author_rig
 
 # Low above high locks an axis in UsdPhysics.
 LOCKED = (1.0, -1.0)
-# What is off an axis by less is rounding of float32.
-ON_AXIS = 1e-6
 
 _TYPES = Sdf.ValueTypeNames
 _AXES = "XYZ"
-
-
-@dataclass(frozen=True, slots=True)
-class JointDescription:
-    """Description of a physics joint prim."""
-
-    name: str  # USD name of the joint
-    type: JointType  # what it can do
-    # Unit axis of a pin or prismatic joint, in the joint's rest frame.
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    # Limits [rad], [m]; None without.
-    limits: RangeLimit | BallLimit | None = None
 
 
 def author_physics(
@@ -176,56 +161,6 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
         attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
         attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
-
-
-def read_physics(stage: Any, meters_per_unit: float) -> dict[str, JointDescription]:
-    """Return the joint types and limits of physics joints, by joint name.
-
-    Joints of other tools are read where they have one axis or none; where there is no
-    ``animtool:joint``, a PhysicsJoint is a ball.
-
-    meters_per_unit: unit of its lengths [m].
-    """
-    joints = {}
-    for each in Usd.PrimRange(stage.GetPseudoRoot()):
-        if each.IsA(UsdPhysics.Joint):
-            joints[each.GetName()] = _read_joint(each, meters_per_unit)
-    return joints
-
-
-_JOINT_TYPES = {
-    "PhysicsRevoluteJoint": JointType.PIN,
-    "PhysicsPrismaticJoint": JointType.PRISMATIC,
-    "PhysicsFixedJoint": JointType.FIXED,
-}
-
-
-def _read_joint(joint: Any, meters_per_unit: float) -> JointDescription:
-    kind = _JOINT_TYPES.get(str(joint.GetTypeName()), JointType.BALL)
-    name = str(joint.GetName())
-    rotation = UsdPhysics.Joint(joint).GetLocalRot1Attr().Get()
-    frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
-    if kind is JointType.FIXED:
-        return JointDescription(name, kind)
-    token = joint.GetAttribute("physics:axis").Get() or "X"
-    axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
-    if kind is JointType.BALL:
-        return JointDescription(name, kind, limits=read_ball(joint, axis))
-    scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
-    low, high = (
-        joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
-    )
-    limits = None
-    if low is not None and high is not None and math.isfinite(low + high):
-        limits = RangeLimit(low * scale, high * scale)
-    return JointDescription(name, kind, axis, limits)
-
-
-def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
-    nearest = np.round(vector)
-    aligned = np.abs(vector - nearest).max() < ON_AXIS
-    x, y, z = (nearest + 0.0 if aligned else vector).tolist()
-    return x, y, z
 
 
 def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:

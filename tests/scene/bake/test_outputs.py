@@ -11,7 +11,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import bake, open_source
-from animtool.core.errors import FormatError, OptionError, StrictError
+from animtool.core.errors import AnimtoolError, FormatError, OptionError, StrictError
 from animtool.motion.passes import PASSES, Pass, PassContext, Scope
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake_outputs
@@ -224,3 +224,18 @@ def test_stdout_is_asked_for_by_its_name(
     bake(shot, "-")
     assert capfdbinary.readouterr().out.startswith(b"#usda 1.0")
     assert made(shot) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("none/shot.bvh", "OUT002"), ("shot.mp4", "OUT004")]
+)
+def test_an_output_is_at_fault_where_the_scene_names_it(
+    shot: Path, name: str, code: str
+) -> None:
+    shot.write_text(SCENE.replace("shot.bvh", name), "utf-8")
+    with pytest.raises(AnimtoolError) as caught:
+        bake_outputs(load_scene(shot))
+    [fault] = caught.value.faults
+    assert (fault.code, fault.path, fault.where) == (code, str(shot), "output[3].file")
+    line = shot.read_text("utf-8").splitlines()[fault.lines[0] - 1]
+    assert line[(fault.column or 0) - 1 :].startswith(name)

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from support.physics_joints import JointDescription, read_physics
 from support.suite import examples
 from support.usd import validation_errors
 
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.usd.rigs.layer import JointDescription, author_physics, read_physics
+from animtool.usd.rigs.layer import author_physics
 
 TURNED = (0.6, 0.0, 0.0, 0.8)
 SLANTED = (0.48, 0.64, 0.6)
@@ -141,49 +141,3 @@ def test_any_ball_comes_back(
     limits = None if swing is twist is None else BallLimit(swing, twist, (x, y, z))
     joint = Joint("ball", 0, JointType.BALL, limits=limits)
     same(read_physics(stage_of(rig_of(joint)), 0.01)["ball"], joint)
-
-
-def test_joints_of_other_tools_are_read() -> None:
-    folder = data_folder("usd/joints")
-    if folder is None:
-        pytest.skip("ANIMTOOL_DATA has no usd/joints")
-    counted = 0
-    for path in sorted(folder.glob("*.usda")):
-        stage = Usd.Stage.Open(str(path))
-        found = read_physics(stage, 1.0)
-        for made in map(UsdPhysics.Joint, stage.Traverse()):
-            if made:
-                as_its_prim_says(found.pop(made.GetPrim().GetName()), made)
-                counted += 1
-        assert not found
-    assert counted
-
-
-TYPES = {
-    "PhysicsRevoluteJoint": JointType.PIN,
-    "PhysicsPrismaticJoint": JointType.PRISMATIC,
-    "PhysicsFixedJoint": JointType.FIXED,
-    "PhysicsSphericalJoint": JointType.BALL,
-    "PhysicsJoint": JointType.BALL,
-}
-
-
-def as_its_prim_says(found: JointDescription, made: UsdPhysics.Joint) -> None:
-    """Assert that a joint has the type, axis and limits of a prim in metres."""
-    prim = made.GetPrim()
-    assert found.type is TYPES[prim.GetTypeName()]
-    if found.type in {JointType.FIXED, JointType.BALL}:
-        return
-    one = UsdPhysics.RevoluteJoint(prim) or UsdPhysics.PrismaticJoint(prim)
-    letter = "XYZ".index(one.GetAxisAttr().Get())
-    axis = Gf.Rotation(made.GetLocalRot1Attr().Get()).TransformDir(
-        Gf.Vec3d.Axis(letter)
-    )
-    assert_allclose(found.axis, axis, atol=1e-5)
-    ends = np.array([one.GetLowerLimitAttr().Get(), one.GetUpperLimitAttr().Get()])
-    if np.isinf(ends).any():
-        assert found.limits is None
-    else:
-        ends = np.radians(ends) if found.type is JointType.PIN else ends
-        assert isinstance(found.limits, RangeLimit)
-        assert_allclose([found.limits.low, found.limits.high], ends, rtol=1e-6)

@@ -1,0 +1,176 @@
+"""Usage errors that say what the command line was meant to be."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+
+import click
+
+from animtool.cli.help import LazyGroup
+from animtool.core.errors import Fault
+from animtool.documents.other_words import OTHER_VALUES
+
+# Options of other commands and tools, and ours.
+OTHER_OPTIONS = {
+    "--frames": ("--range",),
+    "--frame-range": ("--range",),
+    "--out": ("--output",),
+    "--out-file": ("--output",),
+    "--rig": ("--to",),
+    "--start-frame": ("--range",),
+    "--end-frame": ("--range",),
+    "--anim": ("--take",),
+    "--animation": ("--take",),
+    "--count": ("--repeats",),
+    "--repeat": ("--repeats",),
+    "--target": ("--to", "--targets"),
+    "--to": ("--rig",),
+    "--prim": ("--source-prim",),
+    "--unit": ("--units",),
+    "--scale": ("--units",),
+    "--up-axis": ("--up",),
+    "--rate": ("--fps",),
+    "--frame-rate": ("--fps",),
+    "--tolerance": ("--reduce",),
+    "--threads": ("--jobs",),
+    "--workers": ("--jobs",),
+    "--force": ("--overwrite",),
+    "--dry-run": ("--plan", "--diff"),
+    "--plan": ("--dry-run", "--diff"),
+    "--json": ("--format",),
+    "--variable": ("--set",),
+    "--code": ("--select",),
+}
+# Less similar names are other options.
+CUTOFF, SURE = 0.75, 0.9
+# Names of a command's first argument in other tools.
+_INPUTS = {"input", "in", "source", "src", "file", "i", "path"}
+# Kinds of files by their names, and the option that takes one.
+_TAKEN_BY = {
+    "targets": "--targets",
+    "rig": "--rig",
+    "scene": "--scene",
+    "map": "--map",
+    "cameras": "--cameras",
+    "markers": "--template",
+    "remap": "--remap",
+}
+# What most users of an option want: the first of these commands that has it.
+_OFFERED = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
+_CHOICE = re.compile(r": '([^']*)' is not one of ('.*')\.")
+_EXTRA = re.compile(r"unexpected extra arguments? \((.*)\)")
+
+
+def explained(error: click.ClickException) -> click.ClickException:
+    """Return a usage error with what was likely meant."""
+    context = getattr(error, "ctx", None)
+    if context is None:
+        return error
+    if isinstance(error, click.NoSuchOption):
+        hint = next(_option_hints(error.option_name, context), None)
+        hint = hint or f"{context.command_path} -h lists the options"
+        text = f"No such option {error.option_name!r}; {hint}"
+    elif extra := _EXTRA.search(error.message):
+        first = extra[1].split()[0]
+        hint = _argument_hint(first, context)
+        if hint is None:
+            hint = f"{context.command_path} -h shows what it takes"
+        text = f"Unexpected argument {first!r}; {hint}"
+    elif choice := _CHOICE.search(error.format_message()):
+        names = re.findall(r"'([^']*)'", choice[2])
+        other = OTHER_VALUES.get(choice[1].lower())
+        near = [other] if other in names else get_close_matches(choice[1], names, 1)
+        if not near:
+            return error
+        text = f"{error.format_message().rstrip('.')}; did you mean {near[0]!r}?"
+    else:
+        return error
+    return click.UsageError(text if text.endswith("?") else f"{text}.", context)
+
+
+def with_option(fault: Fault, context: click.Context) -> Fault:
+    """Return a fault with the option that it is about: of a field, or of a file."""
+    if fault.where and not fault.lines:
+        for option in _options(context.command):
+            if option.name == fault.where or f"--{fault.where}" in option.opts:
+                return replace(fault, where=option.opts[-1])
+    if not fault.code.startswith("IO") or fault.where or fault.path is None:
+        return fault
+    for option in _options(context.command):
+        value = context.params.get(str(option.name))
+        if isinstance(value, Path) and str(value) == fault.path:
+            hint = fault.hint or (None if value.suffix else "it takes a file")
+            return replace(fault, where=option.opts[0], hint=hint)
+    return fault
+
+
+def _option_hints(name: str, context: click.Context) -> Iterator[str]:
+    """Yield hints for an option that a command does not have, the best one first."""
+    command, path = context.command, context.command_path
+    bare = name.lstrip("-")
+    if isinstance(command, LazyGroup) and bare in command.table:
+        yield f"write {path} {bare}"
+    flags = [flag for param in _options(command) for flag in param.opts]
+    meant = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
+    if meant:
+        yield f"did you mean {meant[0]!r}?"
+    argument = _argument_named(bare, command)
+    if argument is not None:
+        yield f"{argument} is an argument: {path} {argument}"
+    owner = next(_owners(name, context), None)
+    near = get_close_matches(name, flags, 1, SURE if owner else CUTOFF)
+    if near:
+        yield f"did you mean {near[0]!r}?"
+    if bare in {"o", "output"}:
+        yield "the result goes to stdout; add > FILE"
+    if owner is not None:
+        yield f"{owner} has it, {path} does not"
+    if "--set" in flags and name.startswith("--"):
+        yield f"to set a variable of a scene, write --set {bare}=VALUE"
+
+
+def _owners(name: str, context: click.Context) -> Iterator[str]:
+    """Yield the commands that have an option, those most used first."""
+    root = context.find_root()
+    group = root.command
+    if not isinstance(group, LazyGroup):
+        return
+    for other in dict.fromkeys((*_OFFERED, *group.table)):
+        command = group.get_command(root, other)
+        if command is None or isinstance(command, click.Group):
+            continue
+        if any(name in param.opts for param in _options(command)):
+            yield f"{root.command_path} {other}"
+
+
+def _options(command: click.Command) -> list[click.Option]:
+    return [param for param in command.params if isinstance(param, click.Option)]
+
+
+def _argument_named(name: str, command: click.Command) -> str | None:
+    """Return the argument of a command that an option was taken for."""
+    arguments = [one for one in command.params if isinstance(one, click.Argument)]
+    for i, argument in enumerate(arguments):
+        shown = (argument.metavar or argument.human_readable_name).rstrip(".")
+        names = {str(argument.name).lower(), *re.findall(r"[a-z]+", shown.lower())}
+        if name in names or (i == 0 and name in _INPUTS):
+            return shown
+    return None
+
+
+def _argument_hint(text: str, context: click.Context) -> str | None:
+    """Return a hint for an argument that a command does not take."""
+    flags = {flag for param in _options(context.command) for flag in param.opts}
+    path = Path(text)
+    stated = [suffix[1:] for suffix in path.suffixes]
+    taken = [flag for kind, flag in _TAKEN_BY.items() if kind in stated]
+    for flag in taken:
+        if flag in flags:
+            return f"write {flag} {text}"
+    if "--output" in flags and path.suffix:
+        return f"to write it, use -o {text}"
+    return None

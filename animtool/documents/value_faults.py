@@ -1,0 +1,237 @@
+"""Messages and hints for values that do not fit their key."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from animtool.core.errors import counted, excerpt
+from animtool.core.names import similar
+from animtool.documents.other_words import OTHER_VALUES
+from animtool.documents.yaml_values import flow_value, plain_scalar
+
+# Larger bounds are general limits, not the key's.
+LARGE = 1e9
+# A bound at most this small is how "above 0" is checked.
+SMALL = 1e-30
+# Faults of numbers out of range: the key of the bound, and what the number is.
+_BOUNDS = {
+    "less_than_equal": ("le", "above the maximum of {}"),
+    "greater_than_equal": ("ge", "below the minimum of {}"),
+    "less_than": ("lt", "not below {}"),
+    "greater_than": ("gt", "not above {}"),
+}
+_KINDS = {
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "text",
+    "string_pattern_mismatch": "a name on one line, without tabs",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "path_type": "the name of a file",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping of keys",
+    "model_type": "a mapping of keys",
+    "model_attributes_type": "a mapping of keys",
+}
+
+
+# Faults of values of the right type: what else a union takes was not meant.
+_SIZES = {"too_short", "too_long"}
+_FITTING = (_SIZES, _BOUNDS.keys())
+# Types of containers.
+_STRUCTURES = {"a list", "a mapping of keys"}
+_LONGEST_NUMBER = 40
+_UNITED = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
+_SECONDS = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
+_SWITCHES = {
+    **dict.fromkeys(("yes", "on", "y", "1", "true"), "true"),
+    **dict.fromkeys(("no", "off", "n", "0", "false"), "false"),
+}
+
+
+def fitting(faults: Sequence[Any]) -> list[Any]:
+    """Return the faults of the type that was meant, of those of a union."""
+    for kinds in _FITTING:
+        meant = [fault for fault in faults if fault["type"] in kinds]
+        if meant:
+            return meant
+    return list(faults)
+
+
+def expected_structures(faults: Sequence[Any]) -> set[str]:
+    """Return which of a list and a mapping the faults ask for."""
+    meant = fitting(faults)
+    kinds = {_KINDS.get(fault["type"], "") for fault in meant}
+    if any(fault["type"] in _SIZES for fault in meant):
+        kinds.add("a list")
+    return kinds & _STRUCTURES
+
+
+def is_angles(faults: Sequence[Any]) -> bool:
+    """Return whether a value has three numbers where a quaternion is needed."""
+    value = faults[0]["input"]
+    least = {fault.get("ctx", {}).get("min_length") for fault in fitting(faults)}
+    return isinstance(value, list) and len(value) == 3 and least == {4}
+
+
+def type_fault(faults: Iterable[Any]) -> bool:
+    """Return whether a value has the wrong type, and not another fault."""
+    return any(fault["type"] in _KINDS for fault in faults)
+
+
+def values_message(faults: Sequence[Any]) -> str:
+    """Return the message of all faults of a value."""
+    if len(faults) > 1 and faults[0]["input"] is None:
+        return "the value is missing"
+    return _either(dict.fromkeys(map(_value_message, fitting(faults))))
+
+
+def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
+    """Return a hint that shows the value as it was meant."""
+    value = faults[0]["input"]
+    kinds = {_KINDS.get(fault["type"]) for fault in faults}
+    if kinds & {"a number", "a whole number"}:
+        return number_hint(key, value)
+    if "true or false" in kinds:
+        switch = _SWITCHES.get(str(value).lower())
+        return switch and f"write {switch}"
+    return _choice_hint(faults)
+
+
+def number_hint(key: str | int, value: Any) -> str | None:
+    """Return a hint with the number that a text or list means."""
+    if isinstance(value, list) and len(value) == 1:
+        return f"write {flow_value(value[0])}"
+    text = value.strip() if isinstance(value, str) else ""
+    if not text or len(text) > _LONGEST_NUMBER:
+        return None
+    if not isinstance(plain_scalar(text), str):
+        return f"remove the quotes: {text}"
+    if re.fullmatch(r"[-+]?\d*,\d+", text):
+        return f"write {text.replace(',', '.')}, with a decimal point"
+    match = _UNITED.fullmatch(text)
+    return match and _unit_hint(key, float(match[1]), match[2].lower())
+
+
+def _unit_hint(key: str | int, number: float, unit: str) -> str:
+    """Return a hint for a number with a unit."""
+    if key == "t":
+        return "times of keys are frames, without a unit"
+    if key == "seconds" and unit in _SECONDS:
+        return f"write {number * _SECONDS[unit]:g}, in seconds"
+    return f"write {number:g}, without a unit"
+
+
+def _missing_message(last: int | str, value: Any) -> str:
+    """Return a message for a missing key or list item."""
+    if isinstance(last, str):
+        return f"key {last!r} is missing"
+    return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
+
+
+def _either(texts: Iterable[str]) -> str:
+    """Join the messages of a union's members into one."""
+    first, *others = texts
+    start, negation, _ = first.partition(" is not ")
+    if (
+        others
+        and negation
+        and all(text.startswith(start + negation) for text in others)
+    ):
+        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
+        return f"{start} is neither {' nor '.join(kinds)}"
+    return "; or ".join((first, *others))
+
+
+# Faults of values outside an enumeration.
+_CHOICES = {"literal_error", "enum", "union_tag_invalid"}
+
+
+def _value_message(fault: Any) -> str:
+    """Return the message of a fault, with the value."""
+    value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
+    shown = excerpt(value) if isinstance(value, str) else _shown(value)
+    if kind in {"too_short", "too_long", "string_too_long"}:
+        length = context.get("min_length", context.get("max_length"))
+        noun = "letter" if isinstance(value, str) else "item"
+        return f"{counted(len(value), noun)} where {_are(length)} needed"
+    if kind == "missing":
+        return _missing_message(fault["loc"][-1], value)
+    if kind == "union_tag_not_found":
+        return f"key {context['discriminator']} is missing"
+    if kind in _CHOICES:
+        allowed = context.get("expected", context.get("expected_tags"))
+        tag = excerpt(str(context["tag"])) if "tag" in context else shown
+        return f"{tag} is not one of {allowed}"
+    if kind in _KINDS:
+        return f"{shown} is not {_KINDS[kind]}"
+    return _value_fault(shown, fault)
+
+
+def _value_fault(shown: str, fault: Any) -> str:
+    """Return the message for a value of the right type but out of range."""
+    context, kind = fault.get("ctx", {}), fault["type"]
+    if kind == "extra_forbidden":
+        return f"unknown key {excerpt(str(fault['loc'][-1]))}"
+    key, side = _BOUNDS.get(kind, ("", ""))
+    bound = context.get(key)
+    if bound is not None and abs(bound) >= LARGE:
+        return f"{shown} is beyond {bound:g}"
+    if bound is not None and 0 < bound <= SMALL:
+        above = fault["input"] > 0
+        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
+    if bound is not None:
+        return f"{shown} is {side.format(f'{bound:g}')}"
+    if kind == "value_error":
+        return str(context["error"])
+    return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _choice_hint(faults: Sequence[Any]) -> str | None:
+    """Return a hint with the nearest allowed value."""
+    for fault in faults:
+        context = fault.get("ctx", {})
+        value = context.get("tag", fault["input"])
+        allowed = context.get("expected", context.get("expected_tags"))
+        if fault["type"] in _CHOICES and isinstance(value, str):
+            names = re.findall(r"'([^']*)'", str(allowed))
+            if _is_repeated(value, names):
+                return "name each axis once"
+            folded = next((n for n in names if n.lower() == value.lower()), None)
+            if folded is not None:
+                return f"write {folded}"
+            other = OTHER_VALUES.get(value.lower().replace("_", ""))
+            if other in names:
+                return f"{value!r} is called {other!r} here"
+            meant = similar(value, names)
+            if meant is not None:
+                return f"did you mean {meant!r}?"
+    return None
+
+
+def _is_repeated(value: str, names: Sequence[str]) -> bool:
+    """Return whether a value is an order of axes in which one is repeated."""
+    is_order = re.fullmatch("[XYZ]{3}", value.upper()) is not None
+    return is_order and "XYZ" in names and len(set(value.upper())) < len(value)
+
+
+def _are(count: int) -> str:
+    return f"{count} is" if count == 1 else f"{count} are"
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a message shows it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict | list | tuple):
+        return excerpt(flow_value(value))[1:-1]
+    return excerpt(str(value)).strip("'")

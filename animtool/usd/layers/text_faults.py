@@ -1,0 +1,88 @@
+"""Faults of USD layers, in words about the file: USD's own name its parser's rules."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from animtool.core.errors import Fault, excerpt
+
+FIRST_LINE = "#usda 1.0"
+# File, line, column, what is wrong, the text there, and the prim or attribute.
+_LOCATED = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
+_UNQUOTED = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
+_LONGEST = 300
+
+# Message and hint, by what USD says; both are given its words and the text there.
+_Words = Callable[[re.Match[str], str], tuple[str, str | None]]
+_FAULTS: dict[str, _Words] = {
+    r"Unable to parse layer version|is not a valid usda layer": lambda _, __: (
+        f"the first line is not {FIRST_LINE!r}",
+        f"write {FIRST_LINE!r} in the first line",
+    ),
+    r"Cannot parse layer version '(.*?)'.*?version is '(.*?)'": lambda words, __: (
+        f"is USD text of version {words[1]}; the installed USD reads {words[2]}",
+        "save it with an older USD, or update usd-core",
+    ),
+    r"Expected (\S+)": lambda words, __: (
+        f"{words[1]!r} is missing",
+        f"add {words[1]!r} before this line",
+    ),
+    r"Tuple dimensions error for attribute of type (\w+)": lambda words, there: (
+        f"{there or 'a value'} does not have the numbers of a {words[1]}",
+        None,
+    ),
+    r"Error parsing (?:simple|shaped|tuple) value": lambda _, there: (
+        f"{there} is not a value of its type",
+        "texts need double quotes" if re.fullmatch(r"[A-Za-z_].*", there) else None,
+    ),
+    r"parse error|match": lambda _, there: (
+        f"cannot be parsed from {excerpt(there)} on" if there else "ends too early",
+        _quoting(there),
+    ),
+    r"[Ff]ile too small|bootstrap|truncated": lambda _, __: (
+        "is not a binary USD file, or not all of one",
+        "write or copy it again",
+    ),
+}
+
+
+def _quoting(there: str) -> str | None:
+    """Return a hint for a prim whose name has no quotes."""
+    match = _UNQUOTED.match(there)
+    if match is None:
+        return None
+    return f'put the name in quotes: {match[1]}{match[2] or ""} "{match[3]}"'
+
+
+def layer_fault(text: str, path: Path) -> Fault:
+    """Return the fault of a layer that USD refused (USD001).
+
+    Args:
+        text: What USD says, without its source locations.
+        path: The layer, as the user named it.
+
+    >>> text = "/a.usda:1:1: Unable to parse layer version. at '#usda 1' in </>"
+    >>> str(layer_fault(text, Path("a.usda"))).partition(";")[0]
+    "a.usda:1:1: USD001 the first line is not '#usda 1.0'"
+    """
+    located = _LOCATED.search(text)
+    words, there = (text, "") if located is None else (located[4], located[5])
+    more: dict[str, Any] = {}
+    if located is not None:
+        more = {"lines": (int(located[2]),), "column": int(located[3])}
+        if Path(located[1]).name != path.name:
+            path = Path(located[1])  # a layer that it brings in
+        if located[6] not in {"", "/"}:
+            more["where"] = located[6]
+    for said in (text, words):
+        for pattern, worded in _FAULTS.items():
+            match = re.search(pattern, said)
+            if match is not None:
+                message, hint = worded(match, there)
+                if "first line" in message:
+                    more = {"lines": (1,), "column": 1}
+                return Fault("USD001", message, str(path), hint=hint, **more)
+    return Fault("USD001", text[:_LONGEST], str(path), **more)
