@@ -1,7 +1,8 @@
 """A batch as an Open Job Description bundle, which render farms run.
 
-A task makes a chunk of the items, ``animtool batch JOB --items FIRST+COUNT``; when all
-are done, a last one takes their records together and makes what was added meanwhile.
+A task builds a chunk of the items, ``animtool batch JOB --items FIRST+COUNT``; when all
+tasks are done, a last one merges their records and builds items that were added
+meanwhile.
 
 References:
     Open Job Description, template schemas of revision 2023-09,
@@ -32,17 +33,17 @@ from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
 
-# A process that makes a chunk takes about 1 s to start, and looks at the whole
-# batch: a hundredth of this [s].
+# Starting a process for a chunk and checking the whole batch takes about 1 s: a
+# hundredth of this [s].
 TASK_SECONDS = 120.0
-# Items a chunk where nothing says what one takes: real captures take about 0.1 s, long
+# Items per chunk if nothing states the time of one: captures take about 0.1 s, long
 # ones a second.
-CHUNK = 100
-# A farm asks a task to end, and after this ends it [s].
-NOTICE = 30
-TEMPLATE, VALUES = "template.yaml", "parameter_values.yaml"
-LONGEST_NAME = 128
-# Of a report of 100,000 items [bytes].
+DEFAULT_CHUNK = 100
+# Time between the farm's request to end a task and its kill [s].
+NOTICE_SECONDS = 30
+TEMPLATE_FILE, VALUES_FILE = "template.yaml", "parameter_values.yaml"
+MAX_NAME = 128
+# Maximum size of a report, enough for 100,000 items [bytes].
 MAX_REPORT = 64_000_000
 # Longer than anybody waits for an item.
 MAX_SECONDS = 1e9
@@ -52,8 +53,8 @@ MAX_SECONDS = 1e9
 class Cuts:
     """Shot options of the command line that extend a batch file."""
 
-    path: Path | None = None  # the timeline; None is the batch file's
-    words: tuple[str, ...] = ()  # options of its shots, in place of the batch's
+    path: Path | None = None  # the timeline; None uses the batch file's
+    words: tuple[str, ...] = ()  # options of its shots, replacing those of the batch
 
 
 # Items without a timeline.
@@ -64,10 +65,10 @@ NO_CUTS = Cuts()
 class Bundle:
     """An Open Job Description bundle that is not written yet."""
 
-    template: Mapping[str, Any]  # of the job
-    values: Mapping[str, str]  # of its parameters, where the template has none
-    items: int  # how many there are
-    chunk: int  # how many of them a task makes
+    template: Mapping[str, Any]  # template of the job
+    values: Mapping[str, str]  # values of parameters that the template leaves open
+    items: int  # number of items
+    chunk: int  # number of items per task
 
     @property
     def tasks(self) -> int:
@@ -90,9 +91,11 @@ class WrittenBundle:
     def run(self) -> list[str]:
         """Command that runs the bundle locally."""
         values = self.bundle.values.items()
-        parts = [part for name, value in values for part in ("-p", f"{name}={value}")]
+        parameters = [
+            word for name, value in values for word in ("-p", f"{name}={value}")
+        ]
         command = ["openjd", "run", str(self.files[0]), "--step", "Settle"]
-        return [*command, "--run-dependencies", *parts]
+        return [*command, "--run-dependencies", *parameters]
 
 
 def mean_seconds(path: Path) -> float:
@@ -119,13 +122,13 @@ def mean_seconds(path: Path) -> float:
 def chunk_size(
     items: int, seconds: float | None = None, span: float = TASK_SECONDS
 ) -> int:
-    """Return the number of items of a task, by seconds an item and a task [s].
+    """Return the number of items per task, from seconds per item and per task [s].
 
     >>> chunk_size(1000, 0.5), chunk_size(1000), chunk_size(10, 0.1)
     (240, 100, 10)
     """
     if seconds is None:
-        return min(CHUNK, items)
+        return min(DEFAULT_CHUNK, items)
     return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
@@ -135,7 +138,7 @@ def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> 
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
-        "name": name[:LONGEST_NAME],
+        "name": name[:MAX_NAME],
         "parameterDefinitions": _parameters(batch, chunk, cuts),
         "steps": [
             {
@@ -222,7 +225,10 @@ def _script(*chosen: str) -> dict[str, Any]:
     arguments = ["batch", "{{Param.BatchFile}}", *chosen, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
-    cancelation = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
+    cancelation = {
+        "mode": "NOTIFY_THEN_TERMINATE",
+        "notifyPeriodInSeconds": NOTICE_SECONDS,
+    }
     run = {
         "command": "{{Param.Command}}",
         "args": arguments,
@@ -239,8 +245,8 @@ def write_bundle(
         {"name": name, "value": value} for name, value in bundle.values.items()
     ]
     texts = {
-        folder / TEMPLATE: yaml_text(dict(bundle.template)),
-        folder / VALUES: yaml_text({"parameterValues": parameters}),
+        folder / TEMPLATE_FILE: yaml_text(dict(bundle.template)),
+        folder / VALUES_FILE: yaml_text({"parameterValues": parameters}),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """The executor of a dask cluster: checks workers and sends them items.
 
-A worker is checked before it is sent an item, and an item is done when this machine
+A worker is checked before it gets an item, and an item is finished when this machine
 sees its files with the content that the worker wrote.
 """
 
@@ -55,16 +55,16 @@ from animtool.core.record import dataclass
 
 # How often workers are counted where nothing ends [s].
 POLL_INTERVAL = 1.0
-# A nanny restarts a lost worker within seconds, and clusters that grow by demand start
-# machines within minutes; what takes longer may never come [s].
-WORKERLESS = 300.0
+# A nanny restarts a lost worker within seconds, and clusters on demand start machines
+# within minutes; longer waits may never end [s].
+MAX_WORKERLESS = 300.0
 # A network disk may remember for a minute that a file was missing [s].
-UNSEEN = 90.0
-# How often an item is sent again whose workers were lost while they built it.
+MAX_UNSEEN = 90.0
+# Number of times that an item is sent again after its worker was lost.
 MAX_LOSSES = 3
-# More inputs than these are not looked up one by one: every n-th is.
+# If there are more inputs, only every n-th is checked.
 MAX_INPUTS = 10_000
-# Content of larger inputs is not compared before the first item [bytes].
+# Larger inputs are not compared by content before the first item [bytes].
 MAX_COMPARED = 10_000_000
 RESUME = "finished items are recorded; run the same command again to resume"
 
@@ -72,23 +72,23 @@ RESUME = "finished items are recorded; run the same command again to resume"
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
     """Yield the outcomes of items that the workers of a dask cluster build.
 
-    Each thread of a worker has a subprocess that builds one item after another: limits,
-    and what a crash costs, are those of `run_processes`. As many items are begun as the
-    fit workers have threads, or as were asked for. Inputs and outputs must be the same
-    disks under the same names: workers that see others, or have other versions, are
-    left out and named.
+    Each worker thread has a subprocess that builds one item after another, with the
+    limits and crash handling of `run_processes`. As many items are started as the fit
+    workers have threads, or as the user requested. Inputs and outputs must be on the
+    same disks under the same names: workers that see others, or have other versions,
+    are excluded with a warning.
     """
-    about = work.argument
-    file = about.endswith(".json")
-    if not (file or ADDRESS.fullmatch(about)):
-        message = f"{excerpt(about)} is not the address of a dask scheduler"
+    argument = work.argument
+    file = argument.endswith(".json")
+    if not (file or ADDRESS.fullmatch(argument)):
+        message = f"{excerpt(argument)} is not the address of a dask scheduler"
         hint = "write it as dask=tcp://host:8786 or dask=scheduler.json"
         raise OptionError(Fault("BAT031", message, hint=hint))
     if importlib.util.find_spec("distributed") is None:
         message = "the dask executor needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("IO005", message, hint=hint))
-    return _outcomes(work, scheduler_address(Path(about)) if file else about)
+    return _outcomes(work, scheduler_address(Path(argument)) if file else argument)
 
 
 def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
@@ -97,8 +97,8 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
     try:
         with disk_tokens(work.folders) as tokens:
             farm = _Farm(client, name, work, tokens)
-            # dask calls back in one thread for all clients of a process, in which a
-            # result that is lost would be waited for.
+            # dask calls back in one thread for all clients of a process; waiting for a
+            # lost result there would block them.
             ends = (farm.finished, farm.ended)
             Thread(target=_fetch_results, args=ends, daemon=True).start()
             try:
@@ -120,15 +120,15 @@ def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
-    """Yield the inputs that a worker must see; every n-th of many."""
+    """Yield the inputs that a worker must see; every n-th if there are many."""
     paths = list(dict.fromkeys(path.absolute() for path in work.inputs))
     for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
         state = delivery.note(path)
         if state is not None and path.is_file():
-            small = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
+            is_compared = state.size <= MAX_COMPARED and len(paths) <= MAX_INPUTS
             with suppress(AnimtoolError, OSError):
                 yield InputCheck(
-                    str(path), state.size, file_digest(path) if small else ""
+                    str(path), state.size, file_digest(path) if is_compared else ""
                 )
 
 
@@ -137,8 +137,8 @@ def _asking(
 ) -> Callable[[bytes], tuple[str, str, str]]:
     """Return a task that checks a worker: its host, and code and reason if unfit.
 
-    A worker drops out of its cluster where it cannot import what a message to it names.
-    So this is sent by its code, and what it needs of animtool as bytes.
+    A worker drops out of its cluster if it cannot import names in a message. Therefore
+    the function is sent as code, and its animtool arguments as bytes.
     """
 
     def ask(pickled: bytes) -> tuple[str, str, str]:
@@ -183,15 +183,15 @@ def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
 class _ClusterWorker:
     """Known state of a worker of the cluster."""
 
-    address: str  # of the worker
-    threads: int  # how many it has
-    fit: bool | None = None  # whether it builds items; None is not known yet
+    address: str  # address of the worker
+    threads: int  # its number of threads
+    fit: bool | None = None  # whether it builds items; None if unknown
     host: str = ""  # its machine
-    going: int = 0  # current items
-    built: int = 0  # finished items
+    going: int = 0  # number of running items
+    built: int = 0  # number of finished items
 
     def has_room(self, *, queue_next: bool) -> bool:
-        """Return whether to send an item; with ``queue_next`` one more."""
+        """Return whether to send an item; with ``queue_next`` one more than threads."""
         return self.going < self.threads + (queue_next and self.built > 0)
 
     def __str__(self) -> str:
@@ -200,9 +200,9 @@ class _ClusterWorker:
 
 @dataclass(slots=True)
 class _Sent:
-    """A running task: an item, or a check of a worker without one."""
+    """A running task: an item, or the check of a worker if there is no item."""
 
-    worker: _ClusterWorker  # its receiver
+    worker: _ClusterWorker  # receiving worker
     item: Item | None = None
 
 
@@ -210,30 +210,32 @@ class _Sent:
 class _Farm:
     """A run on a cluster."""
 
-    client: Any  # the way to the cluster
-    name: str  # of the run
-    work: Work  # its input
-    tokens: Mapping[str, str]  # files by which workers know the disks of outputs
-    workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # those that live
-    sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
-    finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # futures
-    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # and their results
-    again: list[Item] = field(default_factory=list)  # to be sent to another worker
-    losses: dict[int, int] = field(default_factory=dict)  # by item number
-    # Outcomes whose files are not seen yet, and until when they are waited for.
+    client: Any  # connection to the cluster
+    name: str  # name of the run
+    work: Work  # input of the executor
+    tokens: Mapping[str, str]  # files by which workers recognise the output disks
+    workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
+    sent: dict[Any, _Sent] = field(default_factory=dict)  # running tasks by future
+    finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
+    ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
+    again: list[Item] = field(default_factory=list)  # items to send to another worker
+    losses: dict[int, int] = field(
+        default_factory=dict
+    )  # number of losses by item number
+    # Outcomes whose files are not visible yet, with the deadline.
     unseen: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
     )
-    said: list[Fault] = field(default_factory=list)  # warnings that are due
+    said: list[Fault] = field(default_factory=list)  # pending warnings
     delivery: Delivery = field(init=False)
     check: bytes = field(init=False)
     build: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _had_workers: float = field(default_factory=time.monotonic)
-    _waits: bool = False  # whether it was said that there is no worker
+    _waits: bool = False  # whether the lack of workers was reported
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build = _building(self.name)  # one object is pickled once
+        self.build = _building(self.name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(_inputs(self.work, self.delivery))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
@@ -245,11 +247,11 @@ class _Farm:
             if time.monotonic() - counted_at >= POLL_INTERVAL:
                 yield from self._lost(self._addresses())
                 counted_at = time.monotonic()
-            more = self._send()
+            has_more = self._send()
             yield from self._said()
-            if more and not self.unseen:
+            if has_more and not self.unseen:
                 self._refuse_unfit()
-            if not (more or self.unseen or any(s.item for s in self.sent.values())):
+            if not (has_more or self.unseen or any(s.item for s in self.sent.values())):
                 return
             with suppress(Empty):
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
@@ -268,19 +270,19 @@ class _Farm:
         try:
             threads: Mapping[str, int] = self.client.nthreads(callback_timeout=TIMEOUT)
         except (OSError, RuntimeError):
-            # The client looks for its scheduler again, and closes where it is gone.
+            # The client searches for its scheduler again, and closes if it is gone.
             threads = {}
-        now = time.monotonic()
+        current_time = time.monotonic()
         if threads:
-            self._had_workers, self._waits = now, False
+            self._had_workers, self._waits = current_time, False
             return threads
-        if now - self._had_workers > WORKERLESS:
-            why = f"it has had no worker for {WORKERLESS:g} s"
+        if current_time - self._had_workers > MAX_WORKERLESS:
+            why = f"it has had no worker for {MAX_WORKERLESS:g} s"
             raise unusable(self.work.argument, why, RESUME)
         if not self._waits:
             self._waits = True
             message = f"the cluster at {self.work.argument} has no workers now: "
-            message += f"waiting up to {WORKERLESS:g} s for one"
+            message += f"waiting up to {MAX_WORKERLESS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
         return threads
@@ -289,7 +291,11 @@ class _Farm:
         """Take back items of lost workers, and check new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
-            for future in [f for f, sent in self.sent.items() if sent.worker is worker]:
+            for future in [
+                lost_future
+                for lost_future, sent in self.sent.items()
+                if sent.worker is worker
+            ]:
                 future.cancel()
                 yield from self._loss(self.sent.pop(future), "the worker has stopped")
         for address in addresses.keys() - self.workers.keys():
@@ -329,26 +335,33 @@ class _Farm:
     def _send(self) -> bool:
         """Send items while fit workers have free threads; return if any remain."""
         fit = [worker for worker in self.workers.values() if worker.fit]
-        going = sum(worker.going for worker in fit)
-        asked, threads = self.work.asked, sum(worker.threads for worker in fit)
-        # Where every thread is used, the next item waits at its worker for the one
-        # before it: its way there takes no time then.
-        queue_next = self.work.queue_next and (asked is None or asked >= threads)
-        while queue_next or asked is None or going < asked:
-            free = [worker for worker in fit if worker.has_room(queue_next=queue_next)]
-            if not free:
+        running_count = sum(worker.going for worker in fit)
+        requested_count, threads = (
+            self.work.asked,
+            sum(worker.threads for worker in fit),
+        )
+        # If every thread is busy, the next item is queued at the worker, so that its
+        # transfer takes no time later.
+        queue_next = self.work.queue_next and (
+            requested_count is None or requested_count >= threads
+        )
+        while queue_next or requested_count is None or running_count < requested_count:
+            idle_workers = [
+                worker for worker in fit if worker.has_room(queue_next=queue_next)
+            ]
+            if not idle_workers:
                 return True
             item = self.again.pop(0) if self.again else next(self.work.items, None)
             if item is None:
                 return False
-            worker = min(free, key=lambda one: one.going / one.threads)
+            worker = min(idle_workers, key=lambda one: one.going / one.threads)
             worker.going += 1
-            going += 1
+            running_count += 1
             self._submit(self.build, pickle.dumps(item), _Sent(worker, item))
         return True
 
     def _refuse_unfit(self) -> None:
-        """Raise where all workers are checked and unfit."""
+        """Raise an error if all workers are checked and unfit."""
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
@@ -364,12 +377,12 @@ class _Farm:
             yield from self._checked(worker, value)
             return
         if isinstance(value, BaseException):
-            # A lost worker shows in the next count.
+            # A lost worker is detected in the next count.
             yield from self._loss(sent, f"{type(value).__name__}: {value}")
             return
         worker.going -= 1
         if value is None:
-            # Another process has its address now.
+            # Another process has the address now.
             worker.fit = None
             self.again.append(item)
             self._ask(worker)
@@ -407,30 +420,32 @@ class _Farm:
     ) -> Iterator[ItemOutcome | Fault]:
         """Accept an outcome with this machine's inputs; wait for its files.
 
-        Where inputs are others, another worker builds the item.
+        If the worker's inputs differ, another worker builds the item.
         """
-        other = self.delivery.other_inputs(outcome)
-        changed = self.delivery.changed(other)
-        if changed:
-            yield ItemOutcome.failed(item, *changed_error(*changed).faults)
-        elif other:
-            why = f"it has different files with the same names: {listed(other, 2)}"
-            yield from self._leave_out(worker, INPUTS, why)
+        differing = self.delivery.other_inputs(outcome)
+        changed_inputs = self.delivery.changed(differing)
+        if changed_inputs:
+            yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
+        elif differing:
+            reason = (
+                f"it has different files with the same names: {listed(differing, 2)}"
+            )
+            yield from self._leave_out(worker, INPUTS, reason)
             self.again.append(item)
         else:
-            until = time.monotonic() + UNSEEN
+            until = time.monotonic() + MAX_UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
     def _delivered(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose files have arrived with the written content."""
-        now, waiting = time.monotonic(), self.unseen
+        time_and_unseen, unseen = time.monotonic(), self.unseen
         self.unseen = []
-        for until, item, worker, outcome in waiting:
+        for until, item, worker, outcome in unseen:
             delivered = self.delivery.delivered(outcome)
             if delivered is not None:
                 worker.built += 1
                 yield delivered
-            elif now < until and worker.fit:
+            elif time_and_unseen < until and worker.fit:
                 self.unseen.append((until, item, worker, outcome))
             else:
                 self.again.append(item)
@@ -444,18 +459,18 @@ class _Farm:
     def _failed(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
-        """Accept a failure, unless another worker can build the item."""
-        unread = [
+        """Accept a failure, unless another worker may be able to build the item."""
+        unreadable = [
             fault.path
             for fault in outcome.faults
             if fault.code == "IO001" and fault.path and os.access(fault.path, os.R_OK)
         ]
-        if not unread or FileState.of(Path(unread[0])) is None:
+        if not unreadable or FileState.of(Path(unreadable[0])) is None:
             yield outcome
             return
         self.again.append(item)
         if worker.fit:
-            why = f"it cannot read {listed(unread, 2)}"
+            why = f"it cannot read {listed(unreadable, 2)}"
             yield from self._leave_out(worker, INPUTS, why)
 
 

@@ -1,7 +1,7 @@
 """Code that runs on the workers of a cluster: a check, then items.
 
-Nothing of dask is imported: a worker is any object with ``plugins``, whose
-``teardown`` it calls when it ends.
+Nothing of dask is imported: a worker is any object with ``plugins``, whose ``teardown``
+it calls at its end.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 
-# Codes of why a worker is left out.
+# Codes of reasons for excluding a worker.
 VERSIONS, INPUTS, DISK = "BAT036", "BAT074", "BAT075"
 
 
@@ -35,7 +35,7 @@ class InputCheck:
 
     path: str  # absolute
     size: int  # [bytes]
-    sha256: str = ""  # of its content; empty is not compared
+    sha256: str = ""  # digest of its content; empty for no comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +44,14 @@ class WorkerCheck:
 
     task: WorkerTask  # how it builds items
     inputs: tuple[InputCheck, ...]  # required files
-    # Content by path of files that the run just wrote to the output folders.
+    # Content by path of files that the run has just written to the output folders.
     tokens: Mapping[str, str]
 
 
 def builder_versions() -> dict[str, str]:
     """Return the versions that affect results, and a digest of animtool's code.
 
-    A checkout has the same version before and after a change.
+    Includes a digest, since a checkout has the same version before and after a change.
     """
     return {**package_versions(), "animtool code": _code_digest()}
 
@@ -87,14 +87,14 @@ def admit(
     """Prepare a worker for a run; return code and reason if it is unfit.
 
     Args:
-        worker: The worker, which keeps what is prepared among its ``plugins``.
+        worker: The worker, which keeps the prepared state in its ``plugins``.
         name: Name of the run.
-        versions: What `builder_versions` is where the run is.
-        pickled: A `WorkerCheck`, read only where the versions are the same.
+        versions: Result of `builder_versions` on the machine of the run.
+        pickled: A `WorkerCheck`, read only if the versions are equal.
     """
-    other = differences(versions, builder_versions())
-    if other:
-        return VERSIONS, f"it has {other}"
+    version_differences = differences(versions, builder_versions())
+    if version_differences:
+        return VERSIONS, f"it has {version_differences}"
     check: WorkerCheck = pickle.loads(pickled)
     for code, reason in _reasons(check):
         return code, reason
@@ -105,37 +105,48 @@ def admit(
 def _reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
     if not Path(check.task.folder).is_dir():
         yield INPUTS, f"it has no folder {excerpt(check.task.folder, 200)}"
-    missing = [one.path for one in check.inputs if not os.access(one.path, os.R_OK)]
+    missing = [
+        expected_input.path
+        for expected_input in check.inputs
+        if not os.access(expected_input.path, os.R_OK)
+    ]
     if missing:
         count, total = len(missing), len(check.inputs)
         yield INPUTS, f"it cannot read {count} of {total} inputs: {listed(missing, 2)}"
-    other = [one.path for one in check.inputs if not _is_same(one)]
-    if other:
-        yield INPUTS, f"it has different files with the same names: {listed(other, 2)}"
+    differing = [
+        expected_input.path
+        for expected_input in check.inputs
+        if not _is_same(expected_input)
+    ]
+    if differing:
+        yield (
+            INPUTS,
+            f"it has different files with the same names: {listed(differing, 2)}",
+        )
     for path, text in check.tokens.items():
         folder = Path(path).parent
         try:
-            same = read_input(Path(path), recorded=False) == text.encode()
+            is_same = read_input(Path(path), recorded=False) == text.encode()
         except AnimtoolError:
-            same = False
-        if not same:
+            is_same = False
+        if not is_same:
             yield DISK, f"its {str(folder)!r} is not the folder of this machine"
         elif not os.access(folder, os.W_OK | os.X_OK):
             yield DISK, f"it has no permission to write to {str(folder)!r}"
 
 
-def _is_same(one: InputCheck) -> bool:
+def _is_same(expected: InputCheck) -> bool:
     try:
-        path = Path(one.path)
-        if path.stat().st_size != one.size:
+        path = Path(expected.path)
+        if path.stat().st_size != expected.size:
             return False
-        return not one.sha256 or file_digest(path) == one.sha256
+        return not expected.sha256 or file_digest(path) == expected.sha256
     except (OSError, AnimtoolError):
         return False
 
 
 def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
-    """Return the outcome of an item; None on a worker that is not prepared."""
+    """Return the outcome of an item; None on an unprepared worker."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
 
@@ -149,7 +160,7 @@ def release(worker: Any, name: str) -> None:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """Subprocesses of a worker that build items, one a busy thread."""
+    """Subprocesses of a worker that build items, one per busy thread."""
 
     task: WorkerTask  # how they build items
     _idle: list[WorkerProcess] = field(default_factory=list)
@@ -157,7 +168,7 @@ class WorkerProcesses:
 
     def build(self, item: Item) -> ItemOutcome:
         """Return the outcome of an item."""
-        # Both are atomic among threads.
+        # Both operations are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
         self._busy.append(process)
         try:

@@ -9,24 +9,24 @@ from math import floor
 from typing import Any
 
 from animtool.batch.spans import Span
-from animtool.batch.timeline import NEAR
+from animtool.batch.timeline import FRAME_TOLERANCE
 from animtool.core.config import Config
 from animtool.core.errors import excerpt
 from animtool.core.names import nearest
-from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
 from animtool.core.timecode import is_timecode, parse_timecode
 
-# What a timeline and its clips state for animtool: ``metadata.animtool``.
+# Metadata for animtool in a timeline and its clips: ``metadata.animtool``.
 
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """Metadata of shots; None is not stated."""
+    """Metadata of shots; None for values that are not stated."""
 
     start_frame: int | None = None  # first frame of the shot, including the head handle
-    cut_start: int | None = None  # first frame of the cut, behind the head handle
+    cut_start: int | None = None  # first frame of the cut, after the head handle
     handles: int | None = None  # shot frames before and after the cut
     first_timecode: str | None = None  # of the media, such as 01:00:00:00
     fps: Fraction | None = None  # of a timeline: the rate of its shots
@@ -42,24 +42,28 @@ def cut_metadata(
     >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
     [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
     """
-    stated = metadata.get("animtool")
-    if stated is None:
+    values_stated = metadata.get("animtool")
+    if values_stated is None:
         return CutMetadata(), []
-    where = f"metadata.animtool of {named}"
+    location = f"metadata.animtool of {named}"
     names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
-    if not isinstance(stated, Mapping):
-        return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
+    if not isinstance(values_stated, Mapping):
+        return CutMetadata(), [
+            (f"{location} is not a table", f"keys: {', '.join(names)}")
+        ]
     values: dict[str, Any] = {}
     faults = []
-    for key, value in stated.items():
+    for key, value in values_stated.items():
         if key not in names:
-            faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
+            faults.append(
+                (f"{location} has no key {excerpt(key)}", nearest(key, names))
+            )
             continue
         try:
             values[key] = _READ.get(key, _integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLES[key]}"
-            faults.append((f"{where}: {key}: {error}", hint))
+            faults.append((f"{location}: {key}: {error}", hint))
     return CutMetadata(**values), faults
 
 
@@ -76,8 +80,8 @@ def _integer(key: str, value: object) -> int:
     shown = excerpt(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{shown} is not a whole number")
-    if abs(value) > LARGEST_FRAME or value != int(value):
-        raise ValueError(f"{shown} is not a whole number up to {LARGEST_FRAME}")
+    if abs(value) > MAX_FRAME or value != int(value):
+        raise ValueError(f"{shown} is not a whole number up to {MAX_FRAME}")
     if key == "handles" and value < 0:
         raise ValueError(f"{shown} is below 0")
     return int(value)
@@ -110,13 +114,13 @@ class CutOptions:
     """Shot options that a timeline's metadata may leave open.
 
     Attributes:
-        handles: Shot frames before and after each cut; None is as clips and timeline
-            say, else 0.
-        start: First frame of each shot; None is as clips and timeline say, else the
+        handles: Shot frames before and after each cut; None uses clip and timeline
+            metadata, else 0.
+        start: First frame of each shot; None uses clip and timeline metadata, else the
             project's, else 1001.
-        fps: Rate of the shots where the timeline states none.
-        cut_start: First frame of each cut, in place of ``start``.
-        first_timecode: Of the media, in place of what the timeline states.
+        fps: Rate of the shots if the timeline states none.
+        cut_start: First frame of each cut, instead of ``start``.
+        first_timecode: Time code of the media's first frame, instead of the timeline's.
     """
 
     handles: int | None = None
@@ -138,8 +142,8 @@ class CutContext:
     @property
     def handles(self) -> int:
         """Shot frames before and after the cut."""
-        stated = (self.options.handles, self.clip.handles, self.timeline.handles)
-        return next((count for count in stated if count is not None), 0)
+        candidates = (self.options.handles, self.clip.handles, self.timeline.handles)
+        return next((count for count in candidates if count is not None), 0)
 
     def first_timecode(
         self, default: Fraction | None, rate: Fraction, *, drop: bool = False
@@ -147,14 +151,16 @@ class CutContext:
         """Return the time code of the media's first frame [s].
 
         Args:
-            default: What the timeline states of its media [s]; None states nothing.
-            rate: Frames a second that time codes count.
+            default: Time stated by the timeline [s]; None if it states none.
+            rate: Frames per second counted by the time codes.
             drop: Whether they are drop-frame.
 
         Raises:
-            ValueError: What is stated is no time code of the rate.
+            ValueError: The stated text is not a time code at this rate.
         """
-        texts = [one.first_timecode for one in (self.options, self.clip, self.timeline)]
+        texts = [
+            level.first_timecode for level in (self.options, self.clip, self.timeline)
+        ]
         if default is None:
             texts.append(self.project.timeline.first_timecode)
         text = next((text for text in texts if text is not None), None)
@@ -167,7 +173,7 @@ class CutContext:
     def cut_in(self) -> tuple[int, list[str]]:
         """Return the first frame of the cut, and contradicting settings.
 
-        A start is that of the head handle. The project's is 1001 where it states none.
+        A start includes the head handle. The project's default is 1001.
         """
         faults, settings = list[str](), self.project
         levels = [
@@ -205,21 +211,21 @@ def shot_of(
     """Return the shot frames of a clip.
 
     Args:
-        name: Of the shot.
-        span: What the clip shows.
+        name: Name of the shot.
+        span: Media range of the clip.
         fps: Rate of the shot.
-        context: What is stated of it.
-        first: Time of the media at its first frame, as the clip counts [s].
-        transitions: Frames that they show before and after the cut.
+        context: Settings of the shot.
+        first: Time of the media's first frame, in the clip's time codes [s].
+        transitions: Frames shown by transitions before and after the cut.
         drop: Whether time codes of the media are drop-frame.
     """
     handles, (cut_in, _) = context.handles, context.cut_in()
-    before, after = transitions
+    frames_before, frames_after = transitions
     count = frames_within(span.seconds, fps)
     media_in = span.begin - first
     if span.speed < 0:
         media_in -= (count - 1) * span.speed / fps
-    count += before + after
+    count += frames_before + frames_after
     return Shot(
         cut_in,
         cut_in + count - 1,
@@ -227,7 +233,7 @@ def shot_of(
         handles,
         name,
         fps,
-        media_in - before * span.speed / fps,
+        media_in - frames_before * span.speed / fps,
         span.speed,
         MediaTimecode(span.rate, first, drop),
     )
@@ -237,17 +243,25 @@ def played_notices(
     shot: Shot, span: Span, fps: Fraction, named: str
 ) -> Iterator[tuple[str, str, bool]]:
     """Yield unusual properties of a shot: code, message, whether a warning."""
-    first, last = (
+    first_time, last_time = (
         f"{float(shot.seconds_at(frame)):.6g} s"
         for frame in (shot.cut_in, shot.cut_out)
     )
     if shot.speed == 0:
-        yield "BAT044", f"{named} freezes its media at {first}; so does the shot", False
+        yield (
+            "BAT044",
+            f"{named} freezes its media at {first_time}; so does the shot",
+            False,
+        )
     elif shot.speed < 0:
-        how = f"from {first} of its media to {last}"
-        yield "BAT044", f"{named} plays in reverse, {how}; so does the shot", True
+        range_text = f"from {first_time} of its media to {last_time}"
+        yield (
+            "BAT044",
+            f"{named} plays in reverse, {range_text}; so does the shot",
+            True,
+        )
     frames = span.seconds * fps
-    if frames < 1 - NEAR:
+    if frames < 1 - FRAME_TOLERANCE:
         message = (
             f"{named} shows {float(frames):.3g} of a frame; the shot has one frame"
         )
@@ -256,10 +270,12 @@ def played_notices(
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
     """Return the media frames that a cut shows, counted from 1."""
-    shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
-    first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
+    media_seconds = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
+    first_frame, last_frame = (
+        floor(seconds * media_fps + FRAME_TOLERANCE) + 1 for seconds in media_seconds
+    )
     return {
-        "media_first": str(first),
-        "media_last": str(last),
+        "media_first": str(first_frame),
+        "media_last": str(last_frame),
         "media_fps": str(media_fps),
     }

@@ -29,7 +29,7 @@ from animtool.batch.spans import (
     transition_sides,
 )
 from animtool.batch.timeline import (
-    NEAR,
+    FRAME_TOLERANCE,
     exact_rate,
     is_edl,
     is_remote,
@@ -61,7 +61,8 @@ from animtool.scene.sources.open import source_stem
 MAX_FAULTS, MAX_NAMED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME = 120
-_LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
+# Everything but characters that are safe in file names and variables.
+_ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +70,9 @@ class Cut:
     """The media of an item: a clip of a timeline, or a file."""
 
     media: MatchedFile  # the media
-    # What names stand for in its scene and its output, `SHOT_NAMES`.
+    # Values of `SHOT_NAMES` for its scene and its output.
     names: Mapping[str, str] = field(default_factory=dict)
-    # The clip's frames; None for a file that no timeline shows.
+    # Frames of the clip; None for a file outside of a timeline.
     shot: Shot | None = None
 
 
@@ -80,7 +81,7 @@ class CutList:
     """The shots of a timeline."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
-    # Notices of clips that were left out or changed.
+    # Notices about clips that were left out or changed.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -92,9 +93,9 @@ def read_cuts(
 ) -> CutList:
     """Return the shots of a timeline: the clips of its video tracks.
 
-    A clip's media is the file that it refers to; one that refers to none, or to one
-    that is not there, has that of ``media`` that is called like it, or like that file.
-    Its times are seconds of the media; a shot counts frames at the timeline's rate.
+    A clip's media is the file that it refers to; without a reference, or if that file
+    is missing, it is the entry of ``media`` with the name of the clip or of that file.
+    Times are seconds of the media; a shot counts frames at the timeline's rate.
     """
     return _CutReader(path, media, options or CutOptions(), left_out).read()
 
@@ -125,8 +126,8 @@ def _named(
         message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
         raise OptionError(Fault("BAT048", message, str(path), (), shots))
     if name not in names:
-        near = nearest(name, names)
-        hint = f"{near} {shots}" if near.startswith("did") else shots
+        suggestion = nearest(name, names)
+        hint = f"{suggestion} {shots}" if suggestion.startswith("did") else shots
         message = f"has no shot {excerpt(name)}"
         raise OptionError(Fault("BAT048", message, str(path), (), hint))
     return [entry for entry in entries if entry.name == name]
@@ -145,7 +146,7 @@ class _CutReader:
         self.path, self.options, self.left_out = path, options, left_out
         self.cuts = CutList()
         self.faults: list[Fault] = []
-        # Names of shots, and up to which number each has others behind it.
+        # Shot names, each with the highest number appended so far.
         self.taken: dict[str, int] = {}
         self.timeline_metadata = CutMetadata()
         self.fps = Fraction(0)
@@ -186,8 +187,10 @@ class _CutReader:
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
             self.timeline_metadata = self.metadata(timeline, "the timeline", rate=True)
-            asked = self.options.fps
-            rate = timeline_rate(timeline, self.path, self.timeline_metadata.fps, asked)
+            requested_fps = self.options.fps
+            rate = timeline_rate(
+                timeline, self.path, self.timeline_metadata.fps, requested_fps
+            )
             self.fps, notices = rate
         else:
             edl = read_edl(self.path)
@@ -234,47 +237,55 @@ class _CutReader:
 
     def clip(self, entry: ShownClip) -> None:
         """Add the shot of a clip."""
-        # It imports numpy, and a batch of files is planned without.
+        # Imported here since it imports numpy, which planning a batch of files does not
+        # need.
         from animtool.core.clock import MAX_FRAMES
 
-        clip, named = entry.clip, entry.named
-        medium = self.medium(clip, named)
+        clip, clip_and_name = entry.clip, entry.named
+        medium = self.medium(clip, clip_and_name)
         if medium is None:
             return
-        clip_metadata, settings = self.metadata(clip, named), find_config(self.path)
+        clip_metadata, settings = (
+            self.metadata(clip, clip_and_name),
+            find_config(self.path),
+        )
         context = CutContext(
             self.options, clip_metadata, self.timeline_metadata, settings
         )
         for message in context.cut_in()[1]:
-            self.fault("BAT047", f"{named}: {message}", "write one of them")
-        there = clip.media_reference.available_range
+            self.fault("BAT047", f"{clip_and_name}: {message}", "write one of them")
+        available = clip.media_reference.available_range
         try:
             span = span_of(entry)
-            begin, media_fps = None, span.rate
-            if there is not None:
-                begin = seconds_of(there.start_time)
-                media_fps = exact_rate(there.start_time.rate)
-            first = context.first_timecode(begin, span.rate, drop=self.drop)
+            media_start, media_fps = None, span.rate
+            if available is not None:
+                media_start = seconds_of(available.start_time)
+                media_fps = exact_rate(available.start_time.rate)
+            first_time = context.first_timecode(media_start, span.rate, drop=self.drop)
             transitions = self.overlaps(entry, span)
         except UnsupportedTimeError as error:
-            message = f"{named}: {error}; it is skipped"
+            message = f"{clip_and_name}: {error}; it is skipped"
             self.note("BAT044", message, Severity.WARNING)
             return
         except Exception as error:
-            message = f"the range of {named} is invalid: {excerpt(str(error), 120)}"
+            message = (
+                f"the range of {clip_and_name} is invalid: {excerpt(str(error), 120)}"
+            )
             self.fault("BAT041", message)
             return
         if span.seconds <= 0:
-            self.fault("BAT041", f"{named} shows no frame of its media")
+            self.fault("BAT041", f"{clip_and_name} shows no frame of its media")
             return
         shot = shot_of(
-            entry.name, span, self.fps, context, first, transitions, drop=self.drop
+            entry.name, span, self.fps, context, first_time, transitions, drop=self.drop
         )
         if shot.end - shot.start >= MAX_FRAMES:
-            message = f"{named} has too many frames: {shot.end - shot.start + 1}"
+            message = (
+                f"{clip_and_name} has too many frames: {shot.end - shot.start + 1}"
+            )
             self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
-        for notice in played_notices(shot, span, self.fps, named):
+        for notice in played_notices(shot, span, self.fps, clip_and_name):
             self.say(*notice)
         names = {
             "shot": shot.name,
@@ -298,7 +309,7 @@ class _CutReader:
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
-        # Some systems name clips after the whole file.
+        # Some systems name clips after the full file name.
         names = (clip.name, None if path is None else source_stem(path))
         for stem in (*names, source_stem(Path(clip.name or ""))):
             if stem and stem.casefold() in self.media:
@@ -309,8 +320,12 @@ class _CutReader:
                 "INPUT"
             )
             problem = "a folder" if _is_file(path) is False else "not there"
-            shown = clip.media_reference.target_url if is_remote(clip) else path
-            self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
+            reference_text = (
+                clip.media_reference.target_url if is_remote(clip) else path
+            )
+            self.fault(
+                "BAT042", f"the media of {named} is {problem}: {reference_text}", hint
+            )
         elif self.media:
             self.fault("BAT042", f"no media matches the name of {named}")
         else:
@@ -320,21 +335,28 @@ class _CutReader:
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
         """Return the frames that transitions add before and after a cut."""
-        sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
-        before, after = (
-            ceil(seconds_of(side) / entry.speed * self.fps - NEAR)
-            if side is not None and there
-            else 0
-            for side, there in sides
+        sides_and_ends = zip(
+            transition_sides(entry), (span.head, span.tail), strict=True
         )
-        if before or after:
-            more = f"{before} frames before its cut and {after} after it"
-            self.note("BAT043", f"{entry.named} is in transitions: {more} are included")
-        return before, after
+        frames_before, frames_after = (
+            ceil(seconds_of(transition) / entry.speed * self.fps - FRAME_TOLERANCE)
+            if transition is not None and is_shown
+            else 0
+            for transition, is_shown in sides_and_ends
+        )
+        if frames_before or frames_after:
+            overlap_text = (
+                f"{frames_before} frames before its cut and {frames_after} after it"
+            )
+            self.note(
+                "BAT043",
+                f"{entry.named} is in transitions: {overlap_text} are included",
+            )
+        return frames_before, frames_after
 
     def name(self, shot: str, named: str) -> str:
         """Return a legal name that no other shot has."""
-        legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
+        legal = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
             number += 1

@@ -18,24 +18,26 @@ from animtool.core.record import dataclass
 
 @dataclass(slots=True)
 class Delivery:
-    """Local state of files, each read once while it is unchanged."""
+    """State of local files, each read once while it is unchanged."""
 
-    root: Path  # folder from which records name files
-    # What inputs were when they were first looked at.
+    root: Path  # root of the paths in records
+    # State of inputs at their first access.
     _states: dict[Path, FileState | None] = field(default_factory=dict)
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
     def note(self, path: Path) -> FileState | None:
         """Return the first recorded state of an input."""
-        where = path.absolute()
-        if where not in self._states:
-            self._states[where] = FileState.of(where)
-        return self._states[where]
+        absolute_path = path.absolute()
+        if absolute_path not in self._states:
+            self._states[absolute_path] = FileState.of(absolute_path)
+        return self._states[absolute_path]
 
     def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs whose local content differs from an item's."""
-        paths = [(path_of_name(one.path, self.root), one) for one in outcome.inputs]
-        return [path for path, one in paths if not self._is_same(path, one)]
+        paths = [
+            (path_of_name(record.path, self.root), record) for record in outcome.inputs
+        ]
+        return [path for path, record in paths if not self._is_same(path, record)]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the inputs that changed locally since their first record."""
@@ -44,23 +46,25 @@ class Delivery:
     def delivered(self, outcome: ItemOutcome) -> ItemOutcome | None:
         """Return an outcome with its local outputs; None until they match.
 
-        They are looked up afresh: a network disk may remember for a minute that a file
-        was missing.
+        The state is read again each time, since a network disk may remember for a
+        minute that a file was missing.
         """
         outputs = []
         for folder in dict.fromkeys(
-            path_of_name(one.path, self.root).parent for one in outcome.outputs
+            path_of_name(record.path, self.root).parent for record in outcome.outputs
         ):
             with suppress(OSError), os.scandir(folder):
                 pass
-        for one in outcome.outputs:
-            path = path_of_name(one.path, self.root)
+        for record in outcome.outputs:
+            path = path_of_name(record.path, self.root)
             state = FileState.of(path)
-            if state is None or not self._is_same(path, one):
+            if state is None or not self._is_same(path, record):
                 return None
-            outputs.append(replace(one, state=state))
-        at = max((one.state.changed for one in outputs if one.state), default=0)
-        return replace(outcome, outputs=tuple(outputs), at=at)
+            outputs.append(replace(record, state=state))
+        written_at = max(
+            (record.state.changed for record in outputs if record.state), default=0
+        )
+        return replace(outcome, outputs=tuple(outputs), at=written_at)
 
     def _is_same(self, path: Path, record: FileRecord) -> bool:
         state = FileState.of(path)
@@ -70,10 +74,10 @@ class Delivery:
         return not record.sha256 or self._digest(path, state) == record.sha256
 
     def _digest(self, path: Path, state: FileState) -> str:
-        known = self._digests.get(path)
-        if known is None or known[0] != state:
+        cached = self._digests.get(path)
+        if cached is None or cached[0] != state:
             try:
-                self._digests[path] = known = state, file_digest(path)
+                self._digests[path] = cached = state, file_digest(path)
             except (AnimtoolError, OSError):
                 return "unreadable"
-        return known[1]
+        return cached[1]

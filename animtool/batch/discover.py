@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 # Where records stand, below the folder of all outputs.
-RECORDS = ".animtool"
+RECORDS_FOLDER = ".animtool"
 MAX_FAULTS = 50
 
 
@@ -51,7 +51,7 @@ def sample_source(
 ) -> Source:
     """Return the source of an input's first item.
 
-    variables: what overrides give the input.
+    variables: overrides for the input.
     """
     names, file = {**shot.names, **spec.rows[0]}, shot.media
     return item_task.source(
@@ -64,16 +64,16 @@ def check_columns(spec: BatchSpec) -> None:
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
-    taken = {*INPUT_NAMES, *shots, *spec.variables}
+    reserved = {*INPUT_NAMES, *shots, *spec.variables}
     path = spec.variants.path
-    path_text, lines = (None, ()) if path is None else (str(path), (1,))
+    path_text, location = (None, ()) if path is None else (str(path), (1,))
     hint = (
         f"names of inputs, shots and {argument('set')} are reserved: "
-        f"{listed(sorted(taken))}"
+        f"{listed(sorted(reserved))}"
     )
     faults = [
-        Fault("BAT063", message, path_text, lines, hint)
-        for _, message in name_problems(spec.variants.names, taken)
+        Fault("BAT063", message, path_text, location, hint)
+        for _, message in name_problems(spec.variants.names, reserved)
     ]
     if faults:
         raise OptionError(faults)
@@ -83,10 +83,10 @@ def check_effects(
     spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], overrides: Overridden
 ) -> None:
     """Refuse scenes whose items or variants would all be equal."""
-    kinds = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
+    shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
-    for path, shot in sorted(kinds.items()):
+    for path, shot in sorted(shots_by_source.items()):
         if not is_named(path, "scene"):
             if names:
                 message = "variants need a scene"
@@ -104,9 +104,11 @@ def check_effects(
         if spec.scene is not None and not scene.effective_variables & inputs:
             faults.append(_unused(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
-            used = ", ".join(f"${{{name}}}" for name in names)
-            message = f"the scene uses none of the variables that vary: {used}"
-            hint = f"write {used.partition(',')[0]} in the scene in place of a value"
+            names_text = ", ".join(f"${{{name}}}" for name in names)
+            message = f"the scene uses none of the variables that vary: {names_text}"
+            hint = (
+                f"write {names_text.partition(',')[0]} in the scene in place of a value"
+            )
             faults.append(Fault("BAT060", message, str(path), (), hint))
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
@@ -129,12 +131,12 @@ class Batch:
 
     name: str  # name of its records
     items: tuple[Item, ...]  # in order
-    item_task: ItemTask  # how each is made
+    item_task: ItemTask  # how each item is built
     limits: Limits  # limits of each item
-    jobs: int | None  # how many processes; None is one for each processor
-    root: Path  # folder of all outputs, absolute, from which records name files
-    named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
-    # What the first item is baked from, where all are of one scene.
+    jobs: int | None  # number of processes; None uses one per processor
+    root: Path  # folder of all outputs, absolute; root of the paths in records
+    named: tuple[Path, ...] = ()  # files that all items are built with, such as a scene
+    # Source of the first item, if all have the same scene.
     sample: Source | None = None
     # Warnings about the timeline, the inputs and the overrides.
     notices: tuple[Fault, ...] = ()
@@ -142,7 +144,7 @@ class Batch:
     @property
     def records(self) -> Path:
         """Folder of its records."""
-        return self.root / RECORDS
+        return self.root / RECORDS_FOLDER
 
     def outputs(self, item: Item) -> list[Path]:
         """Return the files that an item writes."""
@@ -158,7 +160,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     """Return the items of a batch, sorted by name or in timeline order.
 
     Raises:
-        StrictError: Warnings are errors, and there is one of the batch itself.
+        StrictError: Warnings are errors, and the batch itself has one.
     """
     spec = with_timeline(spec)
     if spec.output is not None:
@@ -248,16 +250,16 @@ def _with_scene_input(spec: BatchSpec) -> BatchSpec:
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
     path = None if spec.path is None else str(spec.path)
-    known = {**spec.variables, **spec.rows[0]}
+    known_names = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
-        known |= dict.fromkeys(SHOT_NAMES, "")
+        known_names |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
         Fault("BAT004", message, path, (), hint)
-        for message, hint in unknown_names(pattern, known)
+        for message, hint in unknown_names(pattern, known_names)
     ]
     if faults:
         raise OptionError(faults)
-    # Other names at the end may bring a suffix.
+    # Other names at the end may contain a suffix.
     if not pattern.replace("{stem}", "stem").endswith("}"):
         take_writer(Path(pattern), folders=True)
 
@@ -274,16 +276,18 @@ def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    overridden = [name for one in spec.overrides for name in one.variables]
+    overridden = [name for override in spec.overrides for name in override.variables]
     variables = [*dict.fromkeys([*spec.variables, *overridden]), *spec.rows[0]]
-    used = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
+    used_in_output = {
+        name for name in variables if f"{{{name}}}" in (spec.output or "")
+    }
     if sample is not None:
-        used |= set(getattr(sample, "variables", ()))
+        used_in_output |= set(getattr(sample, "variables", ()))
     elif any(is_named(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
-        used |= set(variables)
+        used_in_output |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_unused(variables, used - taken, spec.path)
+    check_unused(variables, used_in_output - taken, spec.path)
 
 
 @dataclass(slots=True)
@@ -304,10 +308,10 @@ class _Items:
         if spec.output is not None:
             paths = frozenset({"parent", *spec.variables})
             outputs = NamedOutputs(spec.output, spec.folder, paths)
-        pairs = itertools.product(self.shots, spec.rows)
+        combinations = itertools.product(self.shots, spec.rows)
         items = [
             self._item(number, shot, row, outputs)
-            for number, (shot, row) in enumerate(pairs, 1)
+            for number, (shot, row) in enumerate(combinations, 1)
         ]
         if self.faults:
             raise OptionError(self.faults[:MAX_FAULTS])
@@ -322,14 +326,14 @@ class _Items:
     ) -> Item:
         spec, file, overrides = self.spec, shot.media, {**shot.names, **row}
         variables = self.overrides.values.get(file.path, {})
-        parts = {name: file_name(value) for name, value in row.items()}
-        more = "".join(f"_{part}" for part in parts.values())
-        output = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
+        file_name_parts = {name: file_name(value) for name, value in row.items()}
+        suffix = "".join(f"_{part}" for part in file_name_parts.values())
+        output = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
         if spec.cuts is not None:
-            output = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
+            output = spec.cuts.with_name(f"{shot.names['shot']}{suffix}.usdc")
         if outputs is not None:
             names = {**spec.variables, **variables, **input_names(file)}
-            names |= {**shot.names, **parts}
+            names |= {**shot.names, **file_name_parts}
             try:
                 output = outputs.path(names)
             except UnsafeNameError as error:
@@ -345,7 +349,7 @@ class _Items:
     def _refuse(
         self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
     ) -> None:
-        """Record an output with an unsafe name, at the file that states it."""
+        """Record an output with an unsafe name, located in the file that states it."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
         hint = f"rename the input, or remove the name from {argument('output')}"
@@ -368,10 +372,10 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
-    shown = listed([str(root) for root in spec.roots])
+    roots_text = listed([str(root) for root in spec.roots])
     hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("DOC014", f"{str(folder)!r} is outside {shown}", path, (), hint)
+        Fault("DOC014", f"{str(folder)!r} is outside {roots_text}", path, (), hint)
         for folder in folders
         if not any(inside(folder, root) for root in spec.roots)
         for path in [None if spec.path is None else str(spec.path)]

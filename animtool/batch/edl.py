@@ -22,11 +22,11 @@ from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import count_rate, parse_timecode
 
-# Events of a feature film, with all their comments, take a hundredth [bytes].
+# Maximum size; a feature film with all comments has a hundredth [bytes].
 MAX_BYTES = 100_000_000
 MAX_FAULTS = 100
 MAX_FRAME = 10**9
-# Reels that stand for black and bars.
+# Reel names that mean black and bars.
 BLACK = {"BL", "BLACK", "BARS"}
 UNKNOWN_REEL = "AX"
 _LABEL = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
@@ -50,16 +50,16 @@ _FREEZE = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 @dataclass(slots=True)
 class Event:
-    """An event of an EDL as written."""
+    """An event of an EDL, unparsed."""
 
     line: int
     number: str
     reel: str
     channel: str
-    edit: str  # C is a cut, D a dissolve, W a wipe, K a key
-    length: int  # of a transition [frame]
+    edit: str  # C for a cut, D a dissolve, W a wipe, K a key
+    length: int  # length of a transition [frame]
     times: tuple[str, str, str, str]  # source in and out, record in and out
-    speed: str | None = None  # of M2: frames of the source a second
+    speed: str | None = None  # of M2: source frames per second
     freeze: bool = False
     comments: dict[str, str] = field(default_factory=dict)
 
@@ -71,7 +71,7 @@ class Edl:
     path: Path
     title: str = ""
     events: list[Event] = field(default_factory=list)
-    fps: Fraction | None = None  # that comments state
+    fps: Fraction | None = None  # stated by comments
 
     @property
     def drop(self) -> bool:
@@ -86,39 +86,45 @@ class Edl:
 
     @property
     def last_label(self) -> int:
-        """The highest number of a frame within a second."""
+        """The highest frame number within a second."""
         times = (time for event in self.events for time in event.times if ":" in time)
         return max((int(re.split("[:;]", time)[3]) for time in times), default=0)
 
 
 def read_edl(path: Path) -> Edl:
-    """Return the events of an EDL (else BAT041), drop-frame ones with semicolons."""
+    """Return the events of an EDL (else BAT041), with semicolons for drop-frame."""
     check_text(path)
     text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
-    edl, drop, known = Edl(path), False, not text.strip()
+    edl, drop, rate_known = Edl(path), False, not text.strip()
     faults = []
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.strip()
         if line.startswith("TITLE:"):
-            edl.title, known = line[6:].strip(), True
+            edl.title, rate_known = line[6:].strip(), True
         elif line.startswith("FCM"):
-            drop, known = "NON" not in line.upper() and "DROP" in line.upper(), True
+            drop, rate_known = (
+                "NON" not in line.upper() and "DROP" in line.upper(),
+                True,
+            )
         elif line[:1].isdigit():
             match = _EVENT.fullmatch(line)
             if match is None:
                 faults.append((f"{excerpt(line)} is not an EDL event", number))
             else:
                 edl.events.append(_event(match, number, drop=drop))
-        elif (stated := _RATE.fullmatch(line)) is not None and edl.fps is None:
-            edl.fps = _stated(stated["rate"])
+        elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
+            edl.fps = _stated(stated_rate["rate"])
         elif edl.events:
             _comment(edl.events[-1], line)
-    if not known and not edl.events and not faults:
+    if not rate_known and not edl.events and not faults:
         faults.append(("contains no EDL event", 1))
     if faults:
-        kept = faults[:MAX_FAULTS]
+        shown_faults = faults[:MAX_FAULTS]
         raise FormatError(
-            [Fault("BAT041", message, str(path), (at,)) for message, at in kept]
+            [
+                Fault("BAT041", message, str(path), (line_number,))
+                for message, line_number in shown_faults
+            ]
         )
     return edl
 
@@ -127,7 +133,9 @@ def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
     times = [re.sub("[,.]", ";", time) for time in match["times"].split()]
     if drop:
         times = [re.sub(r":(\d+)$", r";\1", time) for time in times]
-    one, two, three, four = (f"0{t}" if t[1:2] == ":" else t for t in times)
+    source_in, source_out, record_in, record_out = (
+        f"0{t}" if t[1:2] == ":" else t for t in times
+    )
     return Event(
         line,
         match["number"].lstrip("0"),
@@ -135,7 +143,7 @@ def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
         match["channel"].upper(),
         match["edit"].upper(),
         min(int(match["length"] or 0), MAX_FRAME),
-        (one, two, three, four),
+        (source_in, source_out, record_in, record_out),
     )
 
 
@@ -162,7 +170,7 @@ def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
     """Return an EDL as an OpenTimelineIO timeline, with notices.
 
     Raises:
-        FormatError: Time codes are none of the rate (BAT041).
+        FormatError: Time codes are invalid at the rate (BAT041).
     """
     return _TimelineBuilder(edl, rate).built()
 
@@ -183,17 +191,17 @@ class _TimelineBuilder:
 
         self.otio, self.edl, self.rate = otio, edl, rate
         self.tracks: dict[str, Any] = {}
-        self.ends: dict[str, int] = {}  # of tracks, in frames of the record
+        self.ends: dict[str, int] = {}  # ends of tracks, in record frames
         self.notices: list[Fault] = []
         self.faults: list[Fault] = []
 
     def built(self) -> tuple[Any, list[Fault]]:
         """Return the timeline."""
         timeline = self.otio.schema.Timeline(self.edl.title)
-        for event, later in _paired(self.edl.events):
+        for event, belongs_to_next in _paired(self.edl.events):
             times = self.times(event)
             if times is not None:
-                self.add(timeline, event, times, later)
+                self.add(timeline, event, times, belongs_to_next)
         if self.faults:
             raise FormatError(self.faults[:MAX_FAULTS])
         return timeline, self.notices
@@ -211,9 +219,13 @@ class _TimelineBuilder:
             location = str(self.edl.path), (event.line,)
             self.faults.append(Fault("BAT041", message, *location, hint))
             return None
-        # Of motion that goes backwards some write the last frame first.
-        first, last = sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
-        return _Times(first, last - first, frames[2], frames[3] - frames[2])
+        # For backward motion some systems write the last frame first.
+        first_frame, last_frame = (
+            sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
+        )
+        return _Times(
+            first_frame, last_frame - first_frame, frames[2], frames[3] - frames[2]
+        )
 
     def frame(self, text: str) -> int:
         """Return the frame of a time code or frame number."""
@@ -232,24 +244,29 @@ class _TimelineBuilder:
                 self.tracks[name] = schema.Track(name, kind=kind)
                 timeline.tracks.append(self.tracks[name])
             track = self.tracks[name]
-            gap = times.record - self.ends.get(name, times.record)
-            if gap > 0 and len(track):
-                track.append(schema.Gap(source_range=self.span(0, gap)))
-            shown = max(times.shown, 0) or times.count
-            self.ends[name] = times.record + shown
+            gap_frames = times.record - self.ends.get(name, times.record)
+            if gap_frames > 0 and len(track):
+                track.append(schema.Gap(source_range=self.span(0, gap_frames)))
+            shown_frames = max(times.shown, 0) or times.count
+            self.ends[name] = times.record + shown_frames
             if event.edit != "C" and event.length and len(track):
                 track.append(self.transition(event))
             if event.reel.upper() in BLACK:
-                if shown:
-                    track.append(schema.Gap(source_range=self.span(0, shown)))
+                if shown_frames:
+                    track.append(schema.Gap(source_range=self.span(0, shown_frames)))
             elif not (later and times.count <= 0):
                 track.append(self.clip(event, times))
 
     def transition(self, event: Event) -> Any:
         """Return a transition that starts with its second clip."""
         time = self.otio.opentime.RationalTime
-        ends = time(0, float(self.rate)), time(event.length, float(self.rate))
-        return self.otio.schema.Transition(event.edit, "SMPTE_Dissolve", *ends)
+        offset_and_length = (
+            time(0, float(self.rate)),
+            time(event.length, float(self.rate)),
+        )
+        return self.otio.schema.Transition(
+            event.edit, "SMPTE_Dissolve", *offset_and_length
+        )
 
     def clip(self, event: Event, times: _Times) -> Any:
         """Return the clip of an event, with its speed."""
@@ -271,22 +288,24 @@ class _TimelineBuilder:
 
     def speed(self, event: Event, times: _Times, name: str) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
-        source, shown = max(times.count, 0), max(times.shown, 0)
+        source, record_frames = max(times.count, 0), max(times.shown, 0)
         if event.freeze:
-            return Fraction(0), shown or source
+            return Fraction(0), record_frames or source
         if event.speed is not None:
             speed = _speed(event) / count_rate(self.rate)
-            if not shown or not source:
-                return speed, shown or source
-            # It is printed to a tenth of a frame; source and record are exact.
-            exact = Fraction(source, shown)
-            rounded = abs(exact - abs(speed)) * count_rate(self.rate)
-            if speed and rounded <= Fraction(1, 10):
-                speed = exact if speed > 0 else -exact
-            return speed, shown
-        if shown and source and shown != source:
+            if not record_frames or not source:
+                return speed, record_frames or source
+            # The printed speed has a tenth of a frame; source and record are exact.
+            exact_speed = Fraction(source, record_frames)
+            rounding_error = abs(exact_speed - abs(speed)) * count_rate(self.rate)
+            if speed and rounding_error <= Fraction(1, 10):
+                speed = exact_speed if speed > 0 else -exact_speed
+            return speed, record_frames
+        if record_frames and source and record_frames != source:
             message = f"clip {excerpt(name)}: its source has {source} frames, its "
-            message += f"record {shown}, and no speed (M2) is stated: the {source} "
+            message += (
+                f"record {record_frames}, and no speed (M2) is stated: the {source} "
+            )
             message += "frames of its source are used, at their own speed"
             location = str(self.edl.path), (event.line,)
             warning = Fault("BAT056", message, *location, severity=Severity.WARNING)
@@ -306,19 +325,21 @@ def _speed(event: Event) -> Fraction:
 def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
     """Yield events, and whether the next one belongs to the same edit.
 
-    Comments stand behind the second and are of both.
+    Comments follow the second event and belong to both.
     """
     for i, event in enumerate(events):
-        behind = events[i + 1] if i + 1 < len(events) else None
-        pair = behind is not None and behind.number == event.number
-        pair = pair and behind is not None and behind.channel == event.channel
-        if pair and behind is not None:
-            event.comments = {**behind.comments, **event.comments}
-        yield event, pair
+        next_event = events[i + 1] if i + 1 < len(events) else None
+        is_pair = next_event is not None and next_event.number == event.number
+        is_pair = (
+            is_pair and next_event is not None and next_event.channel == event.channel
+        )
+        if is_pair and next_event is not None:
+            event.comments = {**next_event.comments, **event.comments}
+        yield event, is_pair
 
 
-# Channels of several tracks.
-CHANNELS = {
+# Channels that stand for several tracks.
+TRACKS_OF_CHANNEL = {
     "B": ("V", "A1"),
     "AA": ("A1", "A2"),
     "A": ("A1",),
@@ -333,4 +354,4 @@ def _tracks_of(channel: str) -> tuple[str, ...]:
     >>> _tracks_of("B"), _tracks_of("V2")
     (('V', 'A1'), ('V2',))
     """
-    return CHANNELS.get(channel, (channel,))
+    return TRACKS_OF_CHANNEL.get(channel, (channel,))

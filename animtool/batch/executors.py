@@ -30,20 +30,19 @@ class Work:
     """Input of an executor.
 
     Attributes:
-        builder: Makes an item, whatever happens short of the end of its process; it
-            can be sent to other processes.
-        items: What is to be made. One is to be taken only when it can be begun:
-            taking it says that it is.
-        limits: What each may take.
-        jobs: How many may be made at a time.
-        argument: What the user wrote behind the executor's name and ``=``.
-        asked: How many at a time the user asked for; None is as many as there is
-            room for.
+        builder: Builds an item, and raises only to end its process; can be sent to
+            other processes.
+        items: Items to build. Take one only when it can be started: taking it reports
+            its start.
+        limits: Limits of each item.
+        jobs: Maximum number of simultaneous items.
+        argument: Text after the executor's name and ``=``.
+        asked: Number of simultaneous items that the user requested; None if
+            unspecified.
         inputs: Files that every machine must see: those of the items, and those that
-            all are built with.
-        folders: Folders that items are written to, and that of the records.
-        ahead: Whether items may be taken that begin without another look at how many
-            have failed.
+            all items are built with.
+        folders: Output folders of the items, and the folder of the records.
+        queue_next: Whether items may be queued before the number of failures is known.
     """
 
     builder: ItemBuilder
@@ -57,8 +56,8 @@ class Work:
     queue_next: bool = True
 
 
-# Yields the outcome of each item as it ends, and warnings about workers;
-# closing the iterator ends the work.
+# Yields the outcome of each item as it ends, and warnings about workers. Closing the
+# iterator ends the work.
 Run: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
 
@@ -67,10 +66,10 @@ class Executor:
     """An entry of the table of executors.
 
     Attributes:
-        about: How it makes items, one line.
+        about: One-line description.
         run: ``module:object`` of a function from `Work` to outcomes.
-        ready: ``module:object`` of a function from a `ItemTask` that begins, and does
-            not wait for, what takes long before the first item; empty is nothing.
+        ready: ``module:object`` of a function from an `ItemTask` that starts slow
+            preparations without waiting for them; empty for none.
     """
 
     about: str
@@ -127,7 +126,7 @@ def _argument(name: str, hint: str) -> OptionError:
 
 
 def find_executor(name: str) -> Executor:
-    """Return an executor by name, those of plug-ins included.
+    """Return an executor by name, including those of plug-ins.
 
     >>> find_executor("serial").about
     "one after another, in animtool's own process"

@@ -1,6 +1,6 @@
-"""Batch files: the keys, as models that ``animtool schema`` prints, and reading.
+"""Batch files: their keys, as models that ``animtool schema`` prints, and reading.
 
-The tables of ``docs/reference`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are generated from their descriptions and examples.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from animtool.batch.overrides import Override
 from animtool.batch.spec import MAX_SECONDS, BatchSpec, Limits, parse_bytes
 from animtool.batch.variants import (
     MAX_VARIANTS,
-    TOO_MANY,
+    TOO_MANY_TEXT,
     Variants,
     columns_variants,
     name_problems,
@@ -89,8 +89,8 @@ def overrides_of_document(
 
     Args:
         document: The batch file.
-        models: Its entries.
-        taken: Names that have values of another source.
+        models: Entries of the batch file.
+        taken: Names whose values come from elsewhere.
     """
     overrides = []
     for i, model in enumerate(models):
@@ -228,7 +228,7 @@ class BatchModel(FileModel):
     )
 
 
-AT = ("variants",)
+VARIANTS_LOCATION = ("variants",)
 
 
 def rows_of_document(
@@ -236,15 +236,18 @@ def rows_of_document(
 ) -> Variants | None:
     """Return the variants of a batch file; None without any, or with faults."""
     reader = _VariantReader(document, taken)
-    before = len(document.faults)
+    fault_count = len(document.faults)
     if isinstance(variants, list):
         table = reader.rows(variants)
     else:
         columns = reader.columns(variants)
-        # Of faulty values not all are there.
-        table = None if len(document.faults) > before else reader.combined(columns)
+        # If values are faulty, the table is incomplete.
+        table = None if len(document.faults) > fault_count else reader.combined(columns)
     return (
-        None if len(document.faults) > before or document.is_placeholder(AT) else table
+        None
+        if len(document.faults) > fault_count
+        or document.is_placeholder(VARIANTS_LOCATION)
+        else table
     )
 
 
@@ -254,9 +257,9 @@ class _VariantReader:
 
     def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
         """Return the values of each column."""
-        self._check_names(AT, list(table))
+        self._check_names(VARIANTS_LOCATION, list(table))
         return {
-            name: list(self._values((*AT, name), entry))
+            name: list(self._values((*VARIANTS_LOCATION, name), entry))
             for name, entry in table.items()
         }
 
@@ -265,28 +268,35 @@ class _VariantReader:
         try:
             return columns_variants(columns)
         except ValueError as error:
-            self.document.add("BAT065", AT, str(error))
+            self.document.add("BAT065", VARIANTS_LOCATION, str(error))
             return None
 
     def rows(self, table: list[Mapping[str, Any]]) -> Variants | None:
         """Return the rows of a list."""
         if len(table) > MAX_VARIANTS:
-            self.document.add("BAT065", AT, f"{len(table)} variants: {TOO_MANY}")
+            self.document.add(
+                "BAT065", VARIANTS_LOCATION, f"{len(table)} variants: {TOO_MANY_TEXT}"
+            )
             return None
-        first = list(table[0])
-        self._check_names((*AT, 0), first)
-        if not first:
-            self.document.add("BAT061", (*AT, 0), "a row has no values")
-        rows = []
+        column_names = list(table[0])
+        self._check_names((*VARIANTS_LOCATION, 0), column_names)
+        if not column_names:
+            self.document.add("BAT061", (*VARIANTS_LOCATION, 0), "a row has no values")
+        rows_read = []
         for i, entry in enumerate(table):
-            if set(entry) != set(first):
-                differing = ", ".join(sorted(set(entry) ^ set(first)))
+            if set(entry) != set(column_names):
+                differing = ", ".join(sorted(set(entry) ^ set(column_names)))
                 message = f"the columns differ from those of the first row: {differing}"
-                hint = f"columns: {', '.join(first)}"
-                self.document.add("BAT062", (*AT, i), message, hint)
+                hint = f"columns: {', '.join(column_names)}"
+                self.document.add("BAT062", (*VARIANTS_LOCATION, i), message, hint)
                 continue
-            rows.append({name: self._value((*AT, i, name), entry) for name in first})
-        return Variants(tuple(rows))
+            rows_read.append(
+                {
+                    name: self._value((*VARIANTS_LOCATION, i, name), entry)
+                    for name in column_names
+                }
+            )
+        return Variants(tuple(rows_read))
 
     def _check_names(self, at: Location, names: list[str]) -> None:
         for i, message in name_problems(names, self.taken):
@@ -361,13 +371,15 @@ class _BatchReader:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
-        known = not self.document.is_placeholder(("inputs",))
+        has_inputs = not self.document.is_placeholder(("inputs",))
         scene_alone = model.scene and model.variants
-        if known and not (model.inputs or self.of_shots or scene_alone):
-            empty = "inputs" in model.model_fields_set
-            message = "has no entries" if empty else "key 'inputs' is missing"
+        if has_inputs and not (model.inputs or self.of_shots or scene_alone):
+            states_inputs = "inputs" in model.model_fields_set
+            message = "has no entries" if states_inputs else "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
-            self.document.add("DOC021", ("inputs",) if empty else (), message, hint)
+            self.document.add(
+                "DOC021", ("inputs",) if states_inputs else (), message, hint
+            )
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._names(columns)
@@ -436,7 +448,7 @@ class _BatchReader:
             self.document.add("BAT004", ("output",), message, hint)
 
     def _options(self, model: OptionsModel) -> BakeOptions:
-        at: Location = ("options",)
-        source = option_keys(SourceOptions, model, "batch", at, self.keys)
-        bake = option_keys(BakeOptions, model, "batch", at, self.keys)
+        location: Location = ("options",)
+        source = option_keys(SourceOptions, model, "batch", location, self.keys)
+        bake = option_keys(BakeOptions, model, "batch", location, self.keys)
         return BakeOptions(source=SourceOptions(**source), **bake)

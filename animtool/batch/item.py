@@ -42,16 +42,17 @@ if TYPE_CHECKING:
 
 
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
-# These are paths that a pattern begins with, to write where the inputs are.
+# Names whose values are folders, with which a pattern may begin to write next to the
+# inputs.
 _INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
 def input_names(file: MatchedFile) -> dict[str, str]:
     """Return the values of the names that every input defines.
 
-    ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
-    that without what says its kind, and ``parent`` the folders between the one that
-    was searched and it.
+    ``input`` is the path of the input, ``folder`` that of its folder, ``name`` its
+    name, ``stem`` the name without its type suffix, and ``parent`` the folders between
+    the searched folder and the input.
 
     >>> from pathlib import Path
     >>> names = input_names(MatchedFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
@@ -86,7 +87,7 @@ def unknown_names(
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
     """
     try:
-        fields = [part[1:] for part in Formatter().parse(pattern)]
+        fields = [literal[1:] for literal in Formatter().parse(pattern)]
     except ValueError as error:
         yield (
             (f"{pattern!r} is not a valid pattern: {error}"),
@@ -96,8 +97,8 @@ def unknown_names(
     names = [*INPUT_NAMES, *variables]
     for name, form, conversion in fields:
         if name is not None and (form or conversion or name not in names):
-            shown = f"{{{name}}}" if name or not form else "{}"
-            yield f"unknown name in {pattern!r}: {shown}", nearest(name, names)
+            quoted = f"{{{name}}}" if name or not form else "{}"
+            yield f"unknown name in {pattern!r}: {quoted}", nearest(name, names)
 
 
 def output_root(pattern: str) -> PurePath:
@@ -107,32 +108,34 @@ def output_root(pattern: str) -> PurePath:
     'out'
     """
     parts = PurePath(pattern).parent.parts
-    fixed = next((i for i, part in enumerate(parts) if "{" in part), len(parts))
-    return PurePath(*parts[:fixed])
+    fixed_count = next(
+        (i for i, component in enumerate(parts) if "{" in component), len(parts)
+    )
+    return PurePath(*parts[:fixed_count])
 
 
 @dataclass(slots=True)
 class NamedOutputs:
     """Outputs of a pattern, confined to its folder."""
 
-    pattern: str  # the files to write
-    folder: Path  # where a relative one starts
-    paths: frozenset[str]  # names whose values may lead into folders, as ``a/b`` does
+    pattern: str  # pattern of the files to write
+    folder: Path  # base folder of relative patterns
+    paths: frozenset[str]  # names whose values may contain folders, as in ``a/b``
     _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
         """Return the output of some values."""
         root, path = self.folder, self.folder
-        below = False
-        for part in PurePath(self.pattern).parts:
-            names = [name for _, name, *_ in Formatter().parse(part) if name]
-            text = part.format(**values)
+        in_subfolder = False
+        for component in PurePath(self.pattern).parts:
+            names = [name for _, name, *_ in Formatter().parse(component) if name]
+            text = component.format(**values)
             if set(names) - _INPUT_FOLDERS:
-                below = True
+                in_subfolder = True
                 self._check(text, names, values)
             path /= text
-            root = root if below else path
-        if below and not self._stays(path.parent, root):
+            root = root if in_subfolder else path
+        if in_subfolder and not self._stays(path.parent, root):
             message = f"a link in {str(root)!r} leads outside it: {str(path.parent)!r}"
             raise UnsafeNameError("", message)
         return path
@@ -141,17 +144,19 @@ class NamedOutputs:
         """Refuse path parts that are not single names."""
         for name in names:
             value = values[name]
-            wrong = re.search(r"[\x00-\x1f\x7f\\]", value)
+            bad_character = re.search(r"[\x00-\x1f\x7f\\]", value)
             if name not in self.paths:
-                wrong = wrong or re.search("/", value)
-            if wrong is not None:
-                message = f"{{{name}}} is {excerpt(value)}, which has {wrong[0]!r}"
+                bad_character = bad_character or re.search("/", value)
+            if bad_character is not None:
+                message = (
+                    f"{{{name}}} is {excerpt(value)}, which has {bad_character[0]!r}"
+                )
                 raise UnsafeNameError(name, message)
-        for piece in text.split("/"):
-            problem = None if piece == "." else name_problem(piece)
+        for component in text.split("/"):
+            problem = None if component == "." else name_problem(component)
             if problem is not None:
                 value = excerpt(values[names[-1]])
-                message = f"{{{names[-1]}}} is {value}: the name {excerpt(piece)} "
+                message = f"{{{names[-1]}}} is {value}: the name {excerpt(component)} "
                 raise UnsafeNameError(names[-1], message + problem)
 
     def _stays(self, folder: Path, root: Path) -> bool:
@@ -165,10 +170,10 @@ class NamedOutputs:
 
 
 class UnsafeNameError(ValueError):
-    """An output name leaves its folder or is not legal everywhere.
+    """An output name leaves its folder or is not legal on every system.
 
     Attributes:
-        name: That of the pattern whose value it is; empty is none.
+        name: Name in the pattern with the unsafe value; empty for none.
     """
 
     def __init__(self, name: str, message: str) -> None:
@@ -182,7 +187,7 @@ _KINDS: dict[str, type[PurePath]] = {
 }
 
 
-# A rule takes some hundred bytes, and a farm has a few for each disk.
+# A rule has some hundred bytes, and a farm has a few per disk.
 MAX_BYTES = 4_000_000
 
 
@@ -190,12 +195,12 @@ MAX_BYTES = 4_000_000
 class PathRule:
     """Maps a folder of another machine to a local one."""
 
-    source: PurePath  # there
-    destination: str  # here
+    source: PurePath  # on the other machine
+    destination: str  # on this machine
 
 
 def read_rules(path: Path) -> list[PathRule]:
-    """Return the path rules of a file; none if it has none (malformed: BAT038)."""
+    """Return the path rules of a file; empty if it has none (malformed: BAT038)."""
     try:
         plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
@@ -232,24 +237,26 @@ def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
 def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     """Return a batch with local inputs and outputs.
 
-    Names of files in scenes and options are not changed: they are found where they are
-    relative.
+    Paths in scenes and options are not changed: they work if they are relative.
     """
     if not rules:
         return spec
     output = spec.output
-    mapped = None if output is None else mapped_path(output, rules)
+    mapped_output = None if output is None else mapped_path(output, rules)
     return replace(
         spec,
-        # Who maps paths says where outputs go.
-        roots=spec.roots if mapped == output else (),
+        # The path mapping determines where outputs go.
+        roots=spec.roots if mapped_output == output else (),
         inputs=tuple(mapped_path(text, rules) for text in spec.inputs),
         exclude=tuple(mapped_path(text, rules) for text in spec.exclude),
         overrides=tuple(
-            replace(one, inputs=tuple(mapped_path(text, rules) for text in one.inputs))
-            for one in spec.overrides
+            replace(
+                override,
+                inputs=tuple(mapped_path(text, rules) for text in override.inputs),
+            )
+            for override in spec.overrides
         ),
-        output=mapped,
+        output=mapped_output,
     )
 
 
@@ -259,8 +266,8 @@ def values_text(values: Mapping[str, str]) -> str:
     >>> values_text({"k": "2", "s": "0.5"})
     ' (k=2, s=0.5)'
     """
-    shown = ", ".join(f"{name}={value}" for name, value in values.items())
-    return f" ({shown})" if shown else ""
+    pairs_text = ", ".join(f"{name}={value}" for name, value in values.items())
+    return f" ({pairs_text})" if pairs_text else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,17 +276,17 @@ class Item:
 
     number: int  # its number in the batch, from 1
     file: MatchedFile  # its input
-    output: Path  # the file to write; of several the first
-    # Values of names in its scene, besides those of its input.
+    output: Path  # the file to write; the first of several
+    # Values of names in its scene, in addition to those of its input.
     names: Mapping[str, str] = field(default_factory=dict)
-    # Every file to write, where its scene names several outputs, or one that is no USD;
-    # empty where they follow from ``output``.
+    # Every file to write, if its scene names several outputs or one that is not USD;
+    # empty if they follow from ``output``.
     files: tuple[Path, ...] = ()
-    # Those of ``names`` that tell it from other variants.
+    # Values of ``names`` that distinguish it from other variants.
     values: Mapping[str, str] = field(default_factory=dict)
-    # What overrides of the batch give it, in place of the variables of all.
+    # Values from overrides of the batch, replacing common variables.
     variables: Mapping[str, str] = field(default_factory=dict)
-    shot: Shot | None = None  # of a clip of a timeline; None is a file as it is
+    shot: Shot | None = None  # shot of a timeline clip; None for a plain file
 
     @property
     def label(self) -> str:
@@ -289,7 +296,7 @@ class Item:
 
     @property
     def folders(self) -> list[Path]:
-        """Folders that it writes to."""
+        """Output folders."""
         return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
@@ -297,14 +304,14 @@ class Item:
 class ItemTask:
     """How items are built."""
 
-    # A scene to apply to each; None bakes each input itself.
+    # Scene to apply to each input; None bakes the input itself.
     scene: Path | None = None
-    # Values of names in scenes, besides those of each input.
+    # Values of names in scenes, in addition to those of each input.
     variables: Mapping[str, str] = field(default_factory=dict)
-    # How to bake, where there is no scene.
+    # Bake options without a scene.
     options: BakeOptions = field(default_factory=BakeOptions)
-    kinds: tuple[Path, ...] = ()  # an input of each kind that there is
-    # By suffix, on which alone they depend: options, and the digest of them.
+    kinds: tuple[Path, ...] = ()  # one input of each kind
+    # Options and their digest by suffix, on which alone they depend.
     _fitting: dict[str, BakeOptions] = field(
         default_factory=dict, compare=False, repr=False
     )
@@ -338,7 +345,7 @@ class ItemTask:
         return scene
 
     def named(self, item: Item) -> Item:
-        """Return an item with the outputs that its scene names."""
+        """Return an item with the outputs named by its scene."""
         scene = self.source(item)
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
@@ -349,7 +356,7 @@ class ItemTask:
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
-        """Refuse outputs named both by a scene and by a pattern."""
+        """Refuse outputs that both a scene and a pattern name."""
         if self._is_several(source):
             message = "the scene names its outputs, but the batch names one too"
             hint = (
@@ -370,7 +377,7 @@ class ItemTask:
     def bake(self, item: Item) -> list[OutputReport]:
         """Bake an item; return a report of each output.
 
-        What they were before is replaced.
+        Existing outputs are replaced.
         """
         source, options = self.source(item), self._options(item.file.path)
         from animtool.scene.bake.bake import bake_outputs
@@ -400,21 +407,21 @@ class ItemTask:
         return self._fitting[kind]
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
-        """Return everything but files that affects how an item is built."""
-        plain: dict[str, object] = {"input": relative_name(item.file.path, root)}
+        """Return everything except files that affects how an item is built."""
+        description: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or is_named(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = relative_name(Path(names[key]), root)
-            plain["variables"] = names
+            description["variables"] = names
         if item.shot is not None:
-            plain["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
+            description["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
         if self.scene is not None:
-            plain["scene"] = relative_name(self.scene, root)
-            plain["strict"] = self.options.strict
+            description["scene"] = relative_name(self.scene, root)
+            description["strict"] = self.options.strict
         else:
-            plain["options"] = self._digest(item.file.path, root)
-        return plain
+            description["options"] = self._digest(item.file.path, root)
+        return description
 
     def _digest(self, path: Path, root: Path) -> str:
         kind = path.suffix.lower()

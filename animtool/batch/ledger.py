@@ -1,9 +1,9 @@
 """The ledger of a batch: locks of runs, finished items and failures.
 
-A run of the whole batch holds `batch-NAME.lock`. Runs of some of its items each hold a
-lock and write files of their own, in `batch-NAME.d`, which the next whole run takes in.
-Locks are the system's, and end with the process that holds them; what `.owner` says of
-a run only names it to others.
+A run of the full batch holds `batch-NAME.lock`. Runs of some items each hold a lock and
+write their own files in `batch-NAME.d`, which the next full run merges. Locks are those
+of the operating system and end with the process; `.owner` only names the owner to other
+runs.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ if TYPE_CHECKING:
 
 
 HEAD = {"failures": "animtool/1"}
-# More than a line says to anybody.
-MAX_WHY = 10_000
+# Maximum length of a failure message.
+MAX_MESSAGE = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Failures:
     """Failed items."""
 
-    why: dict[str, str] = field(default_factory=dict)  # of each, by key
+    why: dict[str, str] = field(default_factory=dict)  # failure of each item, by key
     length: int = 0  # length of the readable part [bytes]
-    damaged: tuple[Fault, ...] = ()  # warnings of lines that cannot be used
+    damaged: tuple[Fault, ...] = ()  # warnings about unusable lines
 
 
 def read_failures(path: Path) -> Failures:
@@ -81,7 +81,7 @@ def add_failure(path: Path, key: str, why: str, length: int) -> int:
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Rewrite the file; remove it without failures."""
+    """Rewrite the file; remove it if there are no failures."""
     if not failures:
         path.unlink(missing_ok=True)
         return
@@ -90,12 +90,12 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
 
 
 def _line(key: str, why: str) -> dict[str, str]:
-    return {"item": key, "why": why.replace("\0", "\\0")[:MAX_WHY]}
+    return {"item": key, "why": why.replace("\0", "\\0")[:MAX_MESSAGE]}
 
 
 # A run of some items briefly takes the batch's lock to check that it is free.
-TIMEOUT = 5.0
-# The numbers of items that a part of a batch is called by.
+LOCK_TIMEOUT = 5.0
+# Item numbers that identify a part of a batch.
 _PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
 MAX_OWNER = 4096
 
@@ -104,10 +104,10 @@ MAX_OWNER = 4096
 class History:
     """Results of earlier runs."""
 
-    manifest: Manifest = field(default_factory=Manifest)  # by all of them
-    # Why items failed that were not made since, by key.
+    manifest: Manifest = field(default_factory=Manifest)  # built by earlier runs
+    # Failures of items that were not built since, by key.
     failed: dict[str, str] = field(default_factory=dict)
-    # Warnings of lines that cannot be used.
+    # Warnings about unusable lines.
     damaged: list[Fault] = field(default_factory=list)
 
 
@@ -157,14 +157,14 @@ def read_history(folder: Path, name: str) -> History:
 
 @dataclass(frozen=True, slots=True)
 class _LocalRecords:
-    """Records in the files that a run appends to."""
+    """Records in the files that this run appends to."""
 
     manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
 def _read(files: _Files) -> tuple[History, _LocalRecords]:
-    """Return the results of earlier runs, and the records in these files."""
+    """Return the results of earlier runs, and the records in the run's own files."""
     history, local = History(), _LocalRecords()
     batch_files = files.of_batch()
     for source in (batch_files, *batch_files.others()):
@@ -182,8 +182,8 @@ class Ledger:
     """The records of a batch, locked by a run.
 
     Attributes:
-        history: What earlier runs left.
-        now: The clock of the disk when the run began [ns].
+        history: Results of earlier runs.
+        now: Start of the run, by the disk's clock [ns].
     """
 
     def __init__(self, files: _Files, now: int) -> None:
@@ -225,45 +225,48 @@ class Ledger:
     def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
         """Rewrite the records of the batch, merged with those of its parts."""
         self.close()
-        others = [] if self._files.part else self._files.others()
-        if self._files.part or not (self._grown or any(o.holds() for o in others)):
+        part_files = [] if self._files.part else self._files.others()
+        if self._files.part or not (self._grown or any(o.holds() for o in part_files)):
             return
         manifest = self.history.manifest
-        kept = [item for item in manifest.items.values() if keep(item)]
-        recorded = {output.path for item in kept for output in item.outputs}
+        kept_records = [item for item in manifest.items.values() if keep(item)]
+        recorded_names = {
+            output.path for item in kept_records for output in item.outputs
+        }
         root = self._files.folder.parent
-        known = [
+        known_names = [
             name
-            for name in sorted(manifest.known | recorded)
-            if name in recorded or FileState.of(path_of_name(name, root)) is not None
+            for name in sorted(manifest.known | recorded_names)
+            if name in recorded_names
+            or FileState.of(path_of_name(name, root)) is not None
         ]
-        rewrite_manifest(self._files.named(".jsonl"), kept, known)
+        rewrite_manifest(self._files.named(".jsonl"), kept_records, known_names)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
-        for part in others:
+        for part in part_files:
             part.named(".jsonl").unlink(missing_ok=True)
             part.named(".failed.jsonl").unlink(missing_ok=True)
 
 
 @contextmanager
 def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Give the records of a batch, locked against other runs."""
+    """Provide the records of a batch, locked against other runs."""
     files = _Files(folder, name, part)
     with ExitStack() as locks:
         if part:
-            # Released at once: no run of the whole goes on, and of parts that have
-            # items in common one comes first.
-            with ExitStack() as moment:
-                _lock(moment, files.of_batch(), TIMEOUT)
+            # Released immediately: no run of the full batch is active, and of parts
+            # with common items only one can proceed.
+            with ExitStack() as temporary_locks:
+                _lock(temporary_locks, files.of_batch(), LOCK_TIMEOUT)
                 _lock(locks, files, 0.0)
                 for other in files.others():
                     if other != files and files.overlaps(other):
-                        _lock(moment, other, 0.0)
+                        _lock(temporary_locks, other, 0.0)
         else:
             _lock(locks, files, 0.0)
             for other in files.others():
                 _lock(locks, other, 0.0)
-        now = _sign(files)
-        ledger = Ledger(files, now)
+        started = _sign(files)
+        ledger = Ledger(files, started)
         try:
             yield ledger
         finally:
@@ -283,18 +286,18 @@ def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
         hint = "wait until it ends, or stop it"
         raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
-        # The second is of disks that have no locks.
+        # The second error is that of disks without locks.
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
 
 def _sign(files: _Files) -> int:
-    """Write the owner of a run; return the time by the clock of the disk."""
+    """Write the owner of a run; return the time by the disk's clock."""
     import platform
 
     path = files.named(".owner")
     owner = json.dumps({"process": os.getpid(), "host": platform.node()})
-    # A link may lead to a foreign file, and a pipe nowhere.
+    # A link may lead to a foreign file, and a pipe to nothing.
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for name in ("O_NOFOLLOW", "O_NONBLOCK"):
         flags |= getattr(os, name, 0)
@@ -311,7 +314,7 @@ def _sign(files: _Files) -> int:
 
 
 def _owner(files: _Files) -> str:
-    """Return the owner of a run, as far as it is known."""
+    """Return the owner of a run, if known."""
     import platform
 
     unknown = "of an unknown process"
@@ -321,6 +324,6 @@ def _owner(files: _Files) -> str:
     except RecordError:
         return unknown
     if host == platform.node() and not is_running(process):
-        # One before it, or one whose number this process cannot see.
+        # An earlier process, or one in another process namespace.
         return unknown
     return f"process {process} on {excerpt(host)}"

@@ -1,8 +1,8 @@
 """Records of built items and their files: the manifest of a batch.
 
-A line each for a file that was looked at, for outputs that are about to be written, and
-for an item that was made. An item refers to files by number, and is written together
-with those that have none yet.
+It has one line for each accessed file, for outputs that are about to be written, and
+for each built item. An item refers to files by number, and is written together with
+those that have no number yet.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from animtool.core.record import dataclass
 from animtool.core.values import picked
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 
-# What names, digests and clocks can be.
+# Limits of digests and clock values.
 MAX_DIGEST = 200
-CLOCK = 2**63
+MAX_CLOCK = 2**63
 
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
     """The recorded state of a file."""
 
-    path: str  # where it is, from the folder of all outputs if below it
-    state: FileState | None  # none where there was none
-    sha256: str = ""  # of its content; empty where there was none, or it is a folder
+    path: str  # relative to the folder of all outputs if inside it
+    state: FileState | None  # None if the file was missing
+    sha256: str = ""  # digest of its content; empty if missing or a folder
 
     def as_dict(self) -> dict[str, object]:
-        """Return it as JSON values."""
+        """Return the record as JSON values."""
         if self.state is None:
             return {"path": self.path, "absent": True}
         return {
@@ -69,7 +69,7 @@ class FileRecord:
             return cls(path, None)
         state = FileState(
             integer_in(plain, "size"),
-            integer_in(plain, "changed", -CLOCK, CLOCK),
+            integer_in(plain, "changed", -MAX_CLOCK, MAX_CLOCK),
             integer_in(plain, "inode"),
         )
         return cls(path, state, text_in(plain, "sha256", MAX_DIGEST))
@@ -79,15 +79,15 @@ class FileRecord:
 class ItemRecord:
     """The record of a built item."""
 
-    key: str  # its output, named as files are
-    how: str  # digest of everything but files that decided how
+    key: str  # its output, relative like file paths
+    how: str  # digest of all settings except files
     versions: str  # digest of the versions of its builders
-    inputs: tuple[FileRecord, ...]  # the files that were looked at
-    outputs: tuple[FileRecord, ...]  # the files that were written
-    # When, by the clock of the disk that it was written to [ns]. Files that are as
-    # young may have changed since without a sign.
+    inputs: tuple[FileRecord, ...]  # accessed files
+    outputs: tuple[FileRecord, ...]  # written files
+    # Time by the clock of the output's disk [ns]. Files that are as young may have
+    # changed since without a different state.
     at: int
-    scores: tuple[PassScores, ...] = ()  # how well passes did
+    scores: tuple[PassScores, ...] = ()  # scores of its passes
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
         """Return it as JSON values."""
@@ -116,7 +116,7 @@ class ItemRecord:
             sys.intern(text_in(plain, "versions", MAX_DIGEST)),
             tuple(_numbered(list_in(plain, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
-            integer_in(plain, "at", -CLOCK, CLOCK),
+            integer_in(plain, "at", -MAX_CLOCK, MAX_CLOCK),
             scores_in(plain, "scores"),
         )
 
@@ -128,7 +128,7 @@ def _numbered(
     if not numbers:
         raise RecordError("'inputs' is empty")
     for number in numbers:
-        # A truth value, and a float, can be equal to an int.
+        # Booleans and floats may equal an int.
         file = files.get(number) if type(number) is int else None
         if file is None:
             raise RecordError("an input has no record")
@@ -162,8 +162,8 @@ def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
 
 HEAD = {"manifest": "animtool/1"}
 MAX_FILES = 10**9
-# Names a line: one that is damaged takes few with it.
-CLAIMED = 100
+# Number of names per line, so that a damaged line loses few.
+NAMES_PER_LINE = 100
 
 
 @dataclass(slots=True)
@@ -171,19 +171,19 @@ class Manifest:
     """Records of built items."""
 
     items: dict[str, ItemRecord] = field(default_factory=dict)  # by key
-    # Names of files that were made, or begun, by a run of the batch.
+    # Names of files that were written, or started, by a run of the batch.
     known: set[str] = field(default_factory=set)
-    # The distinct files that items refer to, with their numbers.
+    # Distinct files that items refer to, with their numbers.
     files: dict[FileRecord, int] = field(default_factory=dict)
-    next: int = 0  # the number of the next of them
+    next: int = 0  # next file number
     length: int = 0  # length of the readable part [bytes]
-    # Warnings of lines that cannot be used.
+    # Warnings about unusable lines.
     damaged: list[Fault] = field(default_factory=list)
 
     def add(self, record: ItemRecord) -> None:
-        """Add a built item; the newer of two with one key counts."""
-        before = self.items.get(record.key)
-        if before is None or before.at <= record.at:
+        """Add a built item, replacing an older one with the same key."""
+        previous = self.items.get(record.key)
+        if previous is None or previous.at <= record.at:
             self.items[record.key] = record
         self.known.update(output.path for output in record.outputs)
 
@@ -196,15 +196,15 @@ class Manifest:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Return a manifest; an empty one without a file.
+    """Return a manifest; an empty one if the file is missing.
 
     Unusable lines are skipped and listed in `Manifest.damaged`.
     """
     manifest, reader = Manifest(), LineReader(path, HEAD)
-    lines = _Lines(manifest)
+    parser = _Lines(manifest)
     for line in reader.lines():
         try:
-            lines.take(line)
+            parser.take(line)
         except RecordError as error:
             reader.damaged[reader.number] = str(error)
     manifest.length = reader.length
@@ -237,7 +237,7 @@ class _Lines:
         manifest = self.manifest
         manifest.next = max(manifest.next, number + 1)
         if self.files.setdefault(number, record) != record:
-            # Which of the two an item means is not known.
+            # It is unknown which of the two an item means.
             manifest.files.pop(self.files.pop(number), None)
             raise RecordError("has the number of another file")
         manifest.files[record] = number
@@ -253,9 +253,12 @@ class ManifestWriter(LineWriter):
 
     def claim(self, names: Iterable[str]) -> None:
         """Record the files that are about to be written."""
-        known = list(names)
-        some = (known[i : i + CLAIMED] for i in range(0, len(known), CLAIMED))
-        self.write({"known": part} for part in some)
+        name_list = list(names)
+        chunks = (
+            name_list[i : i + NAMES_PER_LINE]
+            for i in range(0, len(name_list), NAMES_PER_LINE)
+        )
+        self.write({"known": chunk} for chunk in chunks)
 
     def add(self, record: ItemRecord) -> None:
         """Append an item."""
@@ -294,8 +297,8 @@ def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
 def _pass_scores(plain: Mapping[str, Any]) -> PassScores:
     names = object_of(plain.get("names"))
     return PassScores(
-        tuple(_score(object_of(one)) for one in _some(plain, "scores")),
-        {what: tuple(texts_in(names, what)) for what in names},
+        tuple(_score(object_of(score_entry)) for score_entry in _some(plain, "scores")),
+        {score_name: tuple(texts_in(names, score_name)) for score_name in names},
         text_in(plain, "pass"),
         text_in(plain, "where"),
     )

@@ -17,8 +17,8 @@ class Override:
     """Variables of the inputs that match some patterns.
 
     Attributes:
-        inputs: Files, folders and globs, seen from the folder of the batch.
-        variables: The values, by name.
+        inputs: Files, folders and globs, relative to the folder of the batch.
+        variables: Values by name.
     """
 
     inputs: tuple[str, ...]
@@ -26,16 +26,16 @@ class Override:
 
     def without(self, names: Collection[str]) -> Override:
         """Return a copy without values of some names."""
-        left = {k: v for k, v in self.variables.items() if k not in names}
-        return replace(self, variables=left)
+        remaining = {k: v for k, v in self.variables.items() if k not in names}
+        return replace(self, variables=remaining)
 
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
     """Overridden variables of the inputs of a batch."""
 
-    values: Mapping[Path, Mapping[str, str]]  # by path of the file
-    notices: tuple[Fault, ...]  # warnings of overrides that no input matches
+    values: Mapping[Path, Mapping[str, str]]  # by file path
+    notices: tuple[Fault, ...]  # warnings about overrides that match no input
 
 
 def overridden(
@@ -48,10 +48,10 @@ def overridden(
     """Return the overridden variables of inputs; the last match counts.
 
     Args:
-        overrides: In order.
+        overrides: Overrides in order of precedence, last wins.
         files: The inputs.
-        folder: Where names of inputs start.
-        suffixes: How names of inputs end.
+        folder: Base folder of relative inputs.
+        suffixes: Suffixes of inputs.
         path: The batch file.
     """
     resolve = PathResolver()
@@ -59,20 +59,27 @@ def overridden(
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(overrides):
-        meant = {
+        matched_paths = {
             resolve(file.path)
             for text in override.inputs
             for file in matching_files(os.fspath(folder / text), suffixes)
         }
-        matched = [by_location[where] for where in meant if where in by_location]
-        for input_path in matched:
+        locations = [
+            by_location[resolved]
+            for resolved in matched_paths
+            if resolved in by_location
+        ]
+        for input_path in locations:
             values.setdefault(input_path, {}).update(override.variables)
-        if not matched:
+        if not locations:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
-            file, where = None if path is None else str(path), f"overrides[{i}].inputs"
+            file, resolved = (
+                None if path is None else str(path),
+                f"overrides[{i}].inputs",
+            )
             warning = Severity.WARNING
             notices.append(
-                Fault("BAT066", message, file, (), hint, warning, where=where)
+                Fault("BAT066", message, file, (), hint, warning, where=resolved)
             )
     return Overridden(values, tuple(notices))

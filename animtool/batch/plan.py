@@ -46,24 +46,24 @@ class Decision:
     """What to do with an item."""
 
     item: Item  # the item
-    reason: BuildReason  # why
+    reason: BuildReason  # why it is built or skipped
     detail: str = ""  # the changed file, or the last failure
-    # The item's record with what files are now, where they were touched and are still
-    # the same.
+    # The item's record with updated file states, if files were touched but have the
+    # same content.
     refreshed: ItemRecord | None = None
-    scores: tuple[PassScores, ...] = ()  # record of an up-to-date item
+    scores: tuple[PassScores, ...] = ()  # scores of an up-to-date item, from its record
 
     @property
     def due(self) -> bool:
-        """Whether to build it."""
+        """Whether to build the item."""
         return self.reason is not BuildReason.UP_TO_DATE
 
 
 class Planner:
     """Decides by records of earlier runs and the current files.
 
-    A file is read only where its size, time or inode is another one, or where it is as
-    young as the record: then it may have changed since without a sign.
+    A file is read only if its size, time or inode changed, or if it is as young as the
+    record, since it may then have changed without a different state.
     """
 
     def __init__(
@@ -122,18 +122,19 @@ class Planner:
             return Decision(item, BuildReason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []
-        for reason, files, now in (
+        for reason, files, current_records in (
             (BuildReason.INPUT, record.inputs, inputs),
             (BuildReason.OUTPUT, record.outputs, outputs),
         ):
             for file in files:
-                # What is as young may have changed after the record without a sign.
+                # A file as young as the record may have changed after it without a
+                # different state.
                 state = file.state if reason is BuildReason.INPUT else None
-                young = state is not None and state.changed >= record.at
-                same = self._same(file, young=young)
-                if same is None:
+                is_young = state is not None and state.changed >= record.at
+                current = self._same(file, young=is_young)
+                if current is None:
                     return Decision(item, reason, file.path)
-                now.append(same)
+                current_records.append(current)
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
             return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
@@ -163,7 +164,7 @@ class Planner:
             try:
                 self._digests[path] = file_digest(path_of_name(path, self._batch.root))
             except FormatError:
-                # Whoever makes the item says why it cannot be read.
+                # Building the item reports why it cannot be read.
                 self._digests[path] = "unreadable"
         return self._digests[path]
 
@@ -174,8 +175,8 @@ MAX_FAULTS = 50
 def check_output_files(batch: Batch) -> None:
     """Refuse outputs that are equal (OUT007), inputs, or not writable.
 
-    Files are one on some disks where names differ only in case or in how accents are
-    encoded.
+    Names that differ only in case or in the encoding of accents are the same file on
+    some disks.
     """
     resolve = PathResolver()
     inputs = {resolve(item.file.path) for item in batch.items}
@@ -193,12 +194,12 @@ def _clashes(
     for item in batch.items:
         item_names: set[str] = set()
         for path in batch.outputs(item):
-            where = resolve(path)
-            if where in inputs:
+            resolved = resolve(path)
+            if resolved in inputs:
                 message = "is an input of this batch"
                 hint = f"choose another {argument('output')}"
                 yield Fault("OUT003", message, str(path), (), hint)
-            name = name_key(where)
+            name = name_key(resolved)
             if name in item_names:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
@@ -220,9 +221,9 @@ def _separating_hint(item: Item, other: Item) -> str:
     if item.shot is not None and item.shot != other.shot:
         return "use {shot} in the output to keep the shots separate"
     if item.file != other.file:
-        names, others = input_names(item.file), input_names(other.file)
+        names, other_names = input_names(item.file), input_names(other.file)
         for name in ("stem", "parent", "name"):
-            if names[name] != others[name]:
+            if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
@@ -233,18 +234,24 @@ def _separating_hint(item: Item, other: Item) -> str:
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
     """Yield faults of folders that cannot be written to."""
-    checked: set[Path] = set()
+    checked_folders: set[Path] = set()
     for folder in folders:
-        there = next((f for f in (folder, *folder.parents) if f.exists()), Path())
-        if there in checked:
+        existing_folder = next(
+            (f for f in (folder, *folder.parents) if f.exists()), Path()
+        )
+        if existing_folder in checked_folders:
             continue
-        checked.add(there)
-        if not there.is_dir():
+        checked_folders.add(existing_folder)
+        if not existing_folder.is_dir():
             yield Fault(
-                "OUT002", "cannot be written to: it is not a folder", str(there)
+                "OUT002",
+                "cannot be written to: it is not a folder",
+                str(existing_folder),
             )
-        elif not os.access(there, os.W_OK | os.X_OK):
-            yield Fault("OUT002", "cannot be written to: no permission", str(there))
+        elif not os.access(existing_folder, os.W_OK | os.X_OK):
+            yield Fault(
+                "OUT002", "cannot be written to: no permission", str(existing_folder)
+            )
 
 
 def check_overwrites(

@@ -1,7 +1,7 @@
 """A pool of processes that build items; lost ones are replaced.
 
-A process takes one item at a time, so that one that dies, hangs or takes too much
-memory costs that item and no other.
+A process builds one item at a time, so that a process that dies, hangs or exceeds its
+memory loses only that item.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import CRASHES, crash_fault, without_main
 from animtool.core.record import dataclass
 
-# One thread each: as many processes run as there are processors.
+# One thread each, since there are as many processes as processors; more threads would
+# only wait for each other.
 ENVIRONMENT = {
     # As many processes as processors: more threads would only wait for each other.
     **dict.fromkeys(
@@ -51,18 +52,19 @@ ENVIRONMENT = {
         ),
         "1",
     ),
-    # The folder that a batch is run in may hold a package of any name.
+    # The folder in which a batch runs may contain a package of any name.
     "PYTHONSAFEPATH": "1",
 }
-# How often the memory of a process that has a limit is looked at [s].
+# Interval for checking the memory of limited processes [s].
 POLL_INTERVAL = 0.05
-LONGEST_WAIT = 86_400.0
+MAX_WAIT = 86_400.0
 # Imports take seconds, over a slow network minutes [s].
-LONGEST_START = 900.0
-# Processes that end in a row before they can take an item: then none can.
+MAX_START = 900.0
+# Number of consecutive processes that end before accepting an item, after which no more
+# are started.
 MAX_FAILED_STARTS = 3
-TIMEOUT = 5.0
-# What may have happened to a process, by how it ended.
+JOIN_TIMEOUT = 5.0
+# Hints by exit code of a process.
 _RESUME = "finished items are recorded; run the same command again to resume"
 _HINTS = {
     -9: f"lower {argument('jobs')}, or allow more memory or time; {_RESUME}",
@@ -91,21 +93,21 @@ class _Worker:
             self.connection.send(item)
 
     def received(self) -> object:
-        """Return its message; None if it ended or sent an invalid one.
+        """Return a worker's message; None if it ended or sent an invalid one.
 
         What it reads is kept: where that ends it, nothing else is sent.
         """
-        sent: object = None
+        message: object = None
         try:
             while self.connection.poll():
-                sent = self.connection.recv()
-                if not isinstance(sent, FileBeingRead):
-                    return sent
-                self.path = sent.path
+                message = self.connection.recv()
+                if not isinstance(message, FileBeingRead):
+                    return message
+                self.path = message.path
         except Exception:
-            # Unpickling raises anything, of bytes that something else wrote.
+            # Unpickling bytes from another program may raise anything.
             return None
-        return sent
+        return message
 
     def end(self, *, kill: bool) -> None:
         if kill:
@@ -113,7 +115,7 @@ class _Worker:
         else:
             with contextlib.suppress(OSError):
                 self.connection.send(None)
-        self.process.join(TIMEOUT)
+        self.process.join(JOIN_TIMEOUT)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
@@ -127,25 +129,26 @@ class _Pool:
     builder: ItemBuilder  # builds the items
     items: Iterator[Item]  # items to build
     limits: Limits  # limits of each item
-    queue_next: (
-        bool  # whether to send the next item before the last outcome is received
-    )
+    # Whether to send the next item before the last outcome is received.
+    queue_next: bool
     left: bool = True  # whether there may be more items
-    workers: list[_Worker] = field(default_factory=list)  # those that live
-    failed_starts: int = 0  # how many in a row ended before they could take an item
+    workers: list[_Worker] = field(default_factory=list)  # live workers
+    failed_starts: int = (
+        0  # number of consecutive processes that ended before accepting an item
+    )
 
     def start(self) -> None:
         context = _context(self.builder.item_task)
-        here, there = context.Pipe()
-        arguments = (there, self.builder, self.limits.memory)
+        connection, worker_end = context.Pipe()
+        arguments = (worker_end, self.builder, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
         try:
             with _environment():
                 process.start()
         except (OSError, EOFError) as error:
             raise _unstartable(str(error) or type(error).__name__) from error
-        there.close()
-        self.workers.append(_Worker(process, here))
+        worker_end.close()
+        self.workers.append(_Worker(process, connection))
 
     def feed(self, worker: _Worker) -> None:
         """Give an idle process the next item."""
@@ -157,39 +160,41 @@ class _Pool:
 
     def outcomes(self) -> Iterator[ItemOutcome]:
         """Wait for events; yield outcomes of items."""
-        watched = {
+        workers_by_handle = {
             key: worker
             for worker in self.workers
             for key in (worker.connection, worker.process.sentinel)
         }
-        ready = wait(list(watched), self._time_left())
-        for worker in dict.fromkeys(watched[cast(Any, key)] for key in ready):
+        ready = wait(list(workers_by_handle), self._time_left())
+        for worker in dict.fromkeys(workers_by_handle[cast(Any, key)] for key in ready):
             yield from self._handle_message(worker)
         for worker in list(self.workers):
-            waited = time.perf_counter() - worker.began
-            if not worker.ready and waited > LONGEST_START:
+            elapsed = time.perf_counter() - worker.began
+            if not worker.ready and elapsed > MAX_START:
                 self._failed_to_start(worker)
             fault = self._exceeded_limit(worker)
             if fault is not None:
                 yield self._lost(worker, fault)
 
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
-        sent = worker.received()
-        if sent == READY:
+        received_message = worker.received()
+        if received_message == READY:
             worker.ready, self.failed_starts = True, 0
-        elif isinstance(sent, FileBeingRead):
+        elif isinstance(received_message, FileBeingRead):
             pass
-        elif isinstance(sent, ItemOutcome) and sent.number == _number(worker):
-            yield from self._ended(worker, sent)
+        elif isinstance(
+            received_message, ItemOutcome
+        ) and received_message.number == _number(worker):
+            yield from self._ended(worker, received_message)
         elif not worker.ready:
             self._failed_to_start(worker)
         elif worker.item is None:
             self.workers.remove(worker)
             worker.end(kill=True)
         else:
-            worker.process.join(TIMEOUT)
+            worker.process.join(JOIN_TIMEOUT)
             code = worker.process.exitcode or 0
-            # A process killed from outside was not crashed by the file it read.
+            # A process killed from outside was not crashed by the file that it read.
             if worker.path and -code in CRASHES and code != -9:
                 yield self._lost(worker, crash_fault(worker.path, -code))
                 return
@@ -213,7 +218,8 @@ class _Pool:
     def _ended(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
         retired = outcome.retired or self._leaks_memory(worker)
-        # One that fails may be the last that is begun: that is known when it is heard.
+        # The failure may be the last allowed one, which is known only after reporting
+        # it.
         if self.queue_next and outcome.status is ItemStatus.DONE and not retired:
             self.feed(worker)
         yield outcome
@@ -222,18 +228,18 @@ class _Pool:
             worker.end(kill=False)
 
     def _exceeded_limit(self, worker: _Worker) -> Fault | None:
-        """Return by how much an item exceeds its limits."""
+        """Return the fault of an item that exceeds its limits."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
-        spent = time.perf_counter() - worker.began
-        if limits.seconds is not None and spent > limits.seconds:
+        elapsed = time.perf_counter() - worker.began
+        if limits.seconds is not None and elapsed > limits.seconds:
             message = f"took more than its {limits.seconds:g} s"
             return Fault(
                 "BAT021", message, hint="raise `limits: {seconds: …}` to allow more"
             )
-        used = _used_bytes(worker.process) if limits.memory is not None else 0
-        if limits.memory is not None and used > limits.memory:
+        used_memory = _used_bytes(worker.process) if limits.memory is not None else 0
+        if limits.memory is not None and used_memory > limits.memory:
             message = f"used more than its {bytes_text(limits.memory)} of memory"
             return Fault(
                 "BAT022", message, hint="raise `limits: {memory: …}` to allow more"
@@ -246,8 +252,8 @@ class _Pool:
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
         path = fault.path or str(item.file.path)
-        named = Fault(fault.code, fault.message, path, hint=fault.hint)
-        return ItemOutcome.failed(item, named, seconds=seconds)
+        located_fault = Fault(fault.code, fault.message, path, hint=fault.hint)
+        return ItemOutcome.failed(item, located_fault, seconds=seconds)
 
     def drop(self, worker: _Worker) -> None:
         """Kill a process, and remove its temporary files."""
@@ -267,14 +273,14 @@ class _Pool:
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
             return POLL_INTERVAL
-        ends = [w.began + LONGEST_START for w in self.workers if not w.ready]
+        deadlines = [w.began + MAX_START for w in self.workers if not w.ready]
         if self.limits.seconds is not None:
-            ends += [worker.began + self.limits.seconds for worker in busy]
-        if not ends:
+            deadlines += [worker.began + self.limits.seconds for worker in busy]
+        if not deadlines:
             return None
-        # Systems wait for a few weeks at the most.
-        left = max(0.0, min(ends) - time.perf_counter())
-        return min(left, LONGEST_WAIT) + POLL_INTERVAL
+        # Systems limit a wait to a few weeks.
+        remaining = max(0.0, min(deadlines) - time.perf_counter())
+        return min(remaining, MAX_WAIT) + POLL_INTERVAL
 
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):
@@ -286,7 +292,7 @@ class _Pool:
 
 
 def preload(item_task: ItemTask) -> None:
-    """Start to import what processes need, in the background."""
+    """Start importing modules for worker processes in the background."""
     context = _context(item_task)
     if isinstance(context, SpawnContext):
         return
@@ -306,9 +312,10 @@ def run_processes(
 ) -> Iterator[ItemOutcome]:
     """Yield outcomes of items built by several processes, as each ends.
 
-    An item is taken only when a process can make it. Closing the iterator ends them.
+    An item is taken only when a process can build it. Closing the iterator ends the
+    processes.
     """
-    pool, well = _Pool(builder, items, limits, queue_next), False
+    pool, succeeded = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
             while pool.left and len(pool.workers) < jobs:
@@ -318,16 +325,16 @@ def run_processes(
             if not pool.left and not any(worker.item for worker in pool.workers):
                 break
             yield from pool.outcomes()
-        well = True
+        succeeded = True
     finally:
-        pool.end(kill=not well)
+        pool.end(kill=not succeeded)
 
 
 def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
     """Return the start method: forked from a preloaded process if safe.
 
-    Where it is warm already, by another batch of this very process, they import the
-    rest themselves.
+    If another batch of this process has already preloaded it, workers import the
+    remaining modules themselves.
     """
     if sys.platform != "linux":
         return get_context("spawn")
@@ -339,13 +346,13 @@ def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 @contextlib.contextmanager
 def _environment() -> Iterator[None]:
     """Set `ENVIRONMENT` for processes that start now."""
-    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    previous_values = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
         with without_interrupts(), without_main():
             yield
     finally:
-        for name, value in before.items():
+        for name, value in previous_values.items():
             if value is None:
                 del os.environ[name]
             else:
@@ -380,7 +387,7 @@ def _how_it_ended(process: BaseProcess) -> str:
 
 
 def _used_bytes(process: BaseProcess) -> int:
-    """Return the memory of a process [bytes]; 0 where unknown."""
+    """Return the memory of a process [bytes]; 0 if unknown."""
     try:
         pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,8 +1,8 @@
-"""Importing this module says that what a process needs is imported: it is frozen.
+"""Importing this module, after all that a worker needs, freezes the imported objects.
 
-What stays to the end is not looked through for circles again and again, and pages that
-forked processes share stay shared. USD is imported before, and not used: the threads
-that it starts would not outlive a fork.
+Frozen objects are not scanned by the garbage collector, so that pages shared by forked
+processes stay shared. USD is imported before but not used, since its threads would not
+survive a fork.
 """
 
 from __future__ import annotations

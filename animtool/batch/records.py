@@ -1,7 +1,7 @@
 """Plain values and files of JSON lines, validated as untrusted input.
 
-Each line but the first ends with a checksum of the rest of it, so that one which was
-damaged is known as such. Lines of older versions have none, and come first.
+Each line but the first ends with a checksum, so that damaged lines are detected. Lines
+of older versions have none, and come first.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from animtool.core.errors import (
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input, read_input
 
-# Longer than the longest path that any system has.
+# Longer than the longest path on any system.
 MAX_TEXT = 40_000
-# What sizes, times and inodes have room in.
+# Limit of sizes, times and inodes.
 MAX_INTEGER = 2**64
 
 
@@ -54,7 +54,7 @@ _UNIQUE = json.JSONDecoder(parse_constant=_refused, object_pairs_hook=_unique)
 
 
 def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
-    """Return the JSON object that data holds."""
+    """Return the JSON object in some data."""
     decoder = _UNIQUE if unique else _PLAIN
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
@@ -66,10 +66,10 @@ def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
         raise RecordError("is nested too deeply") from error
 
 
-def json_of_file(path: Path, most: int) -> dict[str, Any]:
-    """Return the JSON object in a file of at most so many bytes."""
+def json_of_file(path: Path, max_bytes: int) -> dict[str, Any]:
+    """Return the JSON object in a file of limited size."""
     try:
-        data = read_input(path, most, recorded=False)
+        data = read_input(path, max_bytes, recorded=False)
     except FormatError as error:
         raise RecordError(error.faults[0].message) from error
     return json_object(data)
@@ -82,15 +82,15 @@ def object_of(value: object) -> dict[str, Any]:
     return value
 
 
-def text_in(record: Mapping[str, Any], key: str, longest: int = MAX_TEXT) -> str:
+def text_in(record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT) -> str:
     """Return the text of a key."""
-    return _text(record.get(key), key, longest)
+    return _text(record.get(key), key, max_length)
 
 
-def _text(value: object, key: str, longest: int = MAX_TEXT) -> str:
+def _text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
     if not isinstance(value, str):
         raise RecordError(f"{key!r} is not text")
-    if len(value) > longest:
+    if len(value) > max_length:
         raise RecordError(f"{key!r} is too long")
     if "\0" in value:
         raise RecordError(f"{key!r} contains a NUL")
@@ -103,13 +103,13 @@ def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
 
 
 def integer_in(
-    record: Mapping[str, Any], key: str, low: int = 0, high: int = MAX_INTEGER
+    record: Mapping[str, Any], key: str, minimum: int = 0, maximum: int = MAX_INTEGER
 ) -> int:
     """Return the whole number of a key."""
     value = record.get(key)
-    # A truth value is an int to Python.
-    if type(value) is not int or not low <= value <= high:
-        raise RecordError(f"{key!r} is not a whole number from {low} to {high}")
+    # A boolean is an int in Python.
+    if type(value) is not int or not minimum <= value <= maximum:
+        raise RecordError(f"{key!r} is not a whole number from {minimum} to {maximum}")
     return value
 
 
@@ -137,7 +137,7 @@ def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
 
 Line = Mapping[str, Any]
 
-# An item of 50,000 outputs fits [bytes].
+# Enough for an item of 50,000 outputs [bytes].
 MAX_LINE = 1 << 24
 _SUM = ',"crc":"'
 _SUM_LENGTH = len(_SUM) + len('01234567"}\n')
@@ -147,13 +147,13 @@ class LineReader:
     """Reads a file of JSON lines.
 
     Attributes:
-        length: Of the whole lines that were read so far [bytes].
-        number: Of the line that was read last, from 1.
-        damaged: Lines that cannot be used, by number, with what is wrong.
+        length: Length of the complete lines read so far [bytes].
+        number: Number of the last line read, from 1.
+        damaged: Unusable lines by number, with the reason.
     """
 
     def __init__(self, path: Path, head: Line) -> None:
-        """Take a file that may be missing."""
+        """Prepare to read a file that may be missing."""
         self.path, self.head = path, head
         self.length = self.number = 0
         self.damaged: dict[int, str] = {}
@@ -162,8 +162,8 @@ class LineReader:
     def lines(self) -> Iterator[dict[str, Any]]:
         """Yield every line but the first; an incomplete last one is skipped.
 
-        Lines that are no JSON, or not what was written, are `damaged`; whoever takes
-        a line adds what is wrong with its content.
+        Lines that are not JSON, or fail the checksum, are `damaged`; the caller adds
+        lines with invalid content.
         """
         try:
             raw = open_input(self.path, None, recorded=False)
@@ -200,7 +200,8 @@ class LineReader:
         """Read the first line; without one, nothing is read."""
         expected = _line_text(self.head).encode()
         line = file.readline(MAX_LINE)
-        # What a writer was killed in the middle of; other files are not written over.
+        # The first line may be incomplete after a kill; other files are not
+        # overwritten.
         if len(line) < len(expected) and expected.startswith(line):
             return
         try:
@@ -215,11 +216,11 @@ class LineReader:
         """Return a parsed line of a length, without its checksum."""
         if length > MAX_LINE:
             raise RecordError(f"is longer than {MAX_LINE} bytes")
-        body, end = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
-        summed = end == _ending(body)
-        record = json_object(line, unique=not summed)
-        self._summed |= summed
-        if not summed and (self._summed or "crc" in record):
+        content, checksum_text = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
+        is_valid = checksum_text == _ending(content)
+        record = json_object(line, unique=not is_valid)
+        self._summed |= is_valid
+        if not is_valid and (self._summed or "crc" in record):
             raise RecordError("differs from what was written")
         record.pop("crc", None)
         return record
@@ -241,9 +242,9 @@ class LineReader:
     def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
         message = f"is not a {kind} file of {version}"
-        stated = line.get(kind)
-        if isinstance(stated, str) and stated != version:
-            message = f"is of version {stated[:40]!r}; {version} is supported"
+        file_version = line.get(kind)
+        if isinstance(file_version, str) and file_version != version:
+            message = f"is of version {file_version[:40]!r}; {version} is supported"
         hint = "remove it to rebuild everything"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
@@ -266,7 +267,7 @@ class LineWriter:
 
     Attributes:
         path: The file.
-        length: Of the file [bytes].
+        length: Length of the file [bytes].
     """
 
     def __init__(self, path: Path, head: Line, length: int = 0) -> None:
@@ -284,7 +285,7 @@ class LineWriter:
             self._write(_line_text(head).encode())
 
     def __enter__(self) -> Self:
-        """Return itself."""
+        """Return the writer."""
         return self
 
     def __exit__(

@@ -18,8 +18,8 @@ from animtool.core.record import dataclass
 from animtool.core.values import picked
 from animtool.motion.scores import PassScores, badness
 
-# How many of the slowest items, and of the worst errors, a summary names.
-NAMED = 3
+# Number of slowest items, and of largest errors, in a summary.
+LISTED_ITEMS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,14 +28,14 @@ class ItemReport:
 
     item: Item  # the item
     status: ItemStatus  # its status
-    reason: BuildReason  # why it was made, or not
+    reason: BuildReason  # why it was built or skipped
     detail: str = ""  # the changed file, or the last failure
-    seconds: float = 0.0  # wall time of making it; 0 where it was not made
+    seconds: float = 0.0  # wall time; 0 if it was not built
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
-    # What the bake measured; None where it was not made.
+    # Measurements of the bake; None if it was not built.
     measured: Measured | None = None
-    # How well passes did, also where an earlier run made it.
+    # Scores of its passes, also from an earlier run.
     scores: tuple[PassScores, ...] = ()
     again: str = ""  # the command that repeats it, where it failed
     json_keys: ClassVar[str] = (
@@ -63,7 +63,7 @@ class ItemReport:
         )
 
     def worded(self, calling: Calling) -> ItemReport:
-        """Return a copy whose texts name arguments as an interface does."""
+        """Return a copy whose texts name arguments for an interface."""
         faults, notices = (
             tuple(fault.worded(calling) for fault in texts)
             for texts in (self.faults, self.notices)
@@ -72,7 +72,7 @@ class ItemReport:
 
     @property
     def skipped(self) -> bool:
-        """Whether it was, or would be, skipped."""
+        """Whether the item was, or would be, skipped."""
         return self.status is ItemStatus.SKIPPED
 
     @property
@@ -82,17 +82,19 @@ class ItemReport:
 
     @property
     def spent(self) -> float | None:
-        """Wall time to build it [s]; None if it was not built."""
+        """Wall time of the build [s]; None if it was not built."""
         was_built = self.status in {ItemStatus.DONE, ItemStatus.FAILED}
         return self.seconds if was_built else None
 
     @property
     def why(self) -> str:
-        """Reason of its failure in one line."""
+        """Reason of the failure in one line."""
         if not self.faults:
             return ""
-        more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
-        return f"{self.faults[0].code} " + self.faults[0].message + more
+        more_text = (
+            f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
+        )
+        return f"{self.faults[0].code} " + self.faults[0].message + more_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +102,9 @@ class BatchReport:
     """Report of a batch."""
 
     batch: Batch  # the batch
-    items: tuple[ItemReport, ...]  # those that were looked at, in order
-    seconds: float  # wall time of all
-    notices: tuple[Fault, ...] = ()  # warnings of the records of earlier runs
+    items: tuple[ItemReport, ...]  # considered items, in order
+    seconds: float  # total wall time
+    notices: tuple[Fault, ...] = ()  # warnings about records of earlier runs
     json_keys: ClassVar[str] = "*summary items"
 
     @property
@@ -132,20 +134,22 @@ class BatchReport:
     @property
     def slowest(self) -> list[ItemReport]:
         """The slowest items, slowest first."""
-        done = [report for report in self.items if report.status is ItemStatus.DONE]
-        return sorted(done, key=lambda report: -report.seconds)[:NAMED]
+        built = [report for report in self.items if report.status is ItemStatus.DONE]
+        return sorted(built, key=lambda report: -report.seconds)[:LISTED_ITEMS]
 
     @property
     def worst(self) -> list[ItemReport]:
         """The items with the largest errors, largest first."""
-        measured = [report for report in self.items if _error(report) > 0]
-        return sorted(measured, key=lambda report: -_error(report))[:NAMED]
+        with_error = [report for report in self.items if _error(report) > 0]
+        return sorted(with_error, key=lambda report: -_error(report))[:LISTED_ITEMS]
 
     @property
     def scored(self) -> list[ItemReport]:
         """The items whose passes have scores, worst first."""
-        scored = [report for report in self.items if report.scores]
-        return sorted(scored, key=lambda report: badness(report.scores), reverse=True)
+        with_scores = [report for report in self.items if report.scores]
+        return sorted(
+            with_scores, key=lambda report: badness(report.scores), reverse=True
+        )
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return distinct notices, each with its items."""
@@ -184,13 +188,13 @@ def _case(report: ItemReport) -> JunitCase:
     warnings = [n for n in report.notices if n.severity is not Severity.NOTE]
     listed_faults = "\n".join(map(str, warnings))
     if report.status is ItemStatus.FAILED:
-        first = report.faults[0]
+        first_fault = report.faults[0]
         text = "\n".join(map(str, report.faults))
         return JunitCase(
             name,
             "failure",
-            first.code,
-            first.message,
+            first_fault.code,
+            first_fault.message,
             text,
             listed_faults,
             report.seconds,

@@ -25,7 +25,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.record import dataclass
 
-EXECUTOR = "processes"
+DEFAULT_EXECUTOR = "processes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +33,19 @@ class RunOptions:
     """Options of a batch run.
 
     Attributes:
-        jobs: How many items are made at a time; None is as the batch says.
+        jobs: Number of simultaneous items; None uses the batch's.
         executor: Name of the executor, with its argument after ``=``.
-        numbers: First and last item to look at; None is all.
-        dry_run: Make nothing; say what would be.
-        force: Make every item, also what is up to date.
+        numbers: First and last item; None for all.
+        dry_run: Build nothing; report what would be built.
+        force: Build every item, even if up to date.
         verify: Read every file again, whatever its size and time.
-        retry_failed: Only what failed last time.
-        max_failures: After so many, begin nothing more; None is never.
-        overwrite: Replace files that no run of the batch made.
+        retry_failed: Build only items that failed last time.
+        max_failures: Start no more items after this many failures; None for no limit.
+        overwrite: Replace files that no run of the batch wrote.
     """
 
     jobs: int | None = None
-    executor: str = EXECUTOR
+    executor: str = DEFAULT_EXECUTOR
     numbers: tuple[int, int] | None = None
     dry_run: bool = False
     force: bool = False
@@ -59,7 +59,7 @@ class Listener:
     """Receives the events of a run; this one ignores them.
 
     Attributes:
-        shown: Warnings that were shown at once.
+        shown: Warnings that were already displayed.
     """
 
     shown: tuple[Fault, ...] = ()
@@ -85,19 +85,19 @@ def run_batch(
     """Build the items of a batch that are missing or out of date.
 
     Args:
-        spec: What is asked for.
-        options: How.
-        listener: Whom to tell.
+        spec: The batch.
+        options: Run options.
+        listener: Receives events.
 
     Raises:
         FormatError: A scene, or a record of an earlier run, is malformed.
         NothingFoundError: There is no input (BAT005).
-        OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist and were
-            made by nobody here (OUT001); or an option makes no sense.
-        LockedError: Another run goes on (BAT010).
+        OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist without a
+            record of the batch (OUT001); or an option is invalid.
+        LockedError: Another run is active (BAT010).
         OutputError: A folder cannot be written to (OUT002, BAT012).
     """
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     options, listener = options or RunOptions(), listener or Listener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)
     items = _chosen(batch, options)
@@ -105,17 +105,21 @@ def run_batch(
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
-        chosen = _retried(items, options, planner, history)
-        planned = [_planned(decision) for decision in planner.decisions(chosen)]
-        seconds = time.perf_counter() - began
-        return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
+        selected = _retried(items, options, planner, history)
+        planned_reports = [
+            _planned(decision) for decision in planner.decisions(selected)
+        ]
+        seconds = time.perf_counter() - start_time
+        return BatchReport(
+            batch, tuple(planned_reports), seconds, tuple(history.damaged)
+        )
     part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
     with locked_ledger(batch.records, batch.name, part) as ledger:
         run = _BatchRun(batch, options, listener, ledger)
         run.plan(items)
         run.make()
         ledger.settle(run.keeps)
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start_time
     notices = (*ledger.history.damaged, *run.notices)
     return BatchReport(batch, tuple(run.reports()), seconds, notices)
 
@@ -123,17 +127,20 @@ def run_batch(
 def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
     if options.numbers is None:
         return batch.items
-    first, last = options.numbers
-    if not 1 <= first <= last <= len(batch.items):
-        message = f"items {first} to {last} are not within 1 to {len(batch.items)}"
+    first_number, last_number = options.numbers
+    if not 1 <= first_number <= last_number <= len(batch.items):
+        message = (
+            f"items {first_number} to {last_number} are not within 1 to "
+            f"{len(batch.items)}"
+        )
         raise OptionError(Fault("BAT033", message))
-    return batch.items[first - 1 : last]
+    return batch.items[first_number - 1 : last_number]
 
 
 def _retried(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
 ) -> Sequence[Item]:
-    """Return the items to look at: all, or those that failed last time."""
+    """Return the considered items: all, or those that failed last time."""
     if not options.retry_failed:
         return items
     return [item for item in items if planner.key(item) in history.failed]
@@ -174,8 +181,8 @@ class _BatchRun:
     def plan(self, items: Sequence[Item]) -> None:
         """Decide which items to build, and check their outputs."""
         due: list[Item] = []
-        chosen = _retried(items, self.options, self.planner, self.ledger.history)
-        for decision in self.planner.decisions(chosen):
+        selected = _retried(items, self.options, self.planner, self.ledger.history)
+        for decision in self.planner.decisions(selected):
             item = decision.item
             self.decisions[item.number] = decision
             if decision.due:
@@ -190,7 +197,7 @@ class _BatchRun:
         self.listener.planned(len(due), len(self.decisions))
 
     def _is_known(self, path: Path) -> bool:
-        """Return whether a run of the batch wrote a file, or began to."""
+        """Return whether a run of the batch wrote a file, or started to."""
         return (
             relative_name(path, self.batch.root) in self.ledger.history.manifest.known
         )
@@ -213,10 +220,10 @@ class _BatchRun:
         if not due:
             return
         executor, argument = self._executor()
-        execute = executor.load()
+        run_executor = executor.load()
         builder = ItemBuilder(self.batch.item_task, self.batch.root)
-        asked = self.options.jobs or self.batch.jobs
-        jobs = min(asked or _processors(), len(due))
+        requested_jobs = self.options.jobs or self.batch.jobs
+        jobs = min(requested_jobs or _processors(), len(due))
         items = self._begun(due)
         work = Work(
             builder,
@@ -224,12 +231,12 @@ class _BatchRun:
             self.batch.limits,
             jobs,
             argument,
-            asked,
+            requested_jobs,
             (*self.batch.named, *(item.file.path for item in due)),
             (self.batch.records, *dict.fromkeys(f for i in due for f in i.folders)),
             self.options.max_failures is None,
         )
-        outcomes = execute(work)
+        outcomes = run_executor(work)
         close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:
             for outcome in outcomes:
@@ -246,19 +253,19 @@ class _BatchRun:
             message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
             self._ended(ItemOutcome.failed(item, fault))
-        # A process of a run that was killed may have lived a moment longer.
+        # A process of a killed run may have lived a moment longer.
         self._tidy()
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
-        """Yield items as each is started, until too many have failed."""
-        most = self.options.max_failures
+        """Yield items as they are started, until too many have failed."""
+        max_failures = self.options.max_failures
         for item in due:
-            if most is not None and self.failures >= most:
+            if max_failures is not None and self.failures >= max_failures:
                 return
             self.begun.add(item.number)
             paths = self.batch.outputs(item)
             if not self.options.overwrite:
-                # Another batch, or a person, may have written it since the plan.
+                # Another batch, or a person, may have written it since planning.
                 try:
                     check_overwrites(self.batch, [item], self._is_known)
                 except OptionError as error:
@@ -270,7 +277,7 @@ class _BatchRun:
 
     def _ended(self, outcome: ItemOutcome) -> None:
         if outcome.number not in self.begun or outcome.number in self.ended:
-            # An executor of a plug-in reported it twice, or an unknown item.
+            # A plug-in's executor reported it twice, or reported an unknown item.
             return
         decision = self.decisions[outcome.number]
         item = decision.item
@@ -295,13 +302,13 @@ class _BatchRun:
         self.listener.ended(report)
 
     def keeps(self, record: ItemRecord) -> bool:
-        """Return whether a record is kept: its output exists, or is planned."""
+        """Return whether to keep a record: its output exists, or is planned."""
         return any(
             path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:
-        """Yield the report of every item that was looked at, in order."""
+        """Yield the report of every considered item, in order."""
         for number, decision in self.decisions.items():
             yield self.ended.get(number) or _planned(decision)
 

@@ -10,17 +10,17 @@ from math import isfinite
 from typing import Any, TypeAlias
 
 from animtool.batch.timeline import (
-    FASTEST,
-    LARGEST_DENOMINATOR,
+    MAX_DENOMINATOR,
+    MAX_SPEED,
     exact_rate,
     seconds_of,
 )
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 
-# What systems call effects that are no `TimeEffect` and change times all the same.
+# Names of effects that change times although they are not a `TimeEffect`.
 _OF_TIME = re.compile(r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE)
-# Begin and end [s]; None is whatever there is.
+# Begin and end [s]; None for the full range.
 Window: TypeAlias = tuple[Fraction, Fraction] | None
 
 
@@ -35,11 +35,10 @@ class ShownClip:
     Attributes:
         clip: The clip.
         track: Path of its track.
-        named: What the clip is called in messages.
-        part: Time since the clip's first frame, of what is shown [s]; None is all.
-        speed: How many times as fast as themselves the tracks and stacks around the
-            clip play.
-        name: Of its shot.
+        named: Name of the clip in messages.
+        part: Visible range since the clip's first frame [s]; None for all.
+        speed: Playback speed of the surrounding tracks and stacks.
+        name: Name of its shot.
     """
 
     clip: Any
@@ -55,12 +54,12 @@ class Span:
     """The media range that a clip shows.
 
     Attributes:
-        begin: Earliest time of the media shown, as time codes of the clip count [s].
-        seconds: How long the timeline shows it [s].
-        speed: How many times as fast as the media it plays; below 0 it goes backwards.
-        rate: Frames a second in which the clip counts.
-        head: Whether the clip's own begin is shown.
-        tail: Whether its own end is shown.
+        begin: Earliest shown media time, in the clip's time codes [s].
+        seconds: Duration in the timeline [s].
+        speed: Playback speed of the media; negative for backwards.
+        rate: Frame rate of the clip.
+        head: Whether the clip's begin is visible.
+        tail: Whether its end is visible.
     """
 
     begin: Fraction
@@ -77,21 +76,26 @@ def span_of(shown: ShownClip) -> Span:
     Backwards, a clip plays its range from the last frame to the first.
 
     Raises:
-        ValueError: Its range is none, or it plays as no shot can
+        ValueError: Its range is invalid, or its timing is unsupported
             (`UnsupportedTimeError`).
     """
-    trimmed = shown.clip.trimmed_range()
-    start, length = seconds_of(trimmed.start_time), seconds_of(trimmed.duration)
-    rate, speed = exact_rate(trimmed.start_time.rate), speed_of(shown.clip)
-    begin, end = (Fraction(0), length) if shown.part is None else shown.part
-    before = length - end if speed < 0 else begin
+    trimmed_range = shown.clip.trimmed_range()
+    start, length = (
+        seconds_of(trimmed_range.start_time),
+        seconds_of(trimmed_range.duration),
+    )
+    rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown.clip)
+    visible_begin, visible_end = (
+        (Fraction(0), length) if shown.part is None else shown.part
+    )
+    hidden_before = length - visible_end if speed < 0 else visible_begin
     return Span(
-        start + before * abs(speed),
-        (end - begin) / shown.speed,
+        start + hidden_before * abs(speed),
+        (visible_end - visible_begin) / shown.speed,
         speed * shown.speed,
         rate,
-        begin <= 0,
-        end >= length,
+        visible_begin <= 0,
+        visible_end >= length,
     )
 
 
@@ -99,7 +103,7 @@ def speed_of(item: Any) -> Fraction:
     """Return the speed of an item relative to its content.
 
     Raises:
-        ValueError: It is faster than anything, or its time runs unevenly.
+        ValueError: It is too fast, or its speed varies.
     """
     speed = Fraction(1)
     for effect in item.effects:
@@ -112,8 +116,8 @@ def speed_of(item: Any) -> Fraction:
             continue
         if not isfinite(scalar):
             raise ValueError(f"it plays at {scalar:g} times its speed")
-        speed *= Fraction(float(scalar)).limit_denominator(LARGEST_DENOMINATOR)
-        if abs(speed) > FASTEST:
+        speed *= Fraction(float(scalar)).limit_denominator(MAX_DENOMINATOR)
+        if abs(speed) > MAX_SPEED:
             raise ValueError(f"it plays at {scalar:g} times its speed")
     return speed
 
@@ -140,10 +144,10 @@ def transition_sides(shown: ShownClip) -> tuple[Any, Any]:
     track = shown.clip.parent()
     if not isinstance(track, otio.schema.Track):
         return None, None
-    before, behind = track.neighbors_of(shown.clip)
+    in_transition, out_transition = track.neighbors_of(shown.clip)
     return (
-        before.in_offset if isinstance(before, kind) else None,
-        behind.out_offset if isinstance(behind, kind) else None,
+        in_transition.in_offset if isinstance(in_transition, kind) else None,
+        out_transition.out_offset if isinstance(out_transition, kind) else None,
     )
 
 
@@ -154,18 +158,18 @@ Noter: TypeAlias = Callable[[str, str, bool], None]
 class Walk:
     """Visits the clips on video tracks and their visible parts."""
 
-    note: Noter  # takes a code, a message, and whether it is a warning
+    note: Noter  # called with a code, a message, and whether it is a warning
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
-    # Why clips are no shots, by their names.
+    # Why clips are not shots, by their names.
     skipped: dict[str, str] = field(default_factory=dict)
 
     def timeline(self, tracks: Any) -> None:
         """Visit the clips of a timeline's tracks."""
-        if self._off(tracks, "the timeline's stack"):
+        if self._is_disabled(tracks, "the timeline's stack"):
             return
         try:
-            window, speed = _inside(tracks, None)
+            window, speed_and_window = _inside(tracks, None)
         except UnsupportedTimeError as error:
             self.leave_out(tracks, "BAT044", f"the timeline's stack: {error}")
             return
@@ -174,17 +178,17 @@ class Walk:
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
                 self.note("BAT043", f"{name}, of type {kind}, is skipped", False)
-            elif not self._off(track, name):
-                self._item(track, name, name, window, Fraction(0), speed)
+            elif not self._is_disabled(track, name):
+                self._item(track, name, name, window, Fraction(0), speed_and_window)
 
-    def _off(self, item: Any, named: str) -> bool:
+    def _is_disabled(self, item: Any, named: str) -> bool:
         if getattr(item, "enabled", True):
             return False
         self.leave_out(item, "BAT043", f"{named} is disabled", warn=False)
         return True
 
     def leave_out(self, item: Any, code: str, why: str, *, warn: bool = True) -> None:
-        """Report why an item and its content give no shot."""
+        """Report why an item and its content are not shots."""
         for name in _clip_names(item):
             self.skipped.setdefault(name, why)
         self.note(code, f"{why}; it is skipped", warn)
@@ -193,31 +197,35 @@ class Walk:
         self,
         item: Any,
         named: str,
-        where: str,
+        path: str,
         window: Window,
         begin: Fraction,
         speed: Fraction,
     ) -> None:
         """Visit an item at a time of its parent, of which a part is visible.
 
-        window: of what it is in; begin: of the item there [s]; speed: of what it is in.
+        window: visible window of the parent; begin: start of the item in it [s]; speed:
+        of the parent.
         """
-        part: Window = None
+        visible_part: Window = None
         if window is not None:
-            end = begin + duration_of(item)
-            if not max(begin, window[0]) < min(end, window[1]):
+            item_end = begin + duration_of(item)
+            if not max(begin, window[0]) < min(item_end, window[1]):
                 self.leave_out(item, "BAT043", f"{named} is trimmed away", warn=False)
                 return
-            part = max(begin, window[0]) - begin, min(end, window[1]) - begin
+            visible_part = (
+                max(begin, window[0]) - begin,
+                min(item_end, window[1]) - begin,
+            )
         if not hasattr(item, "find_children"):
-            self.clips.append(ShownClip(item, where, named, part, speed))
+            self.clips.append(ShownClip(item, path, named, visible_part, speed))
             return
         try:
-            inner, inner_speed = _inside(item, part)
+            inner_window, inner_speed = _inside(item, visible_part)
         except UnsupportedTimeError as error:
             self.leave_out(item, "BAT044", f"{named}: {error}")
             return
-        self._children(item, where, inner, speed * inner_speed)
+        self._children(item, path, inner_window, speed * inner_speed)
 
     def _children(
         self, parent: Any, where: str, window: Window, speed: Fraction
@@ -236,14 +244,14 @@ class Walk:
                 self.gaps += 1
             elif isinstance(child, schema.Clip):
                 named = f"clip {excerpt(child.name or '')} of {where}"
-                if not self._off(child, named):
+                if not self._is_disabled(child, named):
                     self._item(child, named, where, window, begun, speed)
             elif isinstance(child, otio.core.Composition):
                 inner = f"{where}/{child.name}" if child.name else where
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
                     self.note("BAT043", f"{inner}, of type {kind}, is skipped", False)
-                elif not self._off(child, inner):
+                elif not self._is_disabled(child, inner):
                     self.note(
                         "BAT043", f"{inner} is nested; its clips become shots", False
                     )
@@ -253,26 +261,29 @@ class Walk:
 def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
     """Return the content time that a track or stack shows, and its speed.
 
-    part: time since its begin that is shown; None is all.
+    part: visible range since its begin; None for all.
     """
-    speed, trim = speed_of(item), item.source_range
-    if speed <= 0:
-        how = "plays backwards" if speed else "holds a frame"
-        raise UnsupportedTimeError(f"it {how}, which only clips can")
-    if trim is None and part is None and speed == 1:
-        return None, speed
-    first, length = Fraction(0), duration_of(item)
+    speed_and_range, trim = speed_of(item), item.source_range
+    if speed_and_range <= 0:
+        problem = "plays backwards" if speed_and_range else "holds a frame"
+        raise UnsupportedTimeError(f"it {problem}, which only clips can")
+    if trim is None and part is None and speed_and_range == 1:
+        return None, speed_and_range
+    first_time, length = Fraction(0), duration_of(item)
     if trim is not None:
-        first = seconds_of(trim.start_time)
-    begin, end = (Fraction(0), length) if part is None else part
-    return (first + begin * speed, first + end * speed), speed
+        first_time = seconds_of(trim.start_time)
+    part_begin, part_end = (Fraction(0), length) if part is None else part
+    return (
+        first_time + part_begin * speed_and_range,
+        first_time + part_end * speed_and_range,
+    ), speed_and_range
 
 
 def duration_of(item: Any) -> Fraction:
     """Return the visible duration of an item [s].
 
-    Transitions take no time of their own; at the ends of a track, what they show
-    beyond it counts.
+    Transitions have no duration; at the ends of a track, the parts that they show
+    beyond it are added.
     """
     import opentimelineio as otio
 
@@ -283,14 +294,16 @@ def duration_of(item: Any) -> Fraction:
         return seconds_of(item.source_range.duration)
     if not isinstance(item, otio.core.Composition):
         return seconds_of(item.trimmed_range().duration)
-    parts = [duration_of(child) for child in item]
+    durations = [duration_of(child) for child in item]
     if not isinstance(item, schema.Track):
-        return max(parts, default=Fraction(0))
-    length = sum(parts, Fraction(0))
-    ends = [(item[0], "in_offset"), (item[-1], "out_offset")] if len(item) else []
-    for child, side in ends:
+        return max(durations, default=Fraction(0))
+    length = sum(durations, Fraction(0))
+    outer_offsets = (
+        [(item[0], "in_offset"), (item[-1], "out_offset")] if len(item) else []
+    )
+    for child, offset_name in outer_offsets:
         if isinstance(child, schema.Transition):
-            length += seconds_of(getattr(child, side))
+            length += seconds_of(getattr(child, offset_name))
     return length
 
 

@@ -31,8 +31,8 @@ class Limits:
     """Limits of an item.
 
     Attributes:
-        seconds: Of wall time; None is as long as it takes.
-        memory: Of the process that makes it, all told [bytes]; None is any.
+        seconds: Limit of wall time; None for no limit.
+        memory: Memory limit of the building process [bytes]; None for no limit.
     """
 
     seconds: float | None = None
@@ -75,7 +75,7 @@ def bytes_text(size: int) -> str:
     return f"{value:.3g} {names[0]}"
 
 
-UP = ".."
+PARENT_FOLDER = ".."
 
 
 def relative_name(path: Path, root: Path) -> str:
@@ -84,19 +84,19 @@ def relative_name(path: Path, root: Path) -> str:
     >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
     """
-    where = path.absolute()
-    # What a step up leads to is not known where a folder may be a link.
-    if UP in where.parts or UP in root.parts:
-        return where.as_posix()
-    shared = 0
-    for one, other in zip(where.parts, root.parts, strict=False):
-        if one != other:
+    absolute = path.absolute()
+    # The target of a step up is unknown if a folder is a link.
+    if PARENT_FOLDER in absolute.parts or PARENT_FOLDER in root.parts:
+        return absolute.as_posix()
+    common_count = 0
+    for component, root_component in zip(absolute.parts, root.parts, strict=False):
+        if component != root_component:
             break
-        shared += 1
-    if shared < 2:
-        return where.as_posix()
-    steps = [UP] * (len(root.parts) - shared)
-    return PurePosixPath(*steps, *where.parts[shared:]).as_posix()
+        common_count += 1
+    if common_count < 2:
+        return absolute.as_posix()
+    steps = [PARENT_FOLDER] * (len(root.parts) - common_count)
+    return PurePosixPath(*steps, *absolute.parts[common_count:]).as_posix()
 
 
 def path_of_name(name: str, root: Path) -> Path:
@@ -109,22 +109,22 @@ def path_of_name(name: str, root: Path) -> Path:
     if path.is_absolute():
         return path
     steps = 0
-    while steps < len(path.parts) and path.parts[steps] == UP:
+    while steps < len(path.parts) and path.parts[steps] == PARENT_FOLDER:
         steps += 1
-    # Above the uppermost folder is that itself.
-    above = (root, *root.parents)[min(steps, len(root.parents))]
-    return above.joinpath(*path.parts[steps:])
+    # The parent of the topmost folder is itself.
+    ancestor = (root, *root.parents)[min(steps, len(root.parents))]
+    return ancestor.joinpath(*path.parts[steps:])
 
 
 PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
-GROUPS = ("animtool.passes", "animtool.readers")
+PLUGIN_GROUPS = ("animtool.passes", "animtool.readers")
 
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Return the version of each package that affects results, plug-ins too.
+    """Return the version of each package that affects results, including plug-ins.
 
-    A package whose files were changed without another version is taken for the same.
+    Changes of a package's files without a new version are not detected.
 
     >>> sorted(package_versions())[0]
     'animtool'
@@ -139,7 +139,7 @@ def package_versions() -> dict[str, str]:
             versions[name] = version(name)
         except PackageNotFoundError:
             versions[name] = ""
-    for group in GROUPS:
+    for group in PLUGIN_GROUPS:
         for point in plugin_points(group).values():
             if point.dist is not None:
                 versions[point.dist.name] = point.dist.version
@@ -151,30 +151,30 @@ class BatchSpec:
     """The spec of a batch.
 
     Attributes:
-        inputs: Files, folders and globs, seen from ``folder``; a timeline among them
-            is that of ``cuts``.
-        folder: Where relative names start.
-        name: What its records are called.
-        exclude: What of the inputs is left out.
-        scene: A scene that says what is done to each; None bakes each as it is.
-        variables: What names in the scene and the output stand for.
-        options: How to bake, where there is no scene.
-        output: Pattern of the files to write; None is beside each input.
-        limits: What each may take.
-        jobs: How many processes; None is one for each processor.
-        path: The batch file; None without one.
-        cuts: A timeline whose clips are the items; None has one for each input.
-        handles: Shot frames before and after the cuts of a timeline; None is as that
-            says, else 0.
-        variants: A table of values of which each row makes an item of each input; None
-            makes one.
-        roots: Folders that outputs may be in, as a batch file is of a project; empty is
+        inputs: Files, folders and globs, relative to ``folder``; a timeline among them
+            is used as ``cuts``.
+        folder: Base folder of relative names.
+        name: Name of its records.
+        exclude: Inputs to leave out.
+        scene: A scene that is applied to each input; None bakes each as it is.
+        variables: Values of names in the scene and the output.
+        options: Bake options without a scene.
+        output: Pattern of the files to write; None writes next to each input.
+        limits: Limits of each item.
+        jobs: Number of processes; None uses one per processor.
+        path: The batch file; None if there is none.
+        cuts: A timeline whose clips are the items; None has one item per input.
+        handles: Shot frames before and after the cuts of a timeline; None uses its
+            metadata, else 0.
+        variants: A table of values; each row makes an item of each input; None makes
+            one.
+        roots: Folders that outputs may be in, for a batch file of a project; empty for
             any.
-        overrides: Other values of ``variables`` for some inputs; the last counts.
-        fps: Rate of the outputs, and of a timeline's shots where it states none, as
-            the command line says; None is as the scene or the options say.
-        cut_start: First frame of each cut of a timeline; None is as that says.
-        first_timecode: Of a timeline's media; None is as that says.
+        overrides: Other values of ``variables`` for some inputs; the last match counts.
+        fps: Rate of the outputs, and of a timeline's shots without a stated rate, from
+            the command line; None uses that of the scene or the options.
+        cut_start: First frame of each cut of a timeline; None uses the timeline's.
+        first_timecode: Time code of a timeline's media; None uses the timeline's.
     """
 
     inputs: tuple[str, ...]
@@ -199,5 +199,5 @@ class BatchSpec:
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:
-        """The variants; one without values where there are none."""
+        """The variants; a single one without values if there are none."""
         return ({},) if self.variants is None else self.variants.rows

@@ -1,7 +1,7 @@
 """Cut lists of editing systems, checked and read as timelines.
 
-The parser of OpenTimelineIO has no bound on size, and ends the process where text
-nests too deeply, or where it finds a mistake in the middle of an object.
+The parser of OpenTimelineIO has no size limit, and crashes the process on deeply nested
+text or on errors inside an object.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.reading import FileState, open_input
 from animtool.core.rates import rate_from_float
 
-# A feature film with all its metadata takes a fifth [bytes].
+# Maximum size; a feature film with all metadata has a fifth [bytes].
 MAX_BYTES = 100_000_000
-# A stack in a stack takes three.
+# Nested stacks use three levels each.
 MAX_NESTING = 300
 CONTENT = "content.otio"
 
 _STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
-# The library writes numbers so that are none, and reads them.
+# Non-finite numbers, which the library writes and reads.
 _INFINITE = re.compile(_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
 _BRACKETS = b"[]{}"
-_OTHERS = bytes(set(range(256)) - set(_BRACKETS))
+_NO_BRACKETS = bytes(set(range(256)) - set(_BRACKETS))
 
 
 def check_text(path: Path) -> None:
@@ -62,7 +62,7 @@ def _problem(path: Path) -> str | None:
             except MemoryError:
                 raise
             except Exception as error:
-                # Of archives that are damaged, the library raises almost anything.
+                # For damaged archives, the library raises almost anything.
                 return f"cannot be read: {excerpt(str(error), 200)}"
         if len(text) > MAX_BYTES:
             return f"is larger than {MAX_BYTES // 1_000_000} MB"
@@ -80,20 +80,20 @@ def nesting(text: bytes) -> int:
     >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
     3
     """
-    brackets = _STRING.sub(b"", text).translate(None, _OTHERS)
+    brackets = _STRING.sub(b"", text).translate(None, _NO_BRACKETS)
     return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
 
 
-# Times are floats in timelines: this near to a frame, it is meant [frame].
-NEAR = Fraction(1, 1_000_000)
-# Of parts of a frame; two rates that are used have a smaller one in common.
-LARGEST_DENOMINATOR = 100_000
-# What media has, with room: frames a second, and seconds since 1970.
+# Times in timelines are floats: a time this near to a frame is that frame [frame].
+FRAME_TOLERANCE = Fraction(1, 1_000_000)
+# Largest denominator of frame fractions; common rates share a smaller one.
+MAX_DENOMINATOR = 100_000
+# Generous limits of media: frames per second, and seconds since 1970.
 LOWEST_RATE, HIGHEST_RATE = 0.001, 1e6
-LONGEST = 10**12
-FASTEST = 10**6
-# Hosts of URLs that mean this one.
-LOCAL = ("", "localhost")
+MAX_SECONDS = 10**12
+MAX_SPEED = 10**6
+# Hosts of URLs that mean this machine.
+LOCAL_HOSTS = ("", "localhost")
 
 
 def library() -> Any:
@@ -123,8 +123,8 @@ def read_timeline(path: Path) -> Any:
     except Exception as error:
         kind = type(error).__name__
         message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
-        known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
-        hint = f"supported: {', '.join(known)}"
+        suffixes = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
+        hint = f"supported: {', '.join(suffixes)}"
         raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
     if not isinstance(timeline, otio.schema.Timeline):
         message = f"is a {type(timeline).__name__}, not a timeline"
@@ -137,24 +137,26 @@ def read_timeline(path: Path) -> Any:
 def media_path(url: str, folder: Path) -> Path:
     """Return the file of a URL, or of a path relative to a folder.
 
-    Of an address of another machine it is a path of that name, which is not there.
+    An address of another machine becomes a missing path of that name.
     """
-    # No system has it in a name.
+    # No system allows it in a name.
     url = url.replace("\0", "%00")
     try:
-        parts = urlsplit(url)
+        url_parts = urlsplit(url)
     except ValueError:
         return folder / url
-    if parts.scheme == "file" and (parts.netloc in LOCAL or os.name == "nt"):
-        # It imports much, and most timelines are not asked for.
+    if url_parts.scheme == "file" and (
+        url_parts.netloc in LOCAL_HOSTS or os.name == "nt"
+    ):
+        # Imported here since it is slow, and most timelines do not need it.
         from urllib.request import url2pathname
 
-        host = "" if parts.netloc in LOCAL else f"//{parts.netloc}"
-        return Path(_named(url2pathname(host + parts.path)))
-    if len(parts.scheme) > 1:
+        host = "" if url_parts.netloc in LOCAL_HOSTS else f"//{url_parts.netloc}"
+        return Path(_named(url2pathname(host + url_parts.path)))
+    if len(url_parts.scheme) > 1:
         return Path(url)
-    there = FileState.of(folder / url) is not None
-    return folder / (url if there else _named(unquote(url)))
+    exists = FileState.of(folder / url) is not None
+    return folder / (url if exists else _named(unquote(url)))
 
 
 def _named(path: str) -> str:
@@ -168,7 +170,7 @@ def is_remote(clip: Any) -> bool:
 
 
 def exact_rate(rate: float) -> Fraction:
-    """Return the rate that a timeline states."""
+    """Return the exact rate of a timeline's float."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise ValueError(f"{rate!r} is not a frame rate")
     return rate_from_float(rate)
@@ -177,10 +179,10 @@ def exact_rate(rate: float) -> Fraction:
 def seconds_of(time: Any) -> Fraction:
     """Return a time of a timeline, exact at its own rate [s]."""
     rate = exact_rate(time.rate)
-    if not abs(time.value) <= LONGEST * rate:
+    if not abs(time.value) <= MAX_SECONDS * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
-    exact = Fraction(time.value)
-    frames = Fraction(round(exact))
-    if abs(exact - frames) > NEAR:
-        frames = exact.limit_denominator(LARGEST_DENOMINATOR)
+    exact_value = Fraction(time.value)
+    frames = Fraction(round(exact_value))
+    if abs(exact_value - frames) > FRAME_TOLERANCE:
+        frames = exact_value.limit_denominator(MAX_DENOMINATOR)
     return frames / rate

@@ -1,4 +1,4 @@
-"""Variants of a batch: a table of values, one item a row."""
+"""Variants of a batch: a table of values, one item per row."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from animtool.core.names import is_variable_name
 from animtool.core.record import dataclass
 from animtool.documents.document import read_text
 
-# More items than a person means; a slip of a step asks for millions.
+# More items than intended; a wrong step requests millions.
 MAX_VARIANTS = 10_000
-# Of a table; a file without line ends has one line of millions of letters.
+# Limits of a table; a file without line ends has one line of millions of characters.
 MAX_COLUMNS = 1000
 MAX_LINE = 1_000_000
-# As many faults of a table as a person reads.
+# Number of reported faults of a table.
 MAX_FAULTS = 100
-TOO_MANY = f"a batch has at most {MAX_VARIANTS} variants"
+TOO_MANY_TEXT = f"a batch has at most {MAX_VARIANTS} variants"
 _RANGE = re.compile(
     r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
 )
-_NO_FILE_NAME = re.compile(r"[^A-Za-z0-9_.+-]+")
+_UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Variants:
     """A table of values."""
 
-    # Of each variant, the value of every name, as written.
+    # Values of every name for each variant, as text.
     rows: tuple[Mapping[str, str], ...]
-    path: Path | None = None  # the source file; None without one
+    path: Path | None = None  # the source file; None if there is none
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -62,9 +62,9 @@ def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
     if count == 0:
         raise ValueError("a value is missing")
     if count > MAX_VARIANTS:
-        raise ValueError(f"{counted(count, 'variant')}: {TOO_MANY}")
-    rows = itertools.product(*columns.values())
-    return Variants(tuple(dict(zip(columns, row, strict=True)) for row in rows))
+        raise ValueError(f"{counted(count, 'variant')}: {TOO_MANY_TEXT}")
+    combinations = itertools.product(*columns.values())
+    return Variants(tuple(dict(zip(columns, row, strict=True)) for row in combinations))
 
 
 def variants_of_texts(texts: Sequence[str]) -> Variants:
@@ -129,7 +129,7 @@ def values_of_text(text: str) -> list[str]:
         else:
             values += range_values(match["first"], match["last"], match["step"] or "1")
         if len(values) > MAX_VARIANTS:
-            raise ValueError(f"more values: {TOO_MANY}")
+            raise ValueError(f"more values: {TOO_MANY_TEXT}")
     return values
 
 
@@ -139,13 +139,13 @@ def range_values(first: str, last: str, step: str = "1") -> list[str]:
     >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
     """
-    begin, end, by = map(_decimal, (first, last, step))
-    if by == 0 or (end - begin) / by < 0:
+    start, stop, increment = map(_decimal, (first, last, step))
+    if increment == 0 or (stop - start) / increment < 0:
         raise ValueError(f"steps of {step} do not lead from {first} to {last}")
-    count = int((end - begin) / by) + 1
+    count = int((stop - start) / increment) + 1
     if count > MAX_VARIANTS:
-        raise ValueError(f"a range of {counted(count, 'value')}: {TOO_MANY}")
-    return [_text(begin + i * by) for i in range(count)]
+        raise ValueError(f"a range of {counted(count, 'value')}: {TOO_MANY_TEXT}")
+    return [_text(start + i * increment) for i in range(count)]
 
 
 def _decimal(text: str) -> Decimal:
@@ -153,7 +153,7 @@ def _decimal(text: str) -> Decimal:
         value = Decimal(text.strip())
     except InvalidOperation:
         value = Decimal("nan")
-    # Others have more digits than a float, or than memory.
+    # Other numbers have more digits than a float, or than memory.
     if "_" in text or not value.is_finite() or abs(value.adjusted()) > 300:
         raise ValueError(f"{excerpt(text)} is not a finite number")
     return value
@@ -165,7 +165,7 @@ def _text(value: Decimal) -> str:
 
 
 def value_problem(text: str) -> str | None:
-    """Return the fault of a value; None without one.
+    """Return the fault of a value; None if it is valid.
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
@@ -185,15 +185,17 @@ def name_problems(
     """Yield the columns with unusable names, and why."""
     previous: set[str] = set()
     for i, name in enumerate(names):
-        twice = name in previous
+        is_duplicate = name in previous
         previous.add(name)
         if not is_variable_name(name):
-            allowed = "a name of letters, digits and _"
-            shown = f"{excerpt(name)} is not {allowed}" if name else "a name is missing"
-            yield i, shown
+            valid_names = "a name of letters, digits and _"
+            problem = (
+                f"{excerpt(name)} is not {valid_names}" if name else "a name is missing"
+            )
+            yield i, problem
         elif name in taken:
             yield i, f"{name!r} is reserved here"
-        elif twice:
+        elif is_duplicate:
             yield i, f"there are two columns {name!r}"
 
 
@@ -212,19 +214,19 @@ def file_name(value: str) -> str:
     >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
     ('a_b_c', '_x', '-0.5')
     """
-    return _NO_FILE_NAME.sub("_", value).lstrip(".") or "_"
+    return _UNSAFE_CHARACTERS.sub("_", value).lstrip(".") or "_"
 
 
 def read_variants(path: Path) -> Variants:
     """Return the table of a CSV file: names in the first line, then a variant a line.
 
     Columns are separated by commas, in ``.tsv`` files by tabs. Blank lines are skipped.
-    Every fault of the file is raised at once, each with line and column.
+    All faults of the file are raised at once, each with line and column.
     """
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
-    # One more than may be is enough to say so.
-    most = MAX_VARIANTS + 2
-    lines = list(itertools.islice(_lines(read_text(path), separator, path), most))
+    # One line more than allowed is enough to detect the excess.
+    max_lines = MAX_VARIANTS + 2
+    lines = list(itertools.islice(_lines(read_text(path), separator, path), max_lines))
     if len(lines) < 2:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
@@ -238,18 +240,18 @@ def read_variants(path: Path) -> Variants:
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:
-        message = f"more rows: {TOO_MANY}"
+        message = f"more rows: {TOO_MANY_TEXT}"
         faults.append(Fault("BAT065", message, str(path), (rows[MAX_VARIANTS][0],)))
         raise FormatError(faults)
-    for line, values, spots in rows:
+    for line, values, columns_of_values in rows:
         if len(values) != len(names):
             message = f"{counted(len(values), 'value')} for {len(names)} columns"
-            column = spots[min(len(values) - 1, len(names))]
+            column = columns_of_values[min(len(values) - 1, len(names))]
             hint = f"columns: {', '.join(names)}"
             fault = Fault("BAT062", message, str(path), (line,), hint, column=column)
             faults.append(fault)
             continue
-        for name, value, column in zip(names, values, spots, strict=True):
+        for name, value, column in zip(names, values, columns_of_values, strict=True):
             problem = value_problem(value)
             if problem is not None:
                 text = f"column {name!r}: {problem}"
@@ -264,8 +266,8 @@ def _lines(
     text: str, separator: str, path: Path
 ) -> Iterator[tuple[int, list[str], list[int]]]:
     """Yield the lines of a table that are not blank: number, values, and columns."""
-    for number, ended in enumerate(io.StringIO(text), 1):
-        line = ended.removesuffix("\n").removesuffix("\r")
+    for number, line_with_end in enumerate(io.StringIO(text), 1):
+        line = line_with_end.removesuffix("\n").removesuffix("\r")
         if not line.strip(f" {separator}"):
             continue
         try:
@@ -276,10 +278,10 @@ def _lines(
             raise FormatError(
                 Fault("BAT061", message, str(path), (number,), hint, column=1)
             ) from error
-        spots = _spots(line, separator)
-        # Of quotes in the middle of a value readers and this count differ.
-        spots += spots[-1:] * (len(values) - len(spots))
-        yield number, [value.strip() for value in values], spots
+        value_columns = _spots(line, separator)
+        # Readers disagree on quotes inside a value.
+        value_columns += value_columns[-1:] * (len(values) - len(value_columns))
+        yield number, [value.strip() for value in values], value_columns
 
 
 def _values(line: str, separator: str) -> list[str]:
@@ -296,9 +298,9 @@ def _values(line: str, separator: str) -> list[str]:
 
 def _spots(line: str, separator: str) -> list[int]:
     """Return the 1-based columns where the values of a line begin."""
-    spots, quoted = [1], False
+    columns, in_quotes = [1], False
     for column, letter in enumerate(line, 2):
-        quoted ^= letter == '"'
-        if letter == separator and not quoted:
-            spots.append(column)
-    return spots
+        in_quotes ^= letter == '"'
+        if letter == separator and not in_quotes:
+            columns.append(column)
+    return columns

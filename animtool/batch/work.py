@@ -44,26 +44,26 @@ class ItemStatus(StrEnum):
 class Measured:
     """Measurements of a bake."""
 
-    samples: int  # written
-    error: float  # largest distance between a joint and where its file has it [m]
-    joint: str  # which joint's
+    samples: int  # number of written samples
+    error: float  # largest distance between a joint and its written position [m]
+    joint: str  # name of that joint
 
 
 @dataclass(frozen=True, slots=True)
 class ItemOutcome:
     """Outcome of an item that was due."""
 
-    number: int  # the item's
+    number: int  # number of the item
     status: ItemStatus  # done or failed
-    seconds: float  # wall time of making it
+    seconds: float  # wall time
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
     measured: Measured | None = None  # measurements of the bake
-    scores: tuple[PassScores, ...] = ()  # how well passes did
-    inputs: tuple[FileRecord, ...] = ()  # the files that were looked at
-    outputs: tuple[FileRecord, ...] = ()  # the files that were written
-    at: int = 0  # when, by the clock of the disk that it was written to [ns]
-    retired: bool = False  # whether the process that made it had better make no other
+    scores: tuple[PassScores, ...] = ()  # scores of its passes
+    inputs: tuple[FileRecord, ...] = ()  # accessed files
+    outputs: tuple[FileRecord, ...] = ()  # written files
+    at: int = 0  # time by the clock of the output's disk [ns]
+    retired: bool = False  # whether the process should build no more items
 
     @classmethod
     def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
@@ -75,26 +75,26 @@ class ItemOutcome:
 class ItemBuilder:
     """Builds the items of a batch one after another."""
 
-    item_task: ItemTask  # how
-    root: Path  # folder from which records name files
+    item_task: ItemTask  # how to build
+    root: Path  # root of the paths in records
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
     def build(self, item: Item) -> ItemOutcome:
         """Return the outcome of an item; raise only to end the process."""
-        began = time.perf_counter()
-        retired = False
+        start_time = time.perf_counter()
+        is_retired = False
         try:
-            return self._build(item, began)
+            return self._build(item, start_time)
         except AnimtoolError as error:
             faults = tuple(fault.in_file(_named(item)) for fault in error.faults)
         except MemoryError:
-            retired = True
+            is_retired = True
             faults = (Fault("BAT022", "out of memory", _named(item)),)
         except OSError as error:
             message = f"cannot be read or written: {error.strerror or error}"
             faults = (Fault("BAT023", message, error.filename or _named(item)),)
         except Exception as error:
-            kind, retired = type(error).__name__, True
+            kind, is_retired = type(error).__name__, True
             message = f"internal error: {kind}: {excerpt(str(error), 200)}"
             hint = (
                 f"please report it; {argument('executor', 'serial')} "
@@ -103,9 +103,9 @@ class ItemBuilder:
             faults = (Fault("BAT023", message, _named(item), (), hint),)
         finally:
             _forget_layers()
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - start_time
         return ItemOutcome(
-            item.number, ItemStatus.FAILED, seconds, faults, retired=retired
+            item.number, ItemStatus.FAILED, seconds, faults, retired=is_retired
         )
 
     def _build(self, item: Item, began: float) -> ItemOutcome:
@@ -122,7 +122,9 @@ class ItemBuilder:
             raise_stopped(reports)
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
-        at = max(file.state.changed for file in outputs if file.state is not None)
+        written_at = max(
+            file.state.changed for file in outputs if file.state is not None
+        )
         return ItemOutcome(
             item.number,
             ItemStatus.DONE,
@@ -131,24 +133,24 @@ class ItemBuilder:
             tuple(dict.fromkeys(n for report in reports for n in report.notices)),
             _measured(reports),
             tuple(reports[0].scores),
-            self._inputs(inputs, at),
+            self._inputs(inputs, written_at),
             outputs,
-            at,
+            written_at,
         )
 
-    def _inputs(self, inputs: Inputs, at: int) -> tuple[FileRecord, ...]:
+    def _inputs(self, inputs: Inputs, written_at: int) -> tuple[FileRecord, ...]:
         """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):
-            known = None if state is None else self._digests.get(state)
+            cached = None if state is None else self._digests.get(state)
             name = relative_name(path, self.root)
-            if known is None or known.path != name:
-                known = record_of(path, name, state)
-                # Of a younger one the same state may mean another content later.
-                if state is not None and state.changed < at:
-                    self._digests[state] = known
-            records.append(known)
-        # The file read again for its digest is unchanged.
+            if cached is None or cached.path != name:
+                cached = record_of(path, name, state)
+                # A younger file may later have the same state with another content.
+                if state is not None and state.changed < written_at:
+                    self._digests[state] = cached
+            records.append(cached)
+        # The file is unchanged after reading it again for its digest.
         inputs.check()
         return tuple(records)
 
@@ -158,18 +160,22 @@ class ItemBuilder:
 
 def _measured(reports: Sequence[OutputReport]) -> Measured:
     """Return the measurements of all outputs: total samples, largest error."""
-    measured = [_one_measured(report) for report in reports]
-    worst = max(measured, key=lambda one: one.error)
-    return Measured(sum(one.samples for one in measured), worst.error, worst.joint)
+    measurements = [_one_measured(report) for report in reports]
+    largest = max(measurements, key=lambda measurement: measurement.error)
+    return Measured(
+        sum(measurement.samples for measurement in measurements),
+        largest.error,
+        largest.joint,
+    )
 
 
 def _one_measured(report: OutputReport) -> Measured:
     from animtool.scene.bake.prims import BakeReport
 
     if isinstance(report, BakeReport):
-        worst = report.worst
-        error = worst.written.rounding.error
-        return Measured(report.result.samples, error, worst.error_joint)
+        worst_take = report.worst
+        error = worst_take.written.rounding.error
+        return Measured(report.result.samples, error, worst_take.error_joint)
     if report.reduction is None:
         return Measured(report.frames, 0.0, "")
     return Measured(report.frames, report.reduction.error, report.reduction.joint)
@@ -189,12 +195,12 @@ def _forget_layers() -> None:
 
 # The last one freezes the imported objects.
 PRELOAD = "animtool.batch.preload"
-ALWAYS = (
+ALWAYS_MODULES = (
     "animtool.batch.work",
     "animtool.scene.bake.bake",
     "animtool.usd.takes.author",
 )
-READING = {
+READER_MODULES = {
     BVH: ("animtool.formats.bvh.read",),
     DOCUMENT: (
         "animtool.clip.file",
@@ -203,12 +209,12 @@ READING = {
     ),
     USD: ("animtool.usd.takes.read",),
 }
-LAYERS = ("animtool.usd.rigs.target",)
-# A scene may read anything, and most change its time.
-SCENES = (
+LAYER_MODULES = ("animtool.usd.rigs.target",)
+# A scene may read any format, and most change timing.
+SCENE_MODULES = (
     "animtool.scene.file.read",
-    *(module for modules in READING.values() for module in modules),
-    *LAYERS,
+    *(module for modules in READER_MODULES.values() for module in modules),
+    *LAYER_MODULES,
     "animtool.edit.looping",
     "animtool.edit.thin",
     "animtool.edit.retiming",
@@ -225,21 +231,21 @@ def needed_modules(item_task: ItemTask) -> list[str]:
     >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
     ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
-    return [*dict.fromkeys([*ALWAYS, *_by_kind(item_task), PRELOAD])]
+    return [*dict.fromkeys([*ALWAYS_MODULES, *_by_kind(item_task), PRELOAD])]
 
 
 def _by_kind(item_task: ItemTask) -> Iterator[str]:
     scenes = any(is_named(path, "scene") for path in item_task.kinds)
     if item_task.scene is not None or scenes:
-        yield from SCENES
+        yield from SCENE_MODULES
     if item_task.options.rig_layer is not None:
-        yield from LAYERS
+        yield from LAYER_MODULES
     for path in item_task.kinds:
         reader = READERS.get(path.suffix.lower())
-        yield from READING.get(reader, ()) if reader is not None else ()
+        yield from READER_MODULES.get(reader, ()) if reader is not None else ()
 
 
-# What a worker sends once it can take items.
+# Message of a worker that is ready for items.
 READY = "ready"
 
 
@@ -257,7 +263,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
-    # What is imported before the first item takes none of its time.
+    # Imports before the first item do not count as its time.
     for name in needed_modules(builder.item_task):
         import_module(name)
     from animtool.usd.layers.sdf import compute_alone
@@ -278,25 +284,25 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
 def _limit_memory(memory: int) -> None:
     """Make allocations beyond a limit fail, where systems support that.
 
-    What is mapped already counts twice in part: the limit errs on the large side, and
-    the run watches what is really used.
+    Already mapped memory is partly counted twice, so that the limit is rather too
+    large; the run also checks the memory in use.
     """
     if sys.platform == "win32":
         return
     import resource
 
-    mapped = mapped_bytes()
-    if mapped is not None:
+    mapped_memory = mapped_bytes()
+    if mapped_memory is not None:
         with contextlib.suppress(OSError, ValueError):
-            most = resource.getrlimit(resource.RLIMIT_AS)[1]
-            limit = mapped + memory
-            if most != resource.RLIM_INFINITY:
-                limit = min(limit, most)
-            resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+            hard_limit = resource.getrlimit(resource.RLIMIT_AS)[1]
+            limit = mapped_memory + memory
+            if hard_limit != resource.RLIM_INFINITY:
+                limit = min(limit, hard_limit)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, hard_limit))
 
 
 def mapped_bytes() -> int | None:
-    """Return the mapped memory of this process [bytes]; None where unknown."""
+    """Return the mapped memory of this process [bytes]; None if unknown."""
     try:
         with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")

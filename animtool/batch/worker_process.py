@@ -1,9 +1,9 @@
 """A program that builds items one after another in a process it may lose.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
-from stdin, and writes the outcome of each to stdout. It is for workers of others, such
-as those of dask, which may start no processes of their own kind and hold no item to its
-limits.
+from stdin, and writes the outcome of each to stdout. It serves workers of other
+systems, such as those of dask, which may not start processes of their own kind and do
+not enforce the limits of an item.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from animtool.core.record import dataclass
 class WorkerTask:
     """How a worker process builds items."""
 
-    builder: ItemBuilder  # makes them
+    builder: ItemBuilder  # builds the items
     limits: Limits  # limits of each item
-    folder: str  # the current folder, from which paths of items start
+    folder: str  # working folder, to which paths of items are relative
 
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """A worker program and its pipes."""
+    """A subprocess that builds items, and its pipes."""
 
-    task: WorkerTask  # how it makes items
+    task: WorkerTask  # how it builds items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
     def make(self, item: Item) -> ItemOutcome:
@@ -49,7 +49,7 @@ class WorkerProcess:
         except OSError:
             raise
         except Exception as error:
-            # Unpickling raises anything, of bytes that something else wrote.
+            # Unpickling bytes from another program may raise anything.
             raise ConnectionError("the worker process ended") from error
 
     def end(self) -> None:
@@ -79,7 +79,7 @@ class WorkerProcess:
 
 def main() -> None:
     """Build the items on stdin until it ends."""
-    # What anything prints must not come between outcomes.
+    # Printed output must not come between outcomes.
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)
         task: WorkerTask = pickle.load(sys.stdin.buffer)

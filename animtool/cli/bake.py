@@ -225,17 +225,17 @@ def _bake(
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
-    several = any(entry.location is not None for entry in outline.outputs) and (
+    has_several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
-    named = files[0] if several else outline.outputs[0].path
-    if skipped(console, "bake", params, named, lambda: outline.files):
+    shown_output = files[0] if has_several else outline.outputs[0].path
+    if skipped(console, "bake", params, shown_output, lambda: outline.files):
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
-    shown = console.progress(f"bake {label}", stdout=to_stdout)
-    with atomic_command(), shown as progress:
+    progress_bar = console.progress(f"bake {label}", stdout=to_stdout)
+    with atomic_command(), progress_bar as progress:
         reports = bake_outline(outline, progress=progress)
-    _print_reports(console, reports, scene, params, several=several)
+    _print_reports(console, reports, scene, params, several=has_several)
 
 
 @dataclass(frozen=True, slots=True)

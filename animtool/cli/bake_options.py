@@ -37,25 +37,25 @@ def opened_sources(
     sources: Sequence[Path], variables: dict[str, str]
 ) -> list[Path | Scene]:
     """Return the sources; scene files are loaded."""
-    opened: list[Path | Scene] = []
-    used: set[str] = set()
+    sources_opened: list[Path | Scene] = []
+    used_variables: set[str] = set()
     for source in sources:
         if exists(source) and source.is_dir():
             hint = "animtool batch FOLDER -o out/ bakes the files in it"
             message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
         if not is_named(source, "scene"):
-            opened.append(source)
+            sources_opened.append(source)
             continue
         from animtool.scene.file.read import load_scene
 
         scene = load_scene(source, variables)
-        used |= scene.variables
-        opened.append(scene)
+        used_variables |= scene.variables
+        sources_opened.append(scene)
     if variables:
         only = sources[0] if len(sources) == 1 else None
-        check_unused(variables, used, only)
-    return opened
+        check_unused(variables, used_variables, only)
+    return sources_opened
 
 
 def until_pass(opened: list[Path | Scene], stop: str | None) -> list[Path | Scene]:
@@ -99,7 +99,8 @@ SHOT_OPTIONS = (
     ),
     *TIMECODE_OPTIONS,
 )
-# As ``--help`` lists them; what records declare and this leaves out comes last.
+# Order of the options in ``--help``; options of records that are missing here come
+# last.
 _ORDER: tuple[str | Callable[[Command], Command], ...] = (
     "form",
     click.option(
@@ -115,26 +116,28 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
     *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
 )
-# Of a source, beyond what `source_options` are.
-_OF_SOURCE = (
+# Source options in addition to `source_options`.
+_SOURCE_OPTIONS = (
     *("prim_path", "rig", "template", "cameras", "clamp", "take", "remap", "dropped"),
     "positions",
 )
-# Commands have them with a help of their own; a take that is written has no flag.
-_ELSEWHERE = {"strict", "overwrite", "take"}
+# Options that commands declare with their own help; the written take has no flag.
+_DECLARED_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
-_REST = [n for n in options_of(BakeOptions) if n not in {*_ORDER, *_ELSEWHERE}]
-# All options of `BakeOptions`, and what states the source.
+_OTHER_OPTIONS = [
+    n for n in options_of(BakeOptions) if n not in {*_ORDER, *_DECLARED_ELSEWHERE}
+]
+# All options of `BakeOptions`, and those that describe the source.
 bake_options = stacked(
-    *(bake_option(n) if isinstance(n, str) else n for n in (*_ORDER, *_REST))
+    *(bake_option(n) if isinstance(n, str) else n for n in (*_ORDER, *_OTHER_OPTIONS))
 )
 
 
 def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
     """Return `BakeOptions` from the parameters of a command."""
-    source = source_options_record(params, *_OF_SOURCE)
-    # --take names one of the source, not the one that is written.
+    source = source_options_record(params, *_SOURCE_OPTIONS)
+    # --take names the source's take, not the written one.
     values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
     values["form"] = "split" if params["split"] else values["form"]
     return BakeOptions(source=source, shot=params["shot"], **values)
@@ -191,7 +194,7 @@ def bake_shot(
 ) -> tuple[Sequence[Path], Path | None]:
     """Return sources and output; a timeline is replaced by its shot's media.
 
-    ``shot`` of the given options becomes the shot's record; ``start`` is part of it.
+    The option ``shot`` becomes the shot's record, which includes ``start``.
     """
     from animtool.core.readers import is_timeline
 

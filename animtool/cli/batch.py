@@ -50,7 +50,7 @@ class _Numbers:
     open: bool = False
 
     def among(self, count: int) -> tuple[int, int]:
-        """Return the first and the last number within the number of items."""
+        """Return the first and last number, limited to the number of items."""
         open_end = self.open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
@@ -249,8 +249,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
 
     if params["fail_fast"] and params["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: use one of them.")
-    varied = params["table"] is not None or params["columns"]
-    if not inputs and params["cuts"] is None and not (varied and params["scene"]):
+    has_variants = params["table"] is not None or params["columns"]
+    if not inputs and params["cuts"] is None and not (has_variants and params["scene"]):
         raise click.UsageError("Pass a batch file, inputs, or --cut.")
     openjd = params["lines"] == "openjd"
     if openjd and params["report_format"] != "text":
@@ -270,19 +270,19 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
         1 if params["fail_fast"] else params["max_failures"],
         params["overwrite"],
     )
-    lines = params["report_format"] == "jsonl"
+    is_jsonl = params["report_format"] == "jsonl"
     try:
         with (
             openjd_failure(console.calling, asked=openjd),
-            shown_progress(console, lines=lines) as listener,
+            shown_progress(console, lines=is_jsonl) as listener,
         ):
             listening = openjd_lines(listener, console.calling) if openjd else listener
             report = run_batch(resolved_batch, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
-    unshown = [notice for notice in report.notices if notice not in listener.shown]
-    _print_results(console, report, params, _Repeat(inputs, params), unshown)
+    remaining = [notice for notice in report.notices if notice not in listener.shown]
+    _print_results(console, report, params, _Repeat(inputs, params), remaining)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
@@ -331,18 +331,18 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
         from animtool.batch.item import mapped_spec, read_rules
 
         spec = mapped_spec(spec, read_rules(params["path_mapping"]))
-    here = Path.cwd()
+    folder = Path.cwd()
     if params["output"] is not None:
         output = params["output"]
         if jobs:
             # Paths have lost the trailing slash that marks a folder.
             slash = "/" if output.endswith("/") else ""
-            output = f"{here / output}{slash}"
+            output = f"{folder / output}{slash}"
         spec = replace(spec, output=output, roots=())
     if params["scene"] is not None:
         spec = replace(spec, scene=params["scene"])
     spec = with_variants(with_cuts(spec, params), params)
-    excluded = tuple(str(here / text) if jobs else text for text in params["exclude"])
+    excluded = tuple(str(folder / text) if jobs else text for text in params["exclude"])
     limits = replace(
         spec.limits,
         **{
@@ -352,7 +352,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
         },
     )
     names = dict(params["variables"])
-    overrides = tuple(one.without(names) for one in spec.overrides)
+    overrides = tuple(override.without(names) for override in spec.overrides)
     if params["strict"]:
         spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
@@ -366,7 +366,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
 
 
 class _Repeat:
-    """The command that repeats one item."""
+    """Builds the command that repeats one item."""
 
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
         self._inputs, self._params = inputs, params
@@ -379,8 +379,8 @@ class _Repeat:
         params, item = self._params, report.item
         inputs, output = list(self._inputs), params["output"]
         # Stdin cannot be read again.
-        listed = "-" in inputs
-        if listed:
+        reads_stdin = "-" in inputs
+        if reads_stdin:
             inputs = [str(item.file.path)]
             output = str(item.output).replace("{", "{{").replace("}", "}}")
         words = ["animtool", "batch", *inputs]
@@ -394,9 +394,11 @@ class _Repeat:
         for name, value in params["variables"]:
             words += ["--set", f"{name}={value}"]
         words += variant_words(params)
-        for text in () if listed else params["exclude"]:
+        for text in () if reads_stdin else params["exclude"]:
             words += ["--exclude", text]
-        return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
+        return shlex.join(
+            words + ([] if reads_stdin else ["--items", str(item.number)])
+        )
 
 
 def _print_results(
@@ -406,7 +408,7 @@ def _print_results(
     repeat: _Repeat,
     notices: Sequence[Fault],
 ) -> None:
-    from animtool.cli.batch_progress import DRY, PLANNED, SUMMARY
+    from animtool.cli.batch_progress import DRY_RUN, PLANNED, SUMMARY
 
     form = params["report_format"]
     if form == "json":
@@ -421,7 +423,7 @@ def _print_results(
         console.result(*PLANNED.text(report))
     console.faults(notices)
     _print_notices(console, report)
-    console.lines((DRY if params["dry_run"] else SUMMARY).text(report))
+    console.lines((DRY_RUN if params["dry_run"] else SUMMARY).text(report))
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")
         console.faults(entry.faults, fatal=True)
@@ -432,13 +434,15 @@ def _print_notices(console: Console, report: BatchReport) -> None:
     """Print the warnings of items, each once with the items that have it."""
     for notice, entries in report.notices_of_items().items():
         paths = {entry.item.file.path.absolute() for entry in entries}
-        # One that names the only input needs no more.
-        named = notice.path is not None and paths == {Path(notice.path).absolute()}
-        of = [] if named else [f"  of {listed([e.item.label for e in entries])}"]
+        # A notice located in the only input needs no item line.
+        is_located = notice.path is not None and paths == {Path(notice.path).absolute()}
+        item_lines = (
+            [] if is_located else [f"  of {listed([e.item.label for e in entries])}"]
+        )
         if notice.severity is Severity.NOTE:
-            for line in (str(notice.worded(console.calling)), *of):
+            for line in (str(notice.worded(console.calling)), *item_lines):
                 console.detail(line)
             continue
         console.faults([notice])
-        for line in of:
+        for line in item_lines:
             console.say(line)

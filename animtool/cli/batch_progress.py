@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from animtool.batch.item import Item
 
-MAX_ROWS = 20  # of takes in a table
+MAX_TABLE_ROWS = 20  # of items in a table
 
 
 def _counts(report: BatchReport, unmade: str = str(ItemStatus.NOT_RUN)) -> str:
@@ -39,17 +39,17 @@ def _item(entry: ItemReport) -> str:
 
 def _error_text(entry: ItemReport) -> str:
     assert entry.measured is not None
-    measured = entry.measured
-    error = length_text(measured.error, 2)
-    return f"{entry.item.output} {error} (joint {measured.joint!r})"
+    measured_value = entry.measured
+    error = length_text(measured_value.error, 2)
+    return f"{entry.item.output} {error} (joint {measured_value.joint!r})"
 
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
     """Return the line of a finished item."""
-    head = f"[{number}/{total}] {entry.status} {_item(entry)}"
+    prefix = f"[{number}/{total}] {entry.status} {_item(entry)}"
     if entry.failed:
-        return f"{head}: {entry.why}"
-    return f"{head} ({entry.reason}) {entry.seconds:.2f} s"
+        return f"{prefix}: {entry.why}"
+    return f"{prefix} ({entry.reason}) {entry.seconds:.2f} s"
 
 
 def openjd_lines(other: Listener, calling: Calling) -> Listener:
@@ -107,7 +107,7 @@ def _say(kind: str, text: str) -> None:
     sys.stdout.flush()
 
 
-WIDTH = 40
+BAR_WIDTH = 40
 
 
 @contextmanager
@@ -119,12 +119,12 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
     from rich.console import Console as RichConsole
     from rich.live import Live
 
-    shown, renderable = _table(console, lines=lines)
-    # Redrawn a few times a second at most.
+    live_table, renderable = _table(console, lines=lines)
+    # Redrawn a few times per second at most.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
     ):
-        yield shown
+        yield live_table
 
 
 def _lines(console: Console, *, lines: bool) -> Listener:
@@ -195,34 +195,34 @@ def _table(
             """Record a warning; it is shown until an item ends, and at the end."""
             self.warning = str(notice.worded(console.calling))
 
-    shown = ProgressListener()
+    tracker = ProgressListener()
 
     def drawn() -> RenderableType:
-        if not shown.due:
+        if not tracker.due:
             return Text()
-        caption = f"{shown.ended_items} of {shown.due}"
-        caption += f", {shown.failed} failed" if shown.failed else ""
-        head = Table.grid(padding=(0, 1))
-        bar = ProgressBar(shown.due, shown.ended_items, width=WIDTH)
-        head.add_row(bar, Text(caption))
-        rows = Table.grid(padding=(0, 1))
-        for name, began in list(shown.running.values()):
-            rows.add_row(
+        caption = f"{tracker.ended_items} of {tracker.due}"
+        caption += f", {tracker.failed} failed" if tracker.failed else ""
+        header = Table.grid(padding=(0, 1))
+        bar = ProgressBar(tracker.due, tracker.ended_items, width=BAR_WIDTH)
+        header.add_row(bar, Text(caption))
+        running_rows = Table.grid(padding=(0, 1))
+        for name, began in list(tracker.running.values()):
+            running_rows.add_row(
                 Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
             )
-        return Group(head, rows, Text(shown.warning))
+        return Group(header, running_rows, Text(tracker.warning))
 
-    return shown, drawn
+    return tracker, drawn
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:
     """Return one score table per pass.
 
     Args:
-        items: Worst first, the order of the rows.
+        items: Items in the order of the rows, worst first.
     """
     passes = dict.fromkeys(
-        (one.pass_name, one.where) for entry in items for one in entry.scores
+        (score.pass_name, score.where) for entry in items for score in entry.scores
     )
     return [line for pass_key in passes for line in _pass_table(items, pass_key)]
 
@@ -232,24 +232,24 @@ def _pass_table(
 ) -> Iterator[str]:
     """Yield the table of one pass."""
     table_rows = [
-        (entry, one)
+        (entry, pass_score)
         for entry in items
-        for one in entry.scores
-        if (one.pass_name, one.where) == pass_key
+        for pass_score in entry.scores
+        if (pass_score.pass_name, pass_score.where) == pass_key
     ]
     names = [score.name for score in table_rows[0][1].scores]
-    rows = [("  item", *names, "above usual")]
-    for entry, one in table_rows[:MAX_ROWS]:
-        texts = {score.name: score.text for score in one.scores}
-        worse = ", ".join(score.name for score in one.worse)
-        rows.append(
-            (f"  {_item(entry)}", *(texts.get(name, "") for name in names), worse)
+    score_rows = [("  item", *names, "above usual")]
+    for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
+        texts = {score.name: score.text for score in pass_score.scores}
+        sort_key = ", ".join(score.name for score in pass_score.worse)
+        score_rows.append(
+            (f"  {_item(entry)}", *(texts.get(name, "") for name in names), sort_key)
         )
     yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
-    yield from columns(rows, {0, len(names) + 1})
-    if len(table_rows) > MAX_ROWS:
-        rest = counted(len(table_rows) - MAX_ROWS, "item")
-        yield f"  {rest} more, which are better; --format json lists all"
+    yield from columns(score_rows, {0, len(names) + 1})
+    if len(table_rows) > MAX_TABLE_ROWS:
+        omitted = counted(len(table_rows) - MAX_TABLE_ROWS, "item")
+        yield f"  {omitted} more, which are better; --format json lists all"
 
 
 SUMMARY = Template(
@@ -274,8 +274,8 @@ SUMMARY = Template(
         "tables": scores_table,
     },
 )
-# Of a dry run: the number of items to build, and each with its reason.
-DRY = replace(
+# Summary of a dry run: the number of items to build, and each with its reason.
+DRY_RUN = replace(
     SUMMARY,
     printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to build")},
 )

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from animtool.report.text import Template
 
 
-# What commands call options of a source, where others of theirs have the name.
+# Option names of a source in commands whose other options have the plain name.
 SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"}
 
 
@@ -84,13 +84,17 @@ def _names(argument: Argument) -> tuple[str, ...]:
     )
     if source_name is None:
         return (field,)
-    # Without `source.` the name is the output's; for a path, either is meant.
+    # Without `source.` the name is the output's; paths may be either.
     return (source_name,) if field == "fps" else (source_name, field)
 
 
 def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
     """Return the option of the first matching name; None if the command has none."""
-    options = [each for each in command.params if isinstance(each, click.Option)]
+    options = [
+        command_option
+        for command_option in command.params
+        if isinstance(command_option, click.Option)
+    ]
     for name in names:
         for option in options:
             if option.name == name or f"--{name.replace('_', '-')}" in option.opts:
@@ -105,9 +109,9 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 class Console:
     """Output streams of a command."""
 
-    verbosity: int = 0  # -1 errors only, 0 default, 1 with notes and timings
+    verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
-    debug: bool = False  # let a Python traceback through
+    debug: bool = False  # whether Python tracebacks are shown
     calling: Calling = as_flag  # the command's spelling of arguments
     context: click.Context | None = None  # of the command
 
@@ -118,7 +122,7 @@ class Console:
         note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
-        """Write a record or plain values to stdout, or as a line of JSON in ASCII."""
+        """Write a record or plain values as JSON to stdout, or as one ASCII line."""
         indent = None if line else 2
         value = self._worded(plain_value(value))
         self.document(json_printed(value, indent=indent, ascii_only=line))
@@ -149,11 +153,11 @@ class Console:
             fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._color(escaped(fault.code), _COLORS[fault.severity])
-                entry = {"level": str(fault.severity), **plain_value(fault)}
-                shown = fault
+                log_entry = {"level": str(fault.severity), **plain_value(fault)}
+                shown_fault = fault
                 if fault.brief and self.verbosity <= 0:
-                    shown = replace(fault, message=fault.brief)
-                text = str(shown).replace(escaped(fault.code), code, 1)
+                    shown_fault = replace(fault, message=fault.brief)
+                text = str(shown_fault).replace(escaped(fault.code), code, 1)
                 if (
                     fault.column
                     and fault.severity is not Severity.NOTE
@@ -164,7 +168,7 @@ class Console:
                     sources = sources or Sources()
                     lines = map(escaped, excerpt_lines(fault, sources))
                     text = "\n".join([text, *lines])
-                self._write(entry, text)
+                self._write(log_entry, text)
 
     def report(self, form: str, record: object, template: Template) -> None:
         """Write a report, as JSON to stdout or as lines.
@@ -198,9 +202,11 @@ class Console:
     def error(self, message: str, *others: str) -> None:
         """Write an error without a code to stderr, with detail lines."""
         label = self._color("error", _COLORS[Severity.ERROR])
-        message, *more = (worded(text, self.calling) for text in (message, *others))
-        lines = (f"{label}: {escaped(message)}", *map(escaped, more))
-        full_message = "\n".join((message, *more))
+        message, *other_texts = (
+            worded(text, self.calling) for text in (message, *others)
+        )
+        lines = (f"{label}: {escaped(message)}", *map(escaped, other_texts))
+        full_message = "\n".join((message, *other_texts))
         self._write({"level": "error", "message": full_message}, "\n".join(lines))
 
     def is_live(self) -> bool:
@@ -229,7 +235,7 @@ class Console:
         task = bar.add_task(escaped(label), total=1.0)
 
         def show(fraction: float) -> None:
-            # Started late: commands that fail at once show no bar.
+            # Started late, so that commands that fail at once show no bar.
             if not bar.live.is_started:
                 bar.start()
             bar.update(task, completed=fraction)
@@ -254,7 +260,7 @@ class Console:
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
-        """Write escaped text with our colors, or an entry as JSON."""
+        """Write escaped text with animtool's colors, or an entry as JSON."""
         sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
         note_said()
 

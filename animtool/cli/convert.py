@@ -143,21 +143,21 @@ def convert(
     console.report(params["report_format"], report, CONVERTED)
 
 
-def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
+def _only_output(source: Path, output: Path | None, output_option: Path | None) -> Path:
     """Return OUTPUT from the argument or -o; refuse swapped arguments."""
-    if output is not None and named is not None:
+    if output is not None and output_option is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
-    chosen = output or named
-    if chosen is None:
+    argument_or_option = output or output_option
+    if argument_or_option is None:
         raise click.UsageError("Missing argument 'OUTPUT'.")
-    refuse_swapped(source, chosen, "SOURCE and OUTPUT")
-    return chosen
+    refuse_swapped(source, argument_or_option, "SOURCE and OUTPUT")
+    return argument_or_option
 
 
 def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     """Convert each take of a multi-take file to a USD file in a folder.
 
-    Returns whether it holds any.
+    Returns whether the file has any takes.
     """
     from animtool.core.readers import reader_of
     from animtool.usd.layers.names import distinct_names
@@ -193,8 +193,16 @@ def _markers(
 ) -> None:
     from animtool.cli.marker_files import run_on_markers
 
-    refused = ("prim_path", "rig", "take", "reduce", "reduce_at", "base", "physics")
-    for name in (name for name in (*refused, "placement") if params[name]):
+    refused_options = (
+        "prim_path",
+        "rig",
+        "take",
+        "reduce",
+        "reduce_at",
+        "base",
+        "physics",
+    )
+    for name in (name for name in (*refused_options, "placement") if params[name]):
         option = f"--{name.replace('_', '-')}"
         raise click.UsageError(f"{option} does not apply to markers.")
 

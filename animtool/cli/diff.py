@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
 def _largest(kind: str, size: str, where: str) -> str:
     """Return the template of the largest difference of a kind and its location."""
-    width = 14 if "prim" in where else 12
-    at = where.replace("@", kind)
+    label_width = 14 if "prim" in where else 12
+    location = where.replace("@", kind)
     return (
-        f"  {kind:<{width}}{{{kind}.value:{size}}}"
-        f"[{{?{kind}.value}}  {at}, time code {{{kind}.code:frame}}"
-        + (f"[, {{{kind}.skeleton}}]]" if width == 12 else "]")
+        f"  {kind:<{label_width}}{{{kind}.value:{size}}}"
+        f"[{{?{kind}.value}}  {location}, time code {{{kind}.code:frame}}"
+        + (f"[, {{{kind}.skeleton}}]]" if label_width == 12 else "]")
     )
 
 
@@ -81,16 +81,20 @@ class Comparison:
 
 def _choices(command: Command) -> Command:
     """Add source options for both files, and for either one."""
-    for name, field, metavar, what in (
+    for name, field, metavar, description in (
         ("take", "take", "NAME", "The take to read from clip libraries in USD"),
         ("source-prim", "prim_path", "PATH", "The character, where a file has several"),
     ):
         for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
-            text = f"The same, for {file} only."
+            help_text = f"The same, for {file} only."
             param = f"{field}_{side[-1]}"
-            option = click.option(f"--{name}{side}", param, metavar=metavar, help=text)
+            option = click.option(
+                f"--{name}{side}", param, metavar=metavar, help=help_text
+            )
             command = option(command)
-        option = click.option(f"--{name}", field, metavar=metavar, help=f"{what}.")
+        option = click.option(
+            f"--{name}", field, metavar=metavar, help=f"{description}."
+        )
         command = option(command)
     return command
 
@@ -154,27 +158,29 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
 
         difference = compare_points(first, second)
     if difference is not None:
-        same = difference.within(params["tol"], params["tol_degrees"])
+        is_within = difference.within(params["tol"], params["tol_degrees"])
         template, notices = _POINTS, []
     else:
         difference = compare(first, second, *_options(first, second, params))
-        same = difference.within(
+        is_within = difference.within(
             params["tol"], params["tol_degrees"], params["tol_weight"]
         )
         template, notices = _TAKES, difference.notices
     if params["report_format"] == "json":
-        console.result_json(Comparison(difference, same))
+        console.result_json(Comparison(difference, is_within))
     else:
-        console.result(*template.text(difference), "same" if same else "different")
+        console.result(*template.text(difference), "same" if is_within else "different")
         console.faults(notices)
-    click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
+    click.get_current_context().exit(
+        int(ExitCode.OK if is_within else ExitCode.FINDINGS)
+    )
 
 
 def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     """Return each file's source options: shared ones that apply, then its own."""
     from animtool.scene.sources.open import fitting_options
 
-    shared = source_options_record(
+    shared_options = source_options_record(
         params, "take", "positions", prim_path=params["prim_path"]
     )
     options = []
@@ -182,6 +188,8 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
         names = ("take", "prim_path")
         side_options = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
         options.append(
-            replace(fitting_options(shared, path, [first, second]), **side_options)
+            replace(
+                fitting_options(shared_options, path, [first, second]), **side_options
+            )
         )
     return options

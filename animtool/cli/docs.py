@@ -81,8 +81,8 @@ def docs(
         _list(console)
         return
     page = COMMANDS_PAGE if topic is None else _page_of(topic)
-    opened = not printed and sys.stdout.isatty()
-    if opened and _open(console, "index" if topic is None else page.name):
+    opens_browser = not printed and sys.stdout.isatty()
+    if opens_browser and _open(console, "index" if topic is None else page.name):
         return
     if topic is None:
         _list(console)
@@ -149,10 +149,10 @@ def _entries() -> list[PageEntry]:
 
 def _list(console: Console) -> None:
     pages = _entries()
-    width = max(len(page.name) for page in pages)
+    name_width = max(len(page.name) for page in pages)
     kind = ""
     for page in pages:
         if page.kind != kind:
             kind = page.kind
             console.result(kind)
-        console.result(f"  {page.name:{width}}  {page.title}")
+        console.result(f"  {page.name:{name_width}}  {page.title}")

@@ -16,21 +16,29 @@ def commands_markdown(name: str | None = None) -> str:
     from animtool.cli.main import COMMANDS, cli
 
     context = click.Context(cli, info_name="animtool")
-    parts: list[str] = []
+    paragraphs: list[str] = []
     if name is None:
-        parts += [
+        paragraphs += [
             "# Commands",
             "Every command with its arguments and options, as `--help` has them.",
             *_table(
                 ("command", "what it does"),
-                [(f"[`{one}`](#animtool-{one})", COMMANDS[one][1]) for one in COMMANDS],
+                [
+                    (
+                        f"[`{command_name}`](#animtool-{command_name})",
+                        COMMANDS[command_name][1],
+                    )
+                    for command_name in COMMANDS
+                ],
             ),
         ]
-    for one in sorted(COMMANDS) if name is None else [name]:
-        command = cli.get_command(context, one)
+    for command_name in sorted(COMMANDS) if name is None else [name]:
+        command = cli.get_command(context, command_name)
         assert command is not None
-        parts += _command(command, click.Context(command, context, one), 2)
-    return "\n\n".join(parts) + "\n"
+        paragraphs += _command(
+            command, click.Context(command, context, command_name), 2
+        )
+    return "\n\n".join(paragraphs) + "\n"
 
 
 def _command(
@@ -42,29 +50,29 @@ def _command(
     yield f"```text\n{' '.join(command.collect_usage_pieces(context))}\n```".replace(
         "```text\n", f"```text\n{context.command_path} "
     )
-    rows = [
+    option_rows = [
         record
-        for one in command.get_params(context)
-        if isinstance(one, click.Option)
-        if (record := one.get_help_record(context))
+        for parameter in command.get_params(context)
+        if isinstance(parameter, click.Option)
+        if (record := parameter.get_help_record(context))
     ]
-    if rows:
+    if option_rows:
         yield from _table(
             ("option", "what it does"),
-            [(f"`{_cell(spelled)}`", _prose(text)) for spelled, text in rows],
+            [(f"`{_cell(spelled)}`", _prose(text)) for spelled, text in option_rows],
         )
     if isinstance(command, click.Group):
         for name in command.list_commands(context):
-            below = command.get_command(context, name)
-            if below is not None:
-                inner = click.Context(below, context, name)
-                yield from _command(below, inner, level + 1)
+            subcommand = command.get_command(context, name)
+            if subcommand is not None:
+                inner = click.Context(subcommand, context, name)
+                yield from _command(subcommand, inner, level + 1)
 
 
 def codes_markdown() -> str:
     """Return the list of all codes, by family, as Markdown."""
     rules = builtin_rules()
-    parts = [
+    paragraphs = [
         "# Codes",
         "Each fault, warning and note has a code; `animtool explain CODE` prints it.",
     ]
@@ -73,29 +81,33 @@ def codes_markdown() -> str:
         return code.rstrip("0123456789")
 
     for name, codes in groupby(sorted(rules), family):
-        parts.append(f"## {name}")
-        parts += _table(
+        paragraphs.append(f"## {name}")
+        paragraphs += _table(
             ("code", "severity", "what it says"),
             [
-                (f"[{one}](../rules/{one}.md)", rules[one].severity, rules[one].title)
-                for one in codes
+                (
+                    f"[{other}](../rules/{other}.md)",
+                    rules[other].severity,
+                    rules[other].title,
+                )
+                for other in codes
             ],
         )
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(paragraphs) + "\n"
 
 
 def _cell(text: str) -> str:
-    """Return code for a table cell."""
+    """Return text as code for a table cell."""
     return text.replace("|", "\\|")
 
 
 def _prose(text: str) -> str:
     """Escape Markdown in a help text."""
-    joined = " ".join(text.replace("\b", "").split())
-    return re.sub(r"([<>*_|\[\]])", r"\\\1", joined)
+    single_line = " ".join(text.replace("\b", "").split())
+    return re.sub(r"([<>*_|\[\]])", r"\\\1", single_line)
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     """Return a table, as one paragraph."""
-    lines = [head, ("---",) * len(head), *rows]
-    return ["\n".join(f"| {' | '.join(line)} |" for line in lines)]
+    table_rows = [head, ("---",) * len(head), *rows]
+    return ["\n".join(f"| {' | '.join(line)} |" for line in table_rows)]

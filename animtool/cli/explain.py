@@ -115,16 +115,20 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
     rules = []
     listing = not codes
     for code in codes:
-        # RIG2 stands for all codes that start with it.
+        # RIG2 stands for all codes with that prefix.
         prefix = code.upper()
-        known = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
-        among = [known[name] for name in sorted(known) if name.startswith(prefix)]
-        listing = listing or len(among) > 1
-        rules += among or [find_rule(code)]
+        rules_by_code = all_rules()[0] if _PREFIX.fullmatch(prefix) else {}
+        matching = [
+            rules_by_code[name]
+            for name in sorted(rules_by_code)
+            if name.startswith(prefix)
+        ]
+        listing = listing or len(matching) > 1
+        rules += matching or [find_rule(code)]
     if not codes:
-        known, broken = all_rules()
-        console.faults(broken)
-        rules = [known[code] for code in sorted(known)]
+        rules_by_code, failed_rules = all_rules()
+        console.faults(failed_rules)
+        rules = [rules_by_code[code] for code in sorted(rules_by_code)]
     if not listing and report_format != "json":
         for rule in rules:
             console.document(RulePage(rule).page or escaped_lines(_bare_page(rule)))
@@ -135,13 +139,13 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
 def _bare_page(rule: Rule) -> str:
     """Return a generated page for a code without one."""
-    where = "Readers and commands report it."
+    origin = "Readers and commands report it."
     if rule.kinds:
         upper = {"bvh", "usd"}
         kinds = [k.upper() if k in upper else str(k) for k in sorted(rule.kinds)]
-        where = f"animtool validate looks for it in {' and '.join(kinds)} files."
+        origin = f"animtool validate looks for it in {' and '.join(kinds)} files."
     article = "An" if rule.severity == "error" else "A"
     return (
         f"# {rule.code}: {rule.title}\n\n## What\n\n"
-        f"{article} {rule.severity}. {where}\n"
+        f"{article} {rule.severity}. {origin}\n"
     )

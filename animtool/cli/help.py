@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-# Of options that several commands share, and of those of one; headings in this order.
+# Headings of the help, in this order, with their options.
 _GROUPS: dict[str, str] = {
     "Source": (
         "take take-a take-b source-prim source-prim-a source-prim-b units "
@@ -49,20 +49,20 @@ _GROUPS: dict[str, str] = {
     ),
 }
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
-# Groups of options that differ in one command.
-_ELSEWHERE = {
+# Options with another heading in one command.
+_GROUPS_BY_COMMAND = {
     "diff": {"tolerance": "Checks", "angle-tolerance": "Checks"},
     "ik": {"pose": "Time"},
     "preview": {"camera": "Picture", "range": "Picture"},
     "retarget": {"rig": "Solve"},
     "job": {"chunk": "Run"},
 }
-_PRIM = {"--prim-path": "--source-prim"}
-# Options of the version before, by command, and their names now (CLI106).
+_RENAMED_PRIM = {"--prim-path": "--source-prim"}
+# Renamed options of the previous version by command, with their new names (CLI106).
 OLD_OPTIONS = {
-    "convert": _PRIM,
+    "convert": _RENAMED_PRIM,
     "diff": {
-        **_PRIM,
+        **_RENAMED_PRIM,
         "--prim-path-a": "--source-prim-a",
         "--prim-path-b": "--source-prim-b",
         "--tol": "--tolerance",
@@ -70,8 +70,8 @@ OLD_OPTIONS = {
         "--tol-weight": "--weight-tolerance",
     },
     "ik": {"--tol": "--missed", "--tol-degrees": "--missed-degrees"},
-    "info": _PRIM,
-    "preview": {**_PRIM, "--frames": "--range"},
+    "info": _RENAMED_PRIM,
+    "preview": {**_RENAMED_PRIM, "--frames": "--range"},
 }
 # The most common options of each command.
 _COMMON = {
@@ -106,17 +106,17 @@ class Command(click.Command):
         return [*self.params, *_help_options()]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse arguments; options of the version before are noted (CLI106)."""
-        args, renamed = _with_new_names(args, OLD_OPTIONS.get(self.name or "", {}))
-        rest = super().parse_args(ctx, args)
-        if renamed and ctx.obj is not None:
+        """Parse arguments; warn about options of the previous version (CLI106)."""
+        args, old_options = _with_new_names(args, OLD_OPTIONS.get(self.name or "", {}))
+        remaining = super().parse_args(ctx, args)
+        if old_options and ctx.obj is not None:
             from animtool.core.errors import Fault, Severity
 
             ctx.obj.faults(
                 Fault("CLI106", f"{old} is now {new}", severity=Severity.NOTE)
-                for old, new in renamed.items()
+                for old, new in old_options.items()
             )
-        return rest
+        return remaining
 
     def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
         """Return the usage, arguments before options."""
@@ -138,24 +138,38 @@ class Command(click.Command):
         """Return the help of ``-h``: usage, common options, examples."""
         formatter = ctx.make_formatter()
         self.format_usage(ctx, formatter)
-        about = (self.help or "").strip().split("\n\n")[0]
+        first_paragraph = (self.help or "").strip().split("\n\n")[0]
         formatter.write_paragraph()
         with formatter.indentation():
-            formatter.write_text(" ".join(about.split()))
+            formatter.write_text(" ".join(first_paragraph.split()))
         common = common_options(self.name or "")
         records = {_word(option): record for option, record in self._records(ctx)}
-        shown = common or [word for word in records if _GROUP_OF[word] != "Report"]
-        firsts = [(records[w][0], _first(records[w][1])) for w in shown if w in records]
-        if firsts:
-            _section(formatter, "Options", firsts)
-        lines = formatter.getvalue().rstrip().splitlines()
-        last = f"{ctx.command_path} --help shows all {len(records)} options."
+        shown_options = common or [
+            word for word in records if _GROUP_OF[word] != "Report"
+        ]
+        first_sentences = [
+            (records[w][0], _first(records[w][1]))
+            for w in shown_options
+            if w in records
+        ]
+        if first_sentences:
+            _section(formatter, "Options", first_sentences)
+        help_lines = formatter.getvalue().rstrip().splitlines()
+        last_line = f"{ctx.command_path} --help shows all {len(records)} options."
         examples = (self.epilog or "").replace("\b", "").strip().splitlines()
-        room = _MAX_SHORT - len(lines) - 3
-        kept = examples[: max(room, 2)] if examples else []
-        while kept and kept[-1].rstrip().endswith("\\"):
-            kept.pop()
-        return "\n".join([*lines, "", *kept, *([""] if kept else []), last])
+        free_lines = _MAX_SHORT - len(help_lines) - 3
+        shown_examples = examples[: max(free_lines, 2)] if examples else []
+        while shown_examples and shown_examples[-1].rstrip().endswith("\\"):
+            shown_examples.pop()
+        return "\n".join(
+            [
+                *help_lines,
+                "",
+                *shown_examples,
+                *([""] if shown_examples else []),
+                last_line,
+            ]
+        )
 
     def _records(
         self, ctx: click.Context
@@ -170,19 +184,19 @@ class Command(click.Command):
 def _with_new_names(
     args: list[str], names: dict[str, str]
 ) -> tuple[list[str], dict[str, str]]:
-    """Return arguments with new names of options, and those that were renamed.
+    """Return arguments with renamed options replaced, and the replaced options.
 
     >>> _with_new_names(["--tol=1", "--", "--tol"], {"--tol": "--missed"})
     (['--missed=1', '--', '--tol'], {'--tol': '--missed'})
     """
-    end = args.index("--") if "--" in args else len(args)
-    renamed, words = {}, []
-    for word in args[:end]:
+    end_of_options = args.index("--") if "--" in args else len(args)
+    new_and_renamed, words = {}, []
+    for word in args[:end_of_options]:
         option, equals, value = word.partition("=")
         if option in names:
-            renamed[option] = names[option]
+            new_and_renamed[option] = names[option]
         words.append(f"{names.get(option, option)}{equals}{value}")
-    return [*words, *args[end:]], renamed
+    return [*words, *args[end_of_options:]], new_and_renamed
 
 
 def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:
@@ -194,15 +208,21 @@ def write_sections(
     formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
 ) -> None:
     """Write commands by group, texts aligned."""
-    width = max(len(name) for rows in sections.values() for name, _ in rows)
-    for title, rows in sections.items():
-        _section(formatter, title, [(name.ljust(width), text) for name, text in rows])
+    name_width = max(
+        len(name) for section_rows in sections.values() for name, _ in section_rows
+    )
+    for title, section_rows in sections.items():
+        _section(
+            formatter,
+            title,
+            [(name.ljust(name_width), text) for name, text in section_rows],
+        )
 
 
 def group_of(command: str, option: click.Option) -> str:
     """Return the heading of an option; KeyError if it has none."""
     word = _word(option)
-    return _ELSEWHERE.get(command, {}).get(word) or _GROUP_OF[word]
+    return _GROUPS_BY_COMMAND.get(command, {}).get(word) or _GROUP_OF[word]
 
 
 def common_options(command: str) -> list[str]:
@@ -224,21 +244,21 @@ def _section(
     formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
 ) -> None:
     # Click strips colors without a terminal.
-    plain = bool(os.environ.get("NO_COLOR"))
-    with formatter.section(title if plain else click.style(title, bold=True)):
+    has_no_color = bool(os.environ.get("NO_COLOR"))
+    with formatter.section(title if has_no_color else click.style(title, bold=True)):
         formatter.write_dl(records)
 
 
 def _help_options() -> list[click.Parameter]:
     """Return ``-h`` and ``--help``."""
 
-    def full_help(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
-        if asked and not ctx.resilient_parsing:
+    def full_help(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
+        if is_requested and not ctx.resilient_parsing:
             click.echo(ctx.get_help(), color=ctx.color)
             ctx.exit()
 
-    def short(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
-        if asked and not ctx.resilient_parsing:
+    def short(ctx: click.Context, _: click.Parameter, is_requested: bool) -> None:
+        if is_requested and not ctx.resilient_parsing:
             command = ctx.command
             text = command.short_help_of(ctx) if isinstance(command, Command) else ""
             click.echo(text or ctx.get_help(), color=ctx.color)

@@ -43,8 +43,8 @@ from animtool.core.names import is_named
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
 
 FIRST = "first"
-# Options of the command that a match heeds, beside those of its source.
-_HEEDED = frozenset(
+# Options of `--match`, in addition to those of its source.
+_MATCH_OPTIONS = frozenset(
     {
         *("rig", "start", "match", "chains", "pose", "output", "reduce"),
         *("overwrite", "skip_existing", "strict", "report_format", "units", "up"),
@@ -257,17 +257,17 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
 
 def _check_match(params: dict[str, Any]) -> None:
     """Refuse missing and ignored options of `--match`."""
-    for name, what in (("start", "--clip"), ("output", "-o")):
+    for name, missing_option in (("start", "--clip"), ("output", "-o")):
         if params[name] is None:
-            raise click.UsageError(f"--match needs {what}.")
+            raise click.UsageError(f"--match needs {missing_option}.")
     if str(params["output"]) == "-":
         raise click.UsageError("--match writes a targets file, not to stdout.")
     context = click.get_current_context()
-    default = click.core.ParameterSource.DEFAULT
+    default_source = click.core.ParameterSource.DEFAULT
     for option in context.command.params:
         name = option.name or ""
-        idle = name in params and name not in _HEEDED
-        if idle and context.get_parameter_source(name) is not default:
+        ignored = name in params and name not in _MATCH_OPTIONS
+        if ignored and context.get_parameter_source(name) is not default_source:
             raise click.UsageError(f"{option.opts[-1]} has no effect with --match.")
 
 
@@ -281,16 +281,16 @@ def _check(params: dict[str, Any]) -> None:
 
 def _source(params: dict[str, Any]) -> Any:
     """Return the options of the start take."""
-    named = ("prim_path", "take", "positions")
+    source_keys = ("prim_path", "take", "positions")
     extra = {"shot": params["shot"], "placement": params["placement"]}
-    return source_options_record(params, *named, **extra)
+    return source_options_record(params, *source_keys, **extra)
 
 
 def _table(console: Console, params: dict[str, Any]) -> None:
     from animtool.scene.tables.tradeoffs import ik_tradeoffs
 
-    named = (params["rig"], params["targets"], params["start"])
-    inputs = [path for path in named if path is not None]
+    table_inputs = (params["rig"], params["targets"], params["start"])
+    inputs = [path for path in table_inputs if path is not None]
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
         report = ik_tradeoffs(_job(params), progress=progress)

@@ -24,8 +24,8 @@ def _size(miss: Misses, name: str) -> str:
 
 
 def _limits(counts: dict[str, int]) -> list[str]:
-    most = sorted(counts.items(), key=lambda item: -item[1])
-    return [f"{name} ({counted(count, 'frame')})" for name, count in most]
+    most_frequent = sorted(counts.items(), key=lambda item: -item[1])
+    return [f"{name} ({counted(count, 'frame')})" for name, count in most_frequent]
 
 
 SOLVED = Template(

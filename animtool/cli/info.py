@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from animtool.usd.caches.info import PointPrim
 
 
-# Prims of a set to list one by one.
+# Number of prims of a set that are listed one by one.
 MAX_PRIMS = 20
-_WORDS = {"BasisCurves": "curves", "PointInstancer": "copies"}
+_TYPE_LABELS = {"BasisCurves": "curves", "PointInstancer": "copies"}
 _PRIM = (
     "  [{type:kind}|over     ] {path}: {points:range point}[, {self:pieces}]"
     "[, {samples:n sample}, time codes {first:frame} to {last:frame}|, never move]"
@@ -52,8 +52,8 @@ _GLTF = (
     "[, {contents.animations:n clip}]]",
     "[  holds     {contents.characters:list 20}; --prim-path reads another]",
 )
-# The lines of what `animtool info` describes, by the name of the record.
-_LINES: Mapping[str, tuple[Line, ...]] = {
+# Lines of `animtool info` by record name.
+_LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
     "TargetsDescription": (
         "{path}: targets, [{goals:n goal}|0 goals]",
         "  frames    {first:frame} to {last:frame}[ at {fps}]",
@@ -191,8 +191,10 @@ def _has(prim: PointPrim) -> str:
 
 def _extreme(extreme: Extreme, unit: str) -> str:
     """Return a value with its character and frame."""
-    parts = extreme.character.strip("/").split("/")
-    name = next((part for part in parts if part.startswith("agent")), parts[0])
+    path_parts = extreme.character.strip("/").split("/")
+    name = next(
+        (part for part in path_parts if part.startswith("agent")), path_parts[0]
+    )
     return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
@@ -215,7 +217,7 @@ PRINTERS: dict[str, Callable[..., str]] = {
     "range": _range,
     "pieces": _pieces,
     "has": _has,
-    "kind": lambda kind: f"{_WORDS.get(kind, kind.lower()):<9}",
+    "kind": lambda kind: f"{_TYPE_LABELS.get(kind, kind.lower()):<9}",
     "types": lambda types, most: listed(
         [f"{count} {name or 'over'}" for name, count in types.items()], int(most)
     ),
@@ -233,9 +235,9 @@ PRINTERS: dict[str, Callable[..., str]] = {
 }
 
 
-# How what `animtool info` describes is printed, by the name of the record.
+# Templates of `animtool info` by record name.
 TEMPLATES = {
-    name: Template(f"animtool.{module}:{name}", _LINES[name], PRINTERS)
+    name: Template(f"animtool.{module}:{name}", _LINES_BY_RECORD[name], PRINTERS)
     for name, module in (
         ("TargetsDescription", "report.describe_rig"),
         ("RigDescription", "report.describe_rig"),
@@ -283,31 +285,31 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     """
     from animtool.core.errors import AnimtoolError
 
-    described: list[Any] = []
+    descriptions: list[Any] = []
     errors: list[AnimtoolError] = []
-    used: set[str] = set()
+    used_variables: set[str] = set()
     for path in files:
         try:
-            described.append(_described(path, params, used))
+            descriptions.append(_described(path, params, used_variables))
         except AnimtoolError as error:
             if console.debug:
                 raise
             errors.append(error)
     if params["report_format"] == "json":
-        console.result_json(InfoReport(described))
+        console.result_json(InfoReport(descriptions))
     else:
-        for description in described:
+        for description in descriptions:
             console.result(*TEMPLATES[type(description).__name__].text(description))
             console.faults(description.notices)
     for one in errors:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)
     if params["variables"] and not code:
-        check_unused(dict(params["variables"]), used)
+        check_unused(dict(params["variables"]), used_variables)
     click.get_current_context().exit(code)
 
 
-def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
+def _described(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
     """Describe a file."""
     from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file
@@ -319,7 +321,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
 
         return describe_markers(path, read_marker_file(path, params))
     if is_named(path, "scene"):
-        return _scene(path, params, used)
+        return _scene(path, params, used_variables)
     if is_named(path, "rig") or is_rig_only(path):
         return _rig(path)
     if is_named(path, "targets"):
@@ -356,19 +358,19 @@ def _stage(path: Path, params: dict[str, Any]) -> Any:
     if params["prim_path"] is None and params["take"] is None:
         from animtool.usd.caches.info import describe_points
 
-        points = describe_points(path)
-        if points is not None:
-            return points
+        points_description = describe_points(path)
+        if points_description is not None:
+            return points_description
     options = SourceOptions(prim_path=params["prim_path"], take=params["take"])
     return describe(path, options)
 
 
-def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:
+def _scene(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
     from animtool.report.describe_scene import describe_scene
     from animtool.scene.file.read import load_scene
 
     scene = load_scene(path, dict(params["variables"]))
-    used |= scene.variables
+    used_variables |= scene.variables
     return describe_scene(scene)
 
 

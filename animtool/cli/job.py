@@ -101,9 +101,13 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     check_output_files(resolved_batch)
     costs = params["costs"]
     seconds = None if costs is None else mean_seconds(costs)
-    count = len(resolved_batch.items)
-    chunk = params["chunk"] or chunk_size(count, seconds, params["task_seconds"])
+    item_count = len(resolved_batch.items)
+    chunk_items = params["chunk"] or chunk_size(
+        item_count, seconds, params["task_seconds"]
+    )
     cuts = Cuts(params["cuts"], tuple(cut_words(params)))
-    bundle = batch_bundle(resolved_batch, batch_file, min(chunk, count), cuts)
+    bundle = batch_bundle(
+        resolved_batch, batch_file, min(chunk_items, item_count), cuts
+    )
     written = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
     console.report(params["report_format"], written, WRITTEN)

@@ -59,8 +59,10 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     ):
         return
     values = read_values(LoopOptions, params)
-    for end in ("first", "last"):
-        values[end] = None if values[end] is None else float(values[end])
+    for option_name in ("first", "last"):
+        values[option_name] = (
+            None if values[option_name] is None else float(values[option_name])
+        )
     find = values["first"] is None or values["last"] is None
     with atomic_command(), console.progress(f"loop {source.name}") as progress:
         result = loop_source(

@@ -39,8 +39,8 @@ from animtool.core.process.supervisor import (
 )
 from animtool.core.quantities import escaped
 
-# Messages of loaders and libraries without memory.
-_SAID = (
+# Messages of loaders and libraries when memory is exhausted.
+_MEMORY_MESSAGES = (
     "failed to map segment",
     "Cannot allocate memory",
     "can't start new thread",
@@ -67,7 +67,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
             return True
         if isinstance(error, ImportError | RuntimeError | OSError):
             text = str(error)
-            if any(words in text for words in _SAID):
+            if any(words in text for words in _MEMORY_MESSAGES):
                 return True
         error = error.__cause__ or error.__context__
     return False
@@ -75,33 +75,35 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 def memory_fault(error: BaseException) -> Fault:
     """Return the fault of an out-of-memory error: its size and the failed step."""
-    needed = str(error).strip().rstrip(".")
-    message = f"out of memory: {needed}" if needed else "out of memory"
-    where = _step(error)
-    if where:
-        message += f", needed in {where}"
+    size_text = str(error).strip().rstrip(".")
+    message = f"out of memory: {size_text}" if size_text else "out of memory"
+    step = _step(error)
+    if step:
+        message += f", needed in {step}"
     return Fault("IO013", message, hint=MEMORY_HINT)
 
 
 def _step(error: BaseException) -> str:
     """Return module and name of the innermost animtool function."""
-    step, trace = "", error.__traceback__
+    innermost, trace = "", error.__traceback__
     while trace is not None:
         code = trace.tb_frame.f_code
-        # Folders of a checkout and of an installation end alike.
+        # Paths of a checkout and of an installation have the same ending.
         path = code.co_filename.replace("\\", "/")
-        before, _, inside = path.rpartition("/animtool/")
-        if before and inside.endswith(".py"):
-            step = f"{inside.removesuffix('.py').replace('/', '.')} ({code.co_name})"
+        prefix, _, module_path = path.rpartition("/animtool/")
+        if prefix and module_path.endswith(".py"):
+            innermost = (
+                f"{module_path.removesuffix('.py').replace('/', '.')} ({code.co_name})"
+            )
         trace = trace.tb_next
-    return step
+    return innermost
 
 
 def limited_bytes() -> int | None:
     """Return the memory limit of this process [byte]; None for no limit."""
     try:
         import resource
-    except ImportError:  # Windows has none
+    except ImportError:  # not on Windows
         return None
     soft_limits = [
         resource.getrlimit(kind)[0]
@@ -184,7 +186,7 @@ SECTIONS = {
     "Many": ("batch", "job"),
     "Setup": ("docs", "plugins", "completion"),
 }
-# Names in other tools of our commands.
+# Names of these commands in other tools.
 OTHER_NAMES = {
     "view": "preview",
     "render": "preview",
@@ -208,9 +210,9 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     from importlib.metadata import version
     from platform import python_version
 
-    parts = [f"{name} {version(name)}" for name in ("usd-core", "numpy")]
-    parts.append(f"Python {python_version()}")
-    click.echo(f"animtool {version('animtool')} ({', '.join(parts)})")
+    version_texts = [f"{name} {version(name)}" for name in ("usd-core", "numpy")]
+    version_texts.append(f"Python {python_version()}")
+    click.echo(f"animtool {version('animtool')} ({', '.join(version_texts)})")
     ctx.exit()
 
 
@@ -241,16 +243,16 @@ def cli() -> None:
     """
 
 
-# A child process runs commands, in case USD crashes; these read no USD.
+# Commands run in a child process in case USD crashes; these read no USD.
 WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
 SUPERVISED = COMMANDS.keys() - WITHOUT_USD
-HELP = {"-h", "--help"}
+HELP_FLAGS = {"-h", "--help"}
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code."""
     argv = list(sys.argv[1:] if arguments is None else arguments)
-    if SUPERVISED.isdisjoint(argv[:1]) or HELP & {*argv} or not can_supervise():
+    if SUPERVISED.isdisjoint(argv[:1]) or HELP_FLAGS & {*argv} or not can_supervise():
         obey_signals()
         leave(run(argv))
 
@@ -306,12 +308,12 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
             raise
-        # Click wraps both and exits with 1 if stdout is closed.
+        # Click converts both, and exits with 1 if stdout is closed.
         sys.stdout, sys.stderr = streams
         code = _report(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
         if ending():
-            # What the signal raised was swallowed, or became an error of another kind.
+            # The exception of the signal was swallowed, or replaced by another error.
             interrupt()
         if console.debug:
             raise
@@ -347,8 +349,8 @@ def _report(console: Console, error: BaseException) -> int:
             )
             code = int(ExitCode.INTERNAL)
         case BrokenPipeError():
-            # Whoever read stdout has gone, which is no fault; nor may Python's own
-            # flush at exit complain.
+            # The reader of stdout is gone, which is no error; Python's flush at exit
+            # must not report it either.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             code = int(ExitCode.OK)
         case _ if is_out_of_memory(error):
@@ -379,11 +381,13 @@ def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
 def _logs_json(arguments: Sequence[str]) -> bool:
     """Return whether stderr is JSON.
 
-    Read here and not by the commands, so that usage errors are JSON too.
+    Determined here and not by the commands, so that usage errors are JSON too.
     """
-    asked = " ".join(arguments).replace("=", " ")
+    joined = " ".join(arguments).replace("=", " ")
     is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
-    return "--log-format json" in asked or (is_default and "--log-format" not in asked)
+    return "--log-format json" in joined or (
+        is_default and "--log-format" not in joined
+    )
 
 
 def _usage(console: Console, error: click.ClickException) -> None:
@@ -394,7 +398,7 @@ def _usage(console: Console, error: click.ClickException) -> None:
     if console.json_log:
         console.error(text)
         return
-    # All others repeat the command line.
+    # All other errors repeat the command line.
     if not isinstance(error, click.MissingParameter):
         text = escaped(text)
     click.UsageError(text, getattr(error, "ctx", None)).show(file=sys.stderr)

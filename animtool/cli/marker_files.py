@@ -52,7 +52,7 @@ class WrittenMarkers:
     command: str
     output: Path
     markers: Markers
-    report: object  # what was done to them
+    report: object  # report of the operation
     notices: list[Fault]
     json_keys: ClassVar[str] = "*head output *report notices"
 
@@ -94,8 +94,7 @@ def run_on_markers(
 ) -> None:
     """Read marker files, process them, write the result and report.
 
-    work: From the markers of the sources to markers and a report, which has notices.
-    template: Further lines of the report.
+    work: Maps the markers of the sources to markers and a report with notices.
     """
     from animtool.cli.outputs import skipped
     from animtool.core.errors import refuse_warnings
@@ -109,9 +108,9 @@ def run_on_markers(
     files = [file_of(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
     with atomic_command(), console.progress(f"{command} {sources[0].name}"):
-        read = [read_marker_file(path, params) for path in sources]
-        markers, report = work(*read)
-        notices = [n for one in (*read, report) for n in one.notices]
+        marker_sets = [read_marker_file(path, params) for path in sources]
+        markers, report = work(*marker_sets)
+        notices = [n for reported in (*marker_sets, report) for n in reported.notices]
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(markers, output, overwrite=params["overwrite"])
     console.faults(notices)

@@ -109,8 +109,8 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
 def _ends(status: Sequence[object]) -> list[str]:
     """Return frame counts by status; empty if all are solved."""
     counts = Counter(map(str, status))
-    ends = [f"{count} {name}" for name, count in sorted(counts.items())]
-    return [] if set(counts) == {"solved"} else ends
+    status_texts = [f"{count} {name}" for name, count in sorted(counts.items())]
+    return [] if set(counts) == {"solved"} else status_texts
 
 
 def _template(result: FaceResult) -> Template:

@@ -133,23 +133,25 @@ def _bones(calibration: Calibration) -> str:
 
 def _worst(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers with the largest residuals."""
-    worst = sorted(markers, key=lambda each: -each.rms if each.seen else 1.0)
-    return [f"{each.name} {length_text(each.rms)}" for each in worst[:3]]
+    worst_markers = sorted(
+        markers, key=lambda marker: -marker.rms if marker.seen else 1.0
+    )
+    return [f"{marker.name} {length_text(marker.rms)}" for marker in worst_markers[:3]]
 
 
 def _strays(markers: Sequence[MarkerScore]) -> list[str]:
     """Return the markers rejected in some frames."""
-    strays = [each for each in markers if each.outliers > 0.01]
-    strays.sort(key=lambda each: -each.outliers)
-    return [f"{each.name} ({percent(each.outliers)})" for each in strays]
+    strays = [marker for marker in markers if marker.outliers > 0.01]
+    strays.sort(key=lambda marker: -marker.outliers)
+    return [f"{marker.name} ({percent(marker.outliers)})" for marker in strays]
 
 
 def _exchanged(solve: MarkerSolve) -> list[str]:
     frames = solve.markers.clock.times
     return [
-        f"{each.marker} is {each.label} in {frames[each.first]:g} to "
-        f"{frames[each.last]:g}"
-        for each in solve.score.exchanged
+        f"{exchange.marker} is {exchange.label} in {frames[exchange.first]:g} to "
+        f"{frames[exchange.last]:g}"
+        for exchange in solve.score.exchanged
     ]
 
 

@@ -91,21 +91,28 @@ def triangulate(
     check_outputs([output], inputs, overwrite=params["overwrite"])
     options = TriangulateOptions(**read_values(TriangulateOptions, params))
     unit = LengthUnit(params["units"]) if params["units"] else None
-    up = UpAxis(params["up"].upper()) if params["up"] else None
-    cameras = load_all_cameras(calibrations, unit=unit, up=up)
+    up_axis = UpAxis(params["up"].upper()) if params["up"] else None
+    cameras = load_all_cameras(calibrations, unit=unit, up=up_axis)
     name = observations.name
     with atomic_command(), console.progress(f"triangulate {name}") as progress:
         if observations.is_dir():
-            observed = read_keypoints(
+            observations_read = read_keypoints(
                 observations, cameras, fps=params["source_fps"], people=params["people"]
             )
         else:
-            observed = read_observations(observations, fps=params["source_fps"])
-        result = solve(observed, cameras, options, progress=progress)
+            observations_read = read_observations(
+                observations, fps=params["source_fps"]
+            )
+        result = solve(observations_read, cameras, options, progress=progress)
         refuse_warnings(result.notices, strict=params["strict"])
-        lost = write_markers(result.markers, output, overwrite=params["overwrite"])
+        written_notices = write_markers(
+            result.markers, output, overwrite=params["overwrite"]
+        )
     result = replace(
-        result, source=observations, output=output, notices=(*result.notices, *lost)
+        result,
+        source=observations,
+        output=output,
+        notices=(*result.notices, *written_notices),
     )
     console.faults(result.notices)
     console.report(params["report_format"], result, _TEMPLATE)
@@ -115,13 +122,14 @@ def _remarks(report: CameraReport) -> str:
     """Return remarks on a camera: movement and disagreement."""
     from animtool.core.shot import frame_spans
 
-    said = [
-        f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.shifts
+    remarks = [
+        f"{'off' if shift.kept else 'out'} {shift.first + 1}-{shift.end}"
+        for shift in report.shifts
     ]
     if report.disagrees:
-        frames = [each.number for each in report.disagrees]
-        said.append(f"disagrees {frame_spans(frames)}")
-    return ", ".join(said)
+        frames = [disagreement.number for disagreement in report.disagrees]
+        remarks.append(f"disagrees {frame_spans(frames)}")
+    return ", ".join(remarks)
 
 
 _TEMPLATE = Template(

@@ -95,7 +95,7 @@ def names_of(text: str | None) -> tuple[str, ...]:
 
 
 class Count(click.IntRange):
-    """A click type: a whole number from a least one up."""
+    """A click type: a whole number from a minimum up."""
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -104,9 +104,9 @@ class Count(click.IntRange):
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter:
-            end = f" to {self.max}" if self.max is not None else " up"
-            words = f"{value!r} is not a whole number from {self.min}{end}."
-            self.fail(words, param, ctx)
+            range_end = f" to {self.max}" if self.max is not None else " up"
+            rule = f"{value!r} is not a whole number from {self.min}{range_end}."
+            self.fail(rule, param, ctx)
 
 
 def _integer(text: str) -> int:
@@ -142,8 +142,8 @@ def _codes(text: str) -> tuple[str, ...]:
 def _severity(text: str) -> tuple[str, Severity]:
     code, equals, name = text.partition("=")
     if not equals or not code or name not in list(Severity):
-        allowed = ", ".join(Severity)
-        raise ValueError(f"{text!r} is not CODE=SEVERITY; severities are {allowed}")
+        levels = ", ".join(Severity)
+        raise ValueError(f"{text!r} is not CODE=SEVERITY; severities are {levels}")
     return code.upper(), Severity(name)
 
 
@@ -154,7 +154,6 @@ def _processes(text: str) -> int:
 
 
 # Unreadable files are reported by their reader.
-# Existence is checked later, with a coded fault.
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
@@ -176,18 +175,18 @@ def _set(name: str, value: Any) -> Callable[..., None]:
     return apply
 
 
-def stacked(*added: Callable[[Any], Any]) -> Callable[[Command], Command]:
+def stacked(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
     """Return a decorator that adds several options in order."""
 
     def add(command: Command) -> Command:
-        for option in reversed(added):
+        for option in reversed(decorators):
             command = option(command)
         return command
 
     return add
 
 
-# Of every command: how much to say, and how.
+# Options of every command: verbosity and format of messages.
 common_options = stacked(
     click.option(
         "-q",
@@ -236,7 +235,7 @@ def _of_scene(name: str) -> Callable[[str], Any]:
     return parse
 
 
-# How the command line takes a value, by its kind: its type, and what help calls it.
+# Click type and help metavar of each kind of option.
 _TYPES: dict[str, tuple[Any, str | None]] = {
     "text": (str, None),
     "file": (INPUT, "FILE"),
@@ -261,8 +260,8 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "severities": (Parsed("severity", _severity), "CODE=SEVERITY"),
     "processes": (Parsed("processes", _processes), "N"),
 }
-# Kinds that can be given several times.
-_MULTIPLE = {"lengths", "codes", "severities", "texts"}
+# Kinds whose options can be repeated.
+_REPEATABLE = {"lengths", "codes", "severities", "texts"}
 
 
 class _OneOf(click.ParamType[Any]):
@@ -298,26 +297,26 @@ def declared(
 
     Args:
         option: The option.
-        name: Name of its field.
-        default: Default of its field.
+        name: Field name of the option.
+        default: Default of the field.
         called: Name in the command, if it differs from the field's.
         about: Help text, if it differs from the record's.
     """
-    word, shown = option.flag or name.replace("_", "-"), option.metavar
+    word, flag_and_metavar = option.flag or name.replace("_", "-"), option.metavar
     flag, text = f"--{word}", worded(about or option.help, as_flag)
     param = called or name
     if option.kind == "answer":
         return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
-        chosen = click.Choice(option.choices)
-        initial = option.choices[0] if option.kind == "switch" else default
-        shows = option.kind != "switch" and default is not None
+        click_type = click.Choice(option.choices)
+        click_default = option.choices[0] if option.kind == "switch" else default
+        shows_default = option.kind != "switch" and default is not None
         return click.option(
             flag,
             param,
-            type=chosen,
-            default=initial,
-            show_default=shows,
+            type=click_type,
+            default=click_default,
+            show_default=shows_default,
             help=text,
         )
     if option.kind == "switch":
@@ -327,8 +326,8 @@ def declared(
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
-        kind, initial = _TYPES[option.kind]
-        shown = shown or initial
+        kind, click_default = _TYPES[option.kind]
+        flag_and_metavar = flag_and_metavar or click_default
     default = default if option.written is None else option.written
     if option.kind == "processes":
         default = None  # commands choose the number; scripts must set it
@@ -336,10 +335,10 @@ def declared(
         *filter(None, (option.short, flag)),
         param,
         type=kind,
-        metavar=shown,
+        metavar=flag_and_metavar,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in text,
-        multiple=option.kind in _MULTIPLE,
+        multiple=option.kind in _REPEATABLE,
         help=text,
     )
 
@@ -386,11 +385,11 @@ def read_value(option: Option, value: Any) -> Any:
         return None
     if option.kind == "switch" and option.choices:
         return value == option.choices[1]
-    read = _READ.get(option.kind)
-    return value if read is None else read(value)
+    converter = _CONVERTERS.get(option.kind)
+    return value if converter is None else converter(value)
 
 
-_READ: dict[str, Callable[[Any], Any]] = {
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": lambda axis: UpAxis(axis.upper()),
     "angle": math.radians,
@@ -414,7 +413,7 @@ def bake_option(*names: str, about: str | None = None) -> Callable[[Command], Co
 
 rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
-# Of commands that write no character elsewhere.
+# For commands that do not write a character elsewhere.
 stage_option = click.option(
     "--source-prim",
     "prim_path",
@@ -457,15 +456,15 @@ def source_options_record(
     params: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
     """Return `SourceOptions` from command parameters and values."""
-    read = {
+    record_values = {
         name: read_value(option, params[SOURCE_NAMES.get(name, name)])
         for name, option in options_of(SourceOptions).items()
         if name in {"unit", "up", "fps", *names}
     }
-    return SourceOptions(**read, **values)
+    return SourceOptions(**record_values, **values)
 
 
-# Of a timeline: where its cuts begin, and the time codes of its media.
+# For a timeline: where its cuts begin, and the time codes of its media.
 TIMECODE_OPTIONS = (
     click.option(
         "--cut-start",

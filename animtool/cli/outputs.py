@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from animtool.scene.tables.tradeoffs import Tradeoffs
 
 
-# Of every command that writes files; the last ones, with the console.
+# Options of every command that writes files; the last ones, with the console.
 writing_options = stacked(
     bake_option("overwrite"),
     click.option(
@@ -61,13 +61,20 @@ written_options = stacked(
 
 
 def written_options_record(
-    params: Mapping[str, Any], *more: str, **values: Any
+    params: Mapping[str, Any], *more_options: str, **values: Any
 ) -> BakeOptions:
     """Return `BakeOptions` of a command that writes a take.
 
     more: Additional options of this command.
     """
-    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite", *more)
+    names = (
+        "rig_layer",
+        "force_fit",
+        "prim_path",
+        "reduce",
+        "overwrite",
+        *more_options,
+    )
     form = "split" if params["split"] else None
     return BakeOptions(form=form, **{name: params[name] for name in names}, **values)
 
@@ -76,8 +83,8 @@ def written_options_record(
 def atomic_command() -> Iterator[None]:
     """Rename a command's outputs into place at its end, with signals deferred.
 
-    What is left is to tell what was written: a command that ends with 130 or 143 has
-    written nothing.
+    The command may only print after that: if it ends with 130 or 143, it has written
+    nothing.
     """
     with atomic_outputs():
         after_commit(outlast_signals)
@@ -159,8 +166,8 @@ def print_tradeoffs(
 
 
 def refuse_swapped(source: Path, output: Path, arguments: str) -> None:
-    """Refuse a source that is missing where the output exists."""
-    # The name of an array may follow that of its file: take.npz#markers.
+    """Refuse a missing source if the output exists."""
+    # The name of an array may follow the file name: take.npz#markers.
     file = Path(str(source).partition("#")[0])
     if output.is_file() and not source.exists() and not file.exists():
         text = f"{source} does not exist, but {output} does: did you swap {arguments}?"

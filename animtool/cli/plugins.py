@@ -35,9 +35,9 @@ class Plugins:
 
 
 def _lines(table: str, kind: str) -> Each:
-    """Return the lines of a plug-in table; kind: the label of loaded entries."""
-    head = f"{{name:<14}} [{kind}|broken     ]"
-    return Each(table, (head + " {about} ({source})",))
+    """Return the lines of a plug-in table; kind: label of loaded entries."""
+    first_column = f"{{name:<14}} [{kind}|broken     ]"
+    return Each(table, (first_column + " {about} ({source})",))
 
 
 PLUGINS = Template(
@@ -76,11 +76,11 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.core.writers import listed_writers
     from animtool.motion.passes import listed_passes
 
-    listed = Plugins(
+    entries = Plugins(
         listed_passes(),
         listed_readers(),
         listed_writers(),
         listed_executors(),
         listed_rules(),
     )
-    console.report(report_format, listed, PLUGINS)
+    console.report(report_format, entries, PLUGINS)

@@ -24,7 +24,15 @@ from animtool.cli.options import (
 from animtool.core.options import chosen_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
-_OF_SOURCES = ("rig", "take", "positions", "remap", "dropped", "template", "cameras")
+_SOURCE_OPTIONS = (
+    "rig",
+    "take",
+    "positions",
+    "remap",
+    "dropped",
+    "template",
+    "cameras",
+)
 
 
 @command(
@@ -53,7 +61,7 @@ Examples:
 @source_options
 @record_option(PreviewOptions, "prim_path", "over")
 @record_option(PictureOptions)
-@source_option(*_OF_SOURCES)
+@source_option(*_SOURCE_OPTIONS)
 @set_option
 @bake_option("overwrite", about="Replace a page or picture that exists.")
 @format_option
@@ -70,28 +78,28 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     from animtool.preview.pictures.kinds import picture_kind
 
     output, as_json = params["output"], params["report_format"] == "json"
-    shows = ShowOptions(**read_values(ShowOptions, params))
-    chosen = read_values(PreviewOptions, params)
+    opens_page = ShowOptions(**read_values(ShowOptions, params))
+    file_options = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
-    pictured = output is not None and picture_kind(output) is not None
-    if not pictured and (picture_flags := chosen_options(pictures)):
+    is_picture = output is not None and picture_kind(output) is not None
+    if not is_picture and (picture_flags := chosen_options(pictures)):
         words = (
             f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
         )
         raise click.UsageError(words)
-    if shows.watch and (output is not None or as_json or shows.plan):
+    if opens_page.watch and (output is not None or as_json or opens_page.plan):
         words = "--watch serves the page: remove -o, --plan and --format json."
         raise click.UsageError(words)
     options = PreviewOptions(
-        source=source_options_record(params, *_OF_SOURCES),
+        source=source_options_record(params, *_SOURCE_OPTIONS),
         variables=dict(params["variables"]),
-        **{name: value for name, value in chosen.items() if value is not None},
+        **{name: value for name, value in file_options.items() if value is not None},
     )
-    if shows.plan:
+    if opens_page.plan:
         preview_page.plan(console, files, output, options, as_json=as_json)
-    elif shows.watch:
-        preview_page.watch(console, files, options, shows)
-    elif output is not None and pictured:
+    elif opens_page.watch:
+        preview_page.watch(console, files, options, opens_page)
+    elif output is not None and is_picture:
         preview_picture.write(
             console,
             files,
@@ -107,7 +115,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             files,
             output,
             options,
-            shows,
+            opens_page,
             overwrite=params["overwrite"],
             as_json=as_json,
         )

@@ -36,7 +36,7 @@ def plan(
     console.report("json" if as_json else "text", PlanSteps(steps), PLAN)
 
 
-# What a page shows, how exactly, and what it does not show.
+# Content, accuracy and omissions of a page.
 PAGE = Template(
     "animtool.preview.build:PageReport",
     (
@@ -66,9 +66,9 @@ def write(
     as_json: bool,
 ) -> None:
     """Write a page, and open it if a browser is available."""
-    opens = shows.opened
-    if opens is None:
-        opens = output is None and has_browser()
+    opens_browser = shows.opened
+    if opens_browser is None:
+        opens_browser = output is None and has_browser()
     if output is not None:
         check_page_output(output, files, overwrite=overwrite)
     target = temporary_page() if output is None else output
@@ -76,10 +76,10 @@ def write(
         report = write_page(files, target, options, overwrite=overwrite)
     console.faults(report.page.notices)
     console.report("json" if as_json else "text", report, PAGE)
-    if opens and not open_browser(target.resolve().as_uri()):
+    if opens_browser and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
-        opens = False
-    if output is None and not opens and not as_json:
+        opens_browser = False
+    if output is None and not opens_browser and not as_json:
         console.result(str(target))
 
 
@@ -90,14 +90,14 @@ def watch(
     shows: ShowOptions,
 ) -> None:
     """Serve a page until the command is interrupted."""
-    opens = has_browser() if shows.opened is None else shows.opened
-    watched = WatchedPage(lambda: make_page(files, options))
-    watched.build()
-    assert watched.page is not None
-    console.faults(watched.page.notices)
-    with PageServer(watched) as server:
+    opens_browser = has_browser() if shows.opened is None else shows.opened
+    page_watcher = WatchedPage(lambda: make_page(files, options))
+    page_watcher.build()
+    assert page_watcher.page is not None
+    console.faults(page_watcher.page.notices)
+    with PageServer(page_watcher) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        if not opens or not open_browser(server.address):
+        if not opens_browser or not open_browser(server.address):
             console.result(server.address)
             sys.stdout.flush()
         console.say("watching; press Ctrl-C to stop")
@@ -107,9 +107,9 @@ def watch(
 
         def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
-            console.say(f"reloaded: page {watched.version}")
+            console.say(f"reloaded: page {page_watcher.version}")
 
         try:
-            follow(watched, failed, report_built, threading.Event().wait)
+            follow(page_watcher, failed, report_built, threading.Event().wait)
         finally:
             server.shutdown()

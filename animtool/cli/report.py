@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
     from animtool.scene.tables.tradeoffs import Tradeoffs
 
-_OF_OUTPUT = ("fps", "reduce", "frame_range")
-_OF_SOURCE = ("rig", "prim_path", "take", "positions", "template", "cameras")
+_OUTPUT_OPTIONS = ("fps", "reduce", "frame_range")
+_SOURCE_OPTIONS = ("rig", "prim_path", "take", "positions", "template", "cameras")
 
 
 @command(
@@ -66,10 +66,10 @@ Examples:
     metavar="FILE",
     help="Also write a page (.html): plots, tables, and two settings side by side.",
 )
-@record_option(BakeOptions, *_OF_OUTPUT)
+@record_option(BakeOptions, *_OUTPUT_OPTIONS)
 @set_option
 @source_options
-@source_option(*_OF_SOURCE)
+@source_option(*_SOURCE_OPTIONS)
 @bake_option("overwrite", about="Replace a page that exists.")
 @format_option
 @common_options
@@ -96,11 +96,11 @@ def report(
         from animtool.preview.tradeoff_page import write_tradeoff_page
 
         calling, overwrite = console.calling, params["overwrite"]
-        size = write_tradeoff_page(
+        written_size = write_tradeoff_page(
             tradeoffs, output, overwrite=overwrite, calling=calling
         )
         tables = counted(len(tradeoffs.tables), "table")
-        console.say(f"{output}: {tables}, {size / 1e3:.0f} kB")
+        console.say(f"{output}: {tables}, {written_size / 1e3:.0f} kB")
 
 
 def _measured(
@@ -125,8 +125,8 @@ def _measured(
     with console.progress(f"measure {name}") as progress:
         if opened is None:
             return suite_tradeoffs(budget=budget, progress=progress)
-        source_options = source_options_record(params, *_OF_SOURCE)
-        values = {name: params[name] for name in _OF_OUTPUT}
+        source_options = source_options_record(params, *_SOURCE_OPTIONS)
+        values = {name: params[name] for name in _OUTPUT_OPTIONS}
         options = BakeOptions(source=source_options, **read_values(BakeOptions, values))
         return measure_tradeoffs(
             opened,

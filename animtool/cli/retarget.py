@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from animtool.retarget.verdict import Verdict
 
 
-MAX_RUNS = 6
+MAX_LISTED_RUNS = 6
 # Rounding noise of lengths and angles [m, rad].
 NEGLIGIBLE = 1e-9
 
@@ -50,8 +50,8 @@ def _verdict(verdict: Verdict) -> str:
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
         if reason.frames:
-            runs = [f"{a}" if a == b else f"{a}-{b}" for a, b in reason.frames]
-            text = f"{listed(runs, MAX_RUNS)} ({text})"
+            frame_ranges = [f"{a}" if a == b else f"{a}-{b}" for a, b in reason.frames]
+            text = f"{listed(frame_ranges, MAX_LISTED_RUNS)} ({text})"
         reasons.append(text)
     if not reasons:
         return str(verdict.status)
@@ -66,9 +66,11 @@ def _angle(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
-def _stopped_joints(stopped: Mapping[str, float]) -> list[str]:
-    most = sorted(stopped.items(), key=lambda item: -item[1])
-    return [f"{name} ({percent(fraction)} of frames)" for name, fraction in most]
+def _stopped_joints(clamped: Mapping[str, float]) -> list[str]:
+    most_clamped = sorted(clamped.items(), key=lambda item: -item[1])
+    return [
+        f"{name} ({percent(fraction)} of frames)" for name, fraction in most_clamped
+    ]
 
 
 def _scored(value: float, printer: str) -> str:
@@ -113,7 +115,7 @@ _TEMPLATE = Template(
 )
 
 
-# Options of retargeting that those of writing do not have.
+# Options of retargeting that writing commands lack.
 RETARGET_OPTIONS = tuple(
     name for name in options_of(RetargetOptions) if name != "force_fit"
 )

@@ -34,7 +34,7 @@ def completion(console: Console, shell: str) -> None:
     console.document(kind(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source())
 
 
-# Models, or what returns one.
+# Models by kind of file, or functions that return one.
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
     "cameras": "animtool.capture.cameras.file:CamerasModel",
@@ -47,16 +47,20 @@ MODELS = {
     "scene": "animtool.scene.file.schema:full_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
-# What commands print as JSON, likewise.
+# Models of JSON reports, likewise.
 RESULTS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
-    loaded = cast(
+    model_or_function = cast(
         "Callable[[], type[BaseModel]]", load_object({**MODELS, **RESULTS}[kind])
     )
-    return loaded if isinstance(loaded, type) else loaded()
+    return (
+        model_or_function
+        if isinstance(model_or_function, type)
+        else model_or_function()
+    )
 
 
 @command(
@@ -74,10 +78,10 @@ def schema(console: Console, /, kind: str) -> None:
     Editors use it to complete keys and mark errors while you type. In VS Code, with
     the YAML extension, add it under "yaml.schemas".
     """
-    described = model_of(kind).model_json_schema(by_alias=True)
+    json_schema = model_of(kind).model_json_schema(by_alias=True)
     if kind == "scene":
         from animtool.documents.variables import with_variables
 
-        described = with_variables(described)
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    console.result_json({**head, **described})
+        json_schema = with_variables(json_schema)
+    schema_header = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    console.result_json({**schema_header, **json_schema})

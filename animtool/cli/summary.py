@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from animtool.scene.bake.steps import PlanStep
     from animtool.usd.takes.splines import CurveReport
 
-# Errors of channels that are not worth a line, in their units.
+# Channel errors below this are not listed, in their units.
 ROUNDING = 1e-9
-# A stage in three files names all; chunks can be thousands.
+# Up to three files of an output are listed; chunks can be thousands.
 MAX_FILES = 3
-SHOT = "[  {shot.label}]"
+SHOT_SUFFIX = "[  {shot.label}]"
 
 
 def _scores(indent: str) -> Each:
@@ -39,19 +39,25 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         return []
     groups = Counter(error.target.partition("/")[0] for error in errors)
     nouns = {"control": "control", "joint": "joint channel", "shape": "shape"}
-    counts = [counted(groups[g], noun) for g, noun in nouns.items() if g in groups]
-    worst: dict[tuple[str | None, bool], ChannelError] = {}
+    counts = [
+        counted(groups[group], noun) for group, noun in nouns.items() if group in groups
+    ]
+    largest_by_unit: dict[tuple[str | None, bool], ChannelError] = {}
     for error in errors:
         key = error.unit, error.target.startswith("control/")
-        if key not in worst or error.error > worst[key].error:
-            worst[key] = error
-    off = [
+        if key not in largest_by_unit or error.error > largest_by_unit[key].error:
+            largest_by_unit[key] = error
+    error_texts = [
         f"{' '.join([plain(error.error), error.unit or '']).strip()} ({error.target})"
-        for error in worst.values()
+        for error in largest_by_unit.values()
         if error.error > ROUNDING
     ]
-    lines = [f"keys on {', '.join(counts)}"]
-    return [*lines, f"largest errors of channels: {', '.join(off)}"] if off else lines
+    summary_lines = [f"keys on {', '.join(counts)}"]
+    return (
+        [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
+        if error_texts
+        else summary_lines
+    )
 
 
 _PRINTERS: Mapping[str, Callable[..., Any]] = {
@@ -64,7 +70,7 @@ CONVERTED = Template(
     (
         "{output}: {frames:n frame}, {joints:n joint}",
         "  {span}",
-        SHOT,
+        SHOT_SUFFIX,
         _scores("  "),
         "[{?reduction.samples}  {reduction.samples:n sample} of animated channels "
         "became {reduction.keys:n key}: {reduction.samples_per_key:.3g} per "
@@ -140,15 +146,15 @@ def _files(files: Sequence[Path]) -> str:
 
 
 def _beyond(notices: Sequence[Fault]) -> str:
-    beyond = any(notice.code == "BVH104" for notice in notices)
-    return " (without values beyond it)" if beyond else ""
+    has_beyond = any(notice.code == "BVH104" for notice in notices)
+    return " (without values beyond it)" if has_beyond else ""
 
 
 def _difference(curves: Sequence[CurveReport]) -> str:
     """Format the largest curve error and its curve."""
-    worst = max(curves, key=lambda curve: curve.difference)
-    where = f" (control {worst.name!r})" if worst.difference else ""
-    return f"{plain(worst.difference, 2)}{where}"
+    largest = max(curves, key=lambda curve: curve.difference)
+    curve_text = f" (control {largest.name!r})" if largest.difference else ""
+    return f"{plain(largest.difference, 2)}{curve_text}"
 
 
 def _rounded(take: TakeReport) -> str:
@@ -158,8 +164,8 @@ def _rounded(take: TakeReport) -> str:
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
     """Group meshes into deformed and simulated ones, with titles."""
     groups = []
-    for simulated, print_title in ((False, _deformed), (True, _simulated)):
-        group_meshes = [mesh for mesh in meshes if mesh.simulated is simulated]
+    for is_simulated, print_title in ((False, _deformed), (True, _simulated)):
+        group_meshes = [mesh for mesh in meshes if mesh.simulated is is_simulated]
         if group_meshes:
             groups.append({"title": print_title(group_meshes), "meshes": group_meshes})
     return groups
@@ -167,25 +173,25 @@ def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
 
 def _deformed(meshes: list[MeshReport]) -> str:
     strands = sum(mesh.kind == "strands" for mesh in meshes)
-    shown = counted(len(meshes) - strands, "mesh", "meshes")
+    meshes_text = counted(len(meshes) - strands, "mesh", "meshes")
     if strands:
-        shown += f" and {counted(strands, 'set', 'sets')} of strands"
-    return f"{shown} of {meshes[0].of}, deformed"
+        meshes_text += f" and {counted(strands, 'set', 'sets')} of strands"
+    return f"{meshes_text} of {meshes[0].of}, deformed"
 
 
 def _simulated(meshes: list[MeshReport]) -> str:
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
-# Counted elements by kind of system.
+# Nouns of counted elements by kind of system.
 _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
 def _points(mesh: MeshReport) -> str:
-    count = mesh.written.vertices
+    vertex_count = mesh.written.vertices
     if not mesh.simulated:
-        return counted(count, "vertex", "vertices")
-    text = counted(count, *_NOUNS.get(mesh.kind, ("particle",)))
+        return counted(vertex_count, "vertex", "vertices")
+    text = counted(vertex_count, *_NOUNS.get(mesh.kind, ("particle",)))
     return f"up to {text}" if mesh.kind == "particles" else text
 
 
@@ -201,7 +207,7 @@ def _kept(characters: Any) -> str:
     return f"{characters.samples / frames:.0%}" if frames else "none"
 
 
-_WHERE = "joint {@error_joint:repr}, frame {@written.rounding.code:frame}"
+_LOCATION = "joint {@error_joint:repr}, frame {@written.rounding.code:frame}"
 BAKED = Template(
     "animtool.scene.bake.prims:BakeReport",
     (
@@ -209,7 +215,7 @@ BAKED = Template(
         "  [{?only}{only.written.samples:n sample}, [{?only.written.name}"
         f"{{only.written.span.ends}} at {{fps:rate}}|{{span}}]{_from('only.')}"
         "|{takes:n take}, {span}]",
-        SHOT,
+        SHOT_SUFFIX,
         "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
         f"[{{?posed}}{_PROPS}",
         _MESHES,
@@ -221,7 +227,7 @@ BAKED = Template(
         "[{?posed}  largest error of {worst:rounded}[{notices:beyond}]: "
         "{worst.written.rounding.error:length 2}[{?worst.written.rounding.error} "
         f"([{{?library}}take {{worst.written.name:repr}}, ]"
-        f"{_WHERE.replace('@', 'worst.')})]]",
+        f"{_LOCATION.replace('@', 'worst.')})]]",
         Each("only:posed", _reduction_lines("  ")),
         Each(
             "library",
@@ -229,7 +235,7 @@ BAKED = Template(
                 "  take {written.name}: {written.samples:n sample}, "
                 f"{{written.span.ends}} at {{fps:rate}}{_from('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
-                f"[{{?written.rounding.error}} ({_WHERE.replace('@', '')})]",
+                f"[{{?written.rounding.error}} ({_LOCATION.replace('@', '')})]",
                 *_reduction_lines("    "),
             ),
         ),

@@ -60,8 +60,8 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     choices = ReportOptions(**read_values(ReportOptions, params))
     for message in clashes(choices):
         raise click.UsageError(f"{message}.")
-    files, unmatched = match_files(listed_paths(paths))
-    missing = [options.of(f) for f in unmatched if options.counts(f.code)]
+    files, match_warnings = match_files(listed_paths(paths))
+    missing = [options.of(f) for f in match_warnings if options.counts(f.code)]
     console.faults(missing)
     if choices.diff:
         _show_difference(console, files, options, choices, missing)
@@ -132,21 +132,27 @@ def _show_difference(
     report = validate_files(files, options)
     console.faults(report.broken)
     code = _exit_code(report, choices, missing)
-    mended: set[tuple[str | None, str, str | None]] = set()
+    fixed_identities: set[tuple[str | None, str, str | None]] = set()
     changes = False
     for plan in plan_files(report, options):
         for fault, reason in plan.left:
             console.say(f"{fault.path}: {fault.code} not fixed: {reason}")
         if not plan.mended:
             continue
-        mended |= {_identity(fault) for fault, _ in plan.mended}
+        fixed_identities |= {_identity(fault) for fault, _ in plan.mended}
         changes = True
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not choices.exit_zero:
             code = ExitCode.FINDINGS
-    console.faults([one for one in report.findings if _identity(one) not in mended])
+    console.faults(
+        [
+            finding
+            for finding in report.findings
+            if _identity(finding) not in fixed_identities
+        ]
+    )
     if report.findings and not changes:
         console.say("nothing to change: no finding has a safe fix")
     console.say(summary(report))

@@ -45,9 +45,7 @@ class ClipFile:
     # Its text, with locations and with the faults of its keys and types.
     document: Document
     model: ClipModel  # its content
-    rig: (
-        Path | None
-    )  # resolved path of the rig file that it names; None if it names none
+    rig: Path | None  # resolved path of its rig file; None if it names none
 
     def needed_rig(self) -> Path:
         """Return the rig that the clip names.

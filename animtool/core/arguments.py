@@ -1,12 +1,13 @@
 """Argument names in texts, worded for Python, the command line or a file.
 
-A text of the library names an argument by `argument`; what prints it says what that is
-called there: ``fps`` in Python, ``--fps`` on the command line, ``fps:`` in a file::
+Texts of the library name arguments with `argument`; the interface that prints a text
+replaces them by its own names: ``fps`` in Python, ``--fps`` on the command line,
+``fps:`` in a file::
 
     Fault("MKR010", message, hint=f"{argument('source.fps')} gives the rate")
 
-Names are those of records' fields; of what is read they begin with ``source.``, and of
-what commands alone can be told with ``command.``.
+Names are field names of records. Those of inputs begin with ``source.``, and those that
+only commands have with ``command.``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TypeAlias
 
 from animtool.core.record import dataclass
 
-# Noncharacters of Unicode, which no text that is exchanged has.
+# Unicode noncharacters, which do not occur in exchanged text.
 _BEGIN, _VALUE, _END, _OPEN, _CLOSE = "\ufdd0", "\ufdd1", "\ufdd2", "\ufdd3", "\ufdd4"
 _MARK = re.compile(f"{_BEGIN}([a-z0-9_.]+)(?:{_VALUE}([^{_BEGIN}-{_END}]*))?{_END}")
 _CLAUSE = re.compile(f"{_OPEN}([^{_OPEN}{_CLOSE}]*){_CLOSE}")
@@ -28,16 +29,16 @@ class Argument:
     """An argument that a text names."""
 
     name: str  # dotted name of the field, such as `source.fps`
-    value: str | None = None  # as files write it, where the text states one
+    value: str | None = None  # value as files write it, if the text states one
 
     @property
     def field(self) -> str:
-        """Name of the field alone."""
+        """Name of the field, without prefix."""
         return self.name.rpartition(".")[2]
 
     @property
     def switch(self) -> bool | None:
-        """Value that it states for a boolean, else None."""
+        """Value that is stated for a boolean, else None."""
         return {"true": True, "false": False}.get(self.value or "")
 
 
@@ -49,7 +50,7 @@ class Clause:
 
 
 Part: TypeAlias = str | Argument | Clause
-# What an interface calls an argument; None where it has none such.
+# Maps an argument to its name in an interface; None if it has none there.
 Calling: TypeAlias = Callable[[Argument], str | None]
 
 
@@ -72,7 +73,7 @@ def in_python(argument: Argument) -> str | None:
     return f"{argument.field}={argument.value}"
 
 
-# Keys of files that are not called as the argument is.
+# Keys of files that differ from the argument's name.
 KEYS = {
     "source.unit": "units",
     "source.prim_path": "prim",
@@ -94,17 +95,17 @@ def in_file(argument: Argument) -> str:
 
 
 class Text(str):
-    """A text that names arguments: as Python names them, or by `worded`.
+    """A text with named arguments, worded for Python, or by `worded` for others.
 
     Attributes:
-        parts: What it is joined of.
+        parts: The joined parts.
     """
 
     __slots__ = ("parts",)
     parts: tuple[Part, ...]
 
     def __new__(cls, parts: tuple[Part, ...]) -> Text:
-        """Join parts, with arguments as Python names them."""
+        """Join parts, with arguments named as in Python."""
         text = super().__new__(cls, _joined(parts, in_python))
         text.parts = parts
         return text
@@ -114,11 +115,11 @@ class Text(str):
         return Text, (self.parts,)
 
     def __add__(self, other: str) -> Text:
-        """Return both texts, with the arguments they name."""
+        """Return both texts joined, with their arguments."""
         return Text((*self.parts, *_parts(other)))
 
     def __radd__(self, other: str) -> Text:
-        """Return both texts, with the arguments they name."""
+        """Return both texts joined, with their arguments."""
         return Text((*_parts(other), *self.parts))
 
 
@@ -126,13 +127,13 @@ def argument(name: str, value: object = None) -> str:
     """Return the marker of an argument in a text, for a `Text` to resolve.
 
     Args:
-        name: Of the field; of what is read with ``source.`` before it.
-        value: What the text states for it; None is nothing.
+        name: Field name, with ``source.`` for inputs.
+        value: Value stated by the text; None for no value.
     """
     if value is None:
         return f"{_BEGIN}{name}{_END}"
-    stated = str(value).lower() if isinstance(value, bool) else str(value)
-    return f"{_BEGIN}{name}{_VALUE}{stated}{_END}"
+    value_text = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"{_BEGIN}{name}{_VALUE}{value_text}{_END}"
 
 
 def clause(text: str) -> str:
@@ -165,7 +166,7 @@ def marked(text: str) -> str:
 
 
 def worded(text: str, calling: Calling) -> str:
-    """Return a text whose arguments are named as an interface names them.
+    """Return a text with its arguments named for an interface.
 
     >>> worded(marked(f"{argument('up', 'Z')} says it"), in_file)
     'up: Z says it'
@@ -182,12 +183,12 @@ def _worded(part: Part, calling: Calling) -> str:
     if isinstance(part, Argument):
         return calling(part) or getattr(calling, "elsewhere", in_file)(part)
     if isinstance(part, Clause):
-        named = [
+        arguments = [
             argument_part
             for argument_part in part.parts
             if isinstance(argument_part, Argument)
         ]
-        return _joined(part.parts, calling) if all(map(calling, named)) else ""
+        return _joined(part.parts, calling) if all(map(calling, arguments)) else ""
     return part
 
 
@@ -195,18 +196,21 @@ def _parts(text: str) -> tuple[Part, ...]:
     if isinstance(text, Text):
         return text.parts
     parts: list[Part] = []
-    end = 0
+    position = 0
     for match in _CLAUSE.finditer(text):
-        parts += [*_arguments(text[end : match.start()]), Clause(_arguments(match[1]))]
-        end = match.end()
-    return (*parts, *_arguments(text[end:]))
+        parts += [
+            *_arguments(text[position : match.start()]),
+            Clause(_arguments(match[1])),
+        ]
+        position = match.end()
+    return (*parts, *_arguments(text[position:]))
 
 
 def _arguments(text: str) -> tuple[Part, ...]:
     """Return the parts of a text without clauses."""
     parts: list[Part] = []
-    end = 0
+    position = 0
     for match in _MARK.finditer(text):
-        parts += [text[end : match.start()], Argument(match[1], match[2])]
-        end = match.end()
-    return tuple(part for part in (*parts, text[end:]) if part)
+        parts += [text[position : match.start()], Argument(match[1], match[2])]
+        position = match.end()
+    return tuple(part for part in (*parts, text[position:]) if part)

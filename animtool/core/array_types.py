@@ -18,9 +18,9 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
     """Return values as C-contiguous float64 of the given shape.
 
     Args:
-        values: Anything that numpy turns into floats.
-        shape: One entry an axis: a length, or a letter for any length.
-        name: What to call the array in the message.
+        values: Anything that numpy converts to floats.
+        shape: One entry per axis: a length, or a letter for any length.
+        name: Name of the array in messages.
 
     Raises:
         ValueError: The shape is another one, or the values are not numbers.
@@ -37,8 +37,8 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
     lengths = array.shape
     fits = len(lengths) == len(shape)
     if fits:
-        for want, got in zip(shape, lengths):  # noqa: B905 - of one length
-            if want != got and want.__class__ is not str:
+        for expected_length, length in zip(shape, lengths):  # noqa: B905 - of one length
+            if expected_length != length and expected_length.__class__ is not str:
                 fits = False
     if not fits:
         expected = ", ".join(map(str, shape))

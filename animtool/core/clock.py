@@ -14,10 +14,11 @@ from animtool.core.record import dataclass
 if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray
 
-# Days of animation: rather a number that is mistyped.
+# Days of animation; larger numbers are probably mistyped.
 MAX_FRAMES = 10_000_000
-# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
-LARGEST_STEP_DENOMINATOR = 10_000
+# Time codes are float64 values of fractions such as 1001 + 1/5; fractions up to this
+# denominator are recovered.
+MAX_STEP_DENOMINATOR = 10_000
 
 
 def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
@@ -29,11 +30,16 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     import numpy as np
 
     common = start.denominator * step.denominator
-    first = start.numerator * step.denominator
-    each = step.numerator * start.denominator
-    # Integers this size are exact in float64, so one division rounds correctly.
-    if max(abs(first), abs(first + each * count), common) < 2**53:
-        return (first + each * np.arange(count, dtype=np.int64)) / float(common)
+    start_numerator = start.numerator * step.denominator
+    step_numerator = step.numerator * start.denominator
+    # Integers of this size are exact in float64, so that one division rounds correctly.
+    if (
+        max(abs(start_numerator), abs(start_numerator + step_numerator * count), common)
+        < 2**53
+    ):
+        return (
+            start_numerator + step_numerator * np.arange(count, dtype=np.int64)
+        ) / float(common)
     return np.array([float(start + i * step) for i in range(count)])
 
 
@@ -43,7 +49,7 @@ def time_fraction(time: float) -> Fraction:
     >>> time_fraction(1001.2)
     Fraction(5006, 5)
     """
-    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
+    return Fraction(time).limit_denominator(MAX_STEP_DENOMINATOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +57,13 @@ class Clock:
     """Frame times of a take.
 
     Attributes:
-        fps: Time codes a second.
+        fps: Time codes per second.
         start: Time code of the first frame.
-        step: Time codes from one frame to the next.
+        step: Time codes per frame.
         count: Number of frames.
 
     Raises:
-        OptionError: One is a float, or fps or step are not positive (TAKE003).
+        OptionError: A value is a float, or fps or step are not positive (TAKE003).
 
     >>> Clock(Fraction(30000, 1001), Fraction(1), Fraction(1), 5).rate
     Fraction(30000, 1001)
@@ -91,7 +97,7 @@ class Clock:
 
     @property
     def rate(self) -> Fraction:
-        """Frames a second."""
+        """Frames per second."""
         return self.fps / self.step
 
     @property
@@ -112,7 +118,7 @@ class FrameSpan:
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
-    fps: Fraction  # time codes a second
+    fps: Fraction  # time codes per second
 
     def __str__(self) -> str:
         """Return the span as text.
@@ -125,12 +131,12 @@ class FrameSpan:
     @property
     def ends(self) -> str:
         """First and last frame as text."""
-        ends = dict.fromkeys(map(frame_label, (self.first, self.last)))
-        return f"{'frames' if len(ends) > 1 else 'frame'} {' to '.join(ends)}"
+        labels = dict.fromkeys(map(frame_label, (self.first, self.last)))
+        return f"{'frames' if len(labels) > 1 else 'frame'} {' to '.join(labels)}"
 
 
 def span_label(first: Fraction | float, last: Fraction | float) -> str:
-    """Return the first and the last of a range of time codes as text.
+    """Return the first and last of a range of time codes as text.
 
     >>> span_label(1001.0, 1024.0)
     '1001 to 1024'

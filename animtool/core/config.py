@@ -12,14 +12,14 @@ from typing import Any
 
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.reading import MAX_TEXT_BYTES, note_input, read_input
-from animtool.core.rates import LARGEST_FRAME, parse_rate
+from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
 
-# As deep as documents in YAML.
+# The same depth as for YAML documents.
 MAX_DEPTH = 50
-# The parser takes time with the square of the parts of a key. A part begins where no
-# part or escape is before it, so that the search takes time with the length alone.
+# The parser's time grows with the square of the number of key parts. Matches start only
+# where no part or escape precedes, so that the search takes linear time.
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
@@ -58,11 +58,11 @@ def _inside(value: Any) -> Iterable[Any]:
     return value if isinstance(value, list) else ()
 
 
-# What tools of version control keep at the top of a checkout.
+# Folders of version control systems at the top of a checkout.
 VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
 
 
-# A petabyte.
+# One petabyte.
 MAX_ARRAY_MB = 1_000_000_000
 
 
@@ -70,7 +70,7 @@ MAX_ARRAY_MB = 1_000_000_000
 class TimelineConfig:
     """Project settings for timelines that do not state them."""
 
-    fps: Fraction | None = None  # rate of the shots, and of an EDL's time codes
+    fps: Fraction | None = None  # rate of the shots, and of the time codes of an EDL
     cut_start: int | None = None  # first frame of each cut; None begins shots at start
     first_timecode: str | None = None  # of each take, such as 01:00:00:00
 
@@ -81,21 +81,21 @@ class Config:
 
     # Time code of the first frame, often 1001; None leaves it at 1.
     start: Fraction | None = None
-    # Folders that files of the project may refer into: the one that the settings are
-    # in, and those they name.
+    # Folders that files of the project may refer to: the folder of the settings, and
+    # those they name.
     roots: tuple[Path, ...] = ()
     # Options of `animtool validate`, unparsed.
     validate: Mapping[str, Any] = field(default_factory=dict)
-    # The most that is read of one archive of arrays [MB]; None is 1000.
+    # Maximum size read from one archive of arrays [MB]; None for 1000.
     max_array_mb: int | None = None
     path: Path | None = None  # the settings file; None without one
     timeline: TimelineConfig = TimelineConfig()
 
 
 def find_config(path: Path) -> Config:
-    """Return the settings of the nearest enclosing folder that has some.
+    """Return the settings of the nearest enclosing folder that has any.
 
-    ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
+    ``animtool.toml`` is read in full, ``pyproject.toml`` at ``[tool.animtool]``.
     """
     for folder in path.resolve().parents:
         config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
@@ -154,14 +154,16 @@ def _config(path: Path, table: Any) -> Config:
             raise OptionError(
                 Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
             )
-    start = table.get("start")
-    frame = isinstance(start, int) and not isinstance(start, bool)
-    if start is not None and not (frame and abs(start) <= LARGEST_FRAME):
-        message = f"start is {excerpt(str(start))}, not a whole number from "
-        message += f"{-LARGEST_FRAME} to {LARGEST_FRAME}"
+    stated_start = table.get("start")
+    frame = isinstance(stated_start, int) and not isinstance(stated_start, bool)
+    if stated_start is not None and not (frame and abs(stated_start) <= MAX_FRAME):
+        message = f"start is {excerpt(str(stated_start))}, not a whole number from "
+        message += f"{-MAX_FRAME} to {MAX_FRAME}"
         raise OptionError(Fault("CFG003", message, str(path)))
     roots = table.get("roots", [])
-    if not isinstance(roots, list) or not all(isinstance(r, str) for r in roots):
+    if not isinstance(roots, list) or not all(
+        isinstance(root_name, str) for root_name in roots
+    ):
         message = f"roots is {excerpt(str(roots))}, not a list of folders"
         hint = f'write roots = ["{roots}"]' if isinstance(roots, str) else None
         raise OptionError(Fault("CFG003", message, str(path), hint=hint))
@@ -170,14 +172,16 @@ def _config(path: Path, table: Any) -> Config:
     if not isinstance(validate, dict):
         message = f"validate is {validate!r}, not a table of settings"
         raise OptionError(Fault("CFG003", message, str(path)))
-    most = table.get("max_array_mb")
-    is_integer = isinstance(most, int) and not isinstance(most, bool)
-    if most is not None and not (is_integer and 0 < most <= MAX_ARRAY_MB):
-        message = f"max_array_mb is {most!r}, not a whole number from 1 to "
+    max_array_mb = table.get("max_array_mb")
+    is_integer = isinstance(max_array_mb, int) and not isinstance(max_array_mb, bool)
+    if max_array_mb is not None and not (
+        is_integer and 0 < max_array_mb <= MAX_ARRAY_MB
+    ):
+        message = f"max_array_mb is {max_array_mb!r}, not a whole number from 1 to "
         raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
-    begin = None if start is None else Fraction(start)
+    start_frame = None if stated_start is None else Fraction(stated_start)
     timeline = _timeline(path, table.get("timeline", {}))
-    return Config(begin, folders, validate, most, path, timeline)
+    return Config(start_frame, folders, validate, max_array_mb, path, timeline)
 
 
 def _timeline(path: Path, table: Any) -> TimelineConfig:
@@ -192,7 +196,7 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             message = f"unknown setting timeline.{name}"
             hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
-        shown = f"timeline.{name} is {excerpt(str(value))}, not "
+        message_start = f"timeline.{name} is {excerpt(str(value))}, not "
         is_integer = isinstance(value, int) and not isinstance(value, bool)
         if name == "fps":
             try:
@@ -200,11 +204,11 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             except ValueError as error:
                 message = f"timeline.fps: {error}"
                 raise OptionError(Fault("CFG003", message, str(path))) from error
-        elif name == "cut_start" and not (is_integer and abs(value) <= LARGEST_FRAME):
-            message = f"{shown}a whole number from {-LARGEST_FRAME} to {LARGEST_FRAME}"
+        elif name == "cut_start" and not (is_integer and abs(value) <= MAX_FRAME):
+            message = f"{message_start}a whole number from {-MAX_FRAME} to {MAX_FRAME}"
             raise OptionError(Fault("CFG003", message, str(path)))
         elif name == "first_timecode" and not is_timecode(value):
-            message = f"{shown}a time code such as '01:00:00:00'"
+            message = f"{message_start}a time code such as '01:00:00:00'"
             raise OptionError(Fault("CFG003", message, str(path)))
         values.setdefault(name, value)
     return TimelineConfig(**values)
@@ -213,8 +217,8 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
 def project_roots(path: Path) -> tuple[Path, ...]:
     """Return the folders that a file may refer to.
 
-    They are those of its project's settings; without settings, the nearest folder above
-    it that is under version control; else its own folder.
+    They are those of its project's settings; without settings, the nearest parent
+    folder under version control; else the file's folder.
     """
     folder = path.resolve().parent
     return find_config(path).roots or (_checkout(folder) or folder,)
@@ -223,21 +227,25 @@ def project_roots(path: Path) -> tuple[Path, ...]:
 def _checkout(folder: Path) -> Path | None:
     """Return the nearest folder under version control; None without one.
 
-    A home or the top of a disk under version control is no project: files below it
-    come from anywhere.
+    A home folder or file system root under version control is no project, since its
+    files come from anywhere.
     """
-    for above in (folder, *folder.parents):
-        if not _may_be_project(above):
+    for folder_above in (folder, *folder.parents):
+        if not _may_be_project(folder_above):
             return None
-        if any((above / name).exists() for name in VERSION_CONTROL):
-            return above
+        if any((folder_above / name).exists() for name in VERSION_CONTROL):
+            return folder_above
     return None
 
 
 def project_around(folder: Path, target: Path) -> Path | None:
     """Return the innermost project with both paths in it; None without one."""
-    above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
-    project = next(above, None)
+    parent_folders = (
+        parent_folder
+        for parent_folder in (folder, *folder.parents)
+        if target.is_relative_to(parent_folder)
+    )
+    project = next(parent_folders, None)
     return project if project is not None and _may_be_project(project) else None
 
 

@@ -13,8 +13,8 @@ from animtool.core.quantities import escaped
 from animtool.core.record import dataclass
 from animtool.core.values import picked
 
-# Names in a message in brief.
-MAX_NAMED = 12
+# Number of names in a brief message.
+MAX_BRIEF_NAMES = 12
 
 
 class ExitCode(IntEnum):
@@ -45,15 +45,15 @@ class Fault:
 
     Attributes:
         code: Stable identifier, such as ``BVH010``.
-        message: What is wrong, with the name, the value and what is allowed.
-        path: File at fault, as the user named it.
-        lines: 1-based lines at fault, the chief one first.
-        hint: What to do about it.
+        message: What is wrong, with the name, the value and the allowed values.
+        path: Path of the file, as spelled by the user.
+        lines: 1-based lines at fault, the main one first.
+        hint: How to correct it.
         severity: Error, warning or note.
-        column: 1-based column of the chief line.
-        where: Place inside a structured file, such as ``joints[3].axis``.
-        brief: Shorter message for a terminal without ``-v``; empty is the message.
-        frame: Frame at fault, as the file numbers it; the first of several.
+        column: 1-based column in the main line.
+        where: Location in a structured file, such as ``joints[3].axis``.
+        brief: Shorter message for a terminal without ``-v``; empty to use the message.
+        frame: Frame number in the file; the first of several.
         joint: Name of the joint at fault.
     """
 
@@ -73,14 +73,14 @@ class Fault:
     )
 
     def __post_init__(self) -> None:
-        """Keep the arguments that the texts name."""
+        """Keep the named arguments of the texts."""
         for name in ("message", "hint", "brief"):
             text = getattr(self, name)
             if text:
                 object.__setattr__(self, name, marked(text))
 
     def worded(self, calling: Calling) -> Fault:
-        """Return a copy whose texts name arguments as an interface does."""
+        """Return a copy whose texts name arguments for an interface."""
         message, brief = (worded(text, calling) for text in (self.message, self.brief))
         hint = self.hint and worded(self.hint, calling)
         return replace(self, message=message, hint=hint, brief=brief)
@@ -92,17 +92,20 @@ class Fault:
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
-        Severities other than error precede the code. It is one line, with
-        escapes as `escaped` writes them, and calls arguments as Python does.
+        Severities other than error precede the code. The result is one line, escaped by
+        `escaped`, with arguments named as in Python.
         """
         prefix = ""
         if self.path is not None:
-            spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
-            prefix = ":".join(map(str, [self.path, *spots])) + ": "
-        where = f"{self.where}: " if self.where else ""
-        hint = f"; {self.hint}" if self.hint else ""
+            positions = [
+                *self.lines[:1],
+                *([] if self.column is None else [self.column]),
+            ]
+            prefix = ":".join(map(str, [self.path, *positions])) + ": "
+        location = f"{self.where}: " if self.where else ""
+        hint_text = f"; {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return escaped(f"{prefix}{kind}{self.code} {where}{self.message}{hint}")
+        return escaped(f"{prefix}{kind}{self.code} {location}{self.message}{hint_text}")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
@@ -120,8 +123,8 @@ class AnimtoolError(Exception):
     """Base of every animtool error.
 
     Attributes:
-        faults: What is wrong, at least one, in the order found.
-        exit_code: What the command line returns for it.
+        faults: At least one fault, in the order found.
+        exit_code: Exit code of the command line.
     """
 
     exit_code: ClassVar[ExitCode] = ExitCode.INTERNAL
@@ -190,7 +193,7 @@ class Refusals:
     """Collects the refusals of independent checks and raises them together.
 
     Attributes:
-        faults: Those of the checks so far, in their order.
+        faults: Faults of the checks so far, in order.
     """
 
     def __init__(self) -> None:
@@ -198,7 +201,7 @@ class Refusals:
 
     @contextmanager
     def collect(self) -> Iterator[None]:
-        """Record what a check refuses; the rest of its block is skipped."""
+        """Record the refusal of a check; the rest of its block is skipped."""
         try:
             yield
         except OptionError as error:
@@ -227,7 +230,7 @@ class NoMatchError(AnimtoolError):
 
 
 class StrictError(AnimtoolError):
-    """There are warnings, and the caller allows none."""
+    """There are warnings, and the caller does not allow any."""
 
     exit_code = ExitCode.FINDINGS
 
@@ -268,12 +271,13 @@ def naming(
     hint: str | None = None,
     severity: Severity = Severity.ERROR,
 ) -> Fault:
-    """Return a fault whose message ends with all names, or in brief the first.
+    """Return a fault whose message lists all names; its brief form the first few.
 
     >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
     """
-    full, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
+    full = message + listed(names, len(names))
+    brief = message + listed(names, MAX_BRIEF_NAMES)
     return Fault(code, full, path, (), hint, severity, brief=brief)
 
 
@@ -292,14 +296,14 @@ def circle(names: Sequence[str]) -> str:
     >>> circle(["a", "b", "a"])
     'a → b → a'
     """
-    shown = list(names)
-    if len(shown) > MAX_NAMED:
-        shown = [
-            *shown[: MAX_NAMED - 2],
-            f"… {len(names) - MAX_NAMED} more",
-            *shown[-1:],
+    names_shown = list(names)
+    if len(names_shown) > MAX_BRIEF_NAMES:
+        names_shown = [
+            *names_shown[: MAX_BRIEF_NAMES - 2],
+            f"… {len(names) - MAX_BRIEF_NAMES} more",
+            *names_shown[-1:],
         ]
-    return " → ".join(shown)
+    return " → ".join(names_shown)
 
 
 def percent(fraction: float) -> str:

@@ -18,18 +18,18 @@ class JunitCase:
     """A test case: a file."""
 
     name: str  # the file
-    # Its result.
+    # Result of the test case.
     outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
     code: str = ""  # fault codes
-    message: str = ""  # the fault in a line
+    message: str = ""  # the fault in one line
     text: str = ""  # the complete text
-    output: str = ""  # further output
+    output: str = ""  # additional output
     seconds: float | None = None  # duration; None if unknown
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     """Return a suite of cases; the classname of each is the file's folder."""
-    from xml.etree import ElementTree  # other reports go without it
+    from xml.etree import ElementTree  # other reports do not load it
 
     suite = ElementTree.Element("testsuite", name=name)
     for case in cases:

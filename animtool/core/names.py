@@ -14,20 +14,20 @@ from animtool.core.quantities import CONTROL
 
 # Placeholder of a missing name.
 UNKNOWN = "?"
-# Valid names that a hint is looked for among.
+# Number of valid names that are searched for a hint.
 MAX_NAMES = 2000
-# Of these, names that are compared letter by letter.
+# Number of these that are compared letter by letter.
 MAX_COMPARED = 40
-# Less similar names are other words: position and restitution are at 0.63.
-CUTOFF = 0.65
-# Longer names are not misspelled ones.
-LONGEST = 120
-# Of those, names that a hint lists; no format has as many keys.
-MAX_ALLOWED = 200
-# Of variables: a regular expression.
+# Less similar names are different words: position and restitution have 0.63.
+MIN_SIMILARITY = 0.65
+# Longer names are not misspellings.
+MAX_LENGTH = 120
+# Number of names that a hint lists; no format has more keys.
+MAX_LISTED = 200
+# Pattern of variable names.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-# What the first line of a file may name, its name too: a batch names a scene, others
-# their rig, which is therefore the last.
+# Kinds that the first line of a file may name, and its file name too. A batch names a
+# scene, and others their rig, which is therefore last.
 KINDS = (
     "batch",
     "cameras",
@@ -80,24 +80,24 @@ mean 'rk4'?
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return a hint at the nearest valid name, or at all of them.
+    """Return a hint with the nearest valid name, or with all of them.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
     >>> nearest("arm", ["hip", "forearm"])
     'allowed: forearm, hip'
     """
-    known = list(dict.fromkeys(islice(names, MAX_NAMES)))
-    known = [one for one in known if one != UNKNOWN]
-    near = similar(name, known)
-    if near:
-        return f"did you mean {near!r}?"
-    if not known:
+    unique_names = list(dict.fromkeys(islice(names, MAX_NAMES)))
+    unique_names = [known_name for known_name in unique_names if known_name != UNKNOWN]
+    best_match = similar(name, unique_names)
+    if best_match:
+        return f"did you mean {best_match!r}?"
+    if not unique_names:
         return "none are defined"
-    ordered = by_likeness(name, known)
-    more = len(ordered) - MAX_ALLOWED
-    rest = f" and {more} more" if more > 0 else ""
-    return f"allowed: {', '.join(ordered[:MAX_ALLOWED])}{rest}"
+    sorted_names = by_likeness(name, unique_names)
+    omitted_count = len(sorted_names) - MAX_LISTED
+    omitted_text = f" and {omitted_count} more" if omitted_count > 0 else ""
+    return f"allowed: {', '.join(sorted_names[:MAX_LISTED])}{omitted_text}"
 
 
 def check_unused(
@@ -106,7 +106,7 @@ def check_unused(
     """Refuse variables that nothing uses; ``path`` is the file that states them.
 
     Raises:
-        OptionError: With a fault for each (SCN031).
+        OptionError: Has a fault for each of them (SCN031).
 
     >>> check_unused(["shot"], ["shot", "rate"])
     """
@@ -124,9 +124,9 @@ def check_unused(
         raise OptionError(faults)
 
 
-# Digits that a float64 needs at most, and those that most need.
+# Digits that a float64 needs at most, and that most need.
 MAX_DIGITS, DEFAULT_DIGITS = 17, 15
-# What a text may hold of controls: ends of lines, and tabs.
+# Control characters except line ends and tabs.
 _UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
@@ -143,7 +143,7 @@ def number(value: float) -> str:
 def scaled(value: float, unit: float) -> str:
     """Return the shortest decimal that, times a unit, gives a float.
 
-    Where none is, as a product skips some floats, the nearest is taken.
+    If there is none, since products skip some floats, the nearest is used.
 
     >>> scaled(0.0254, 0.0254), scaled(math.radians(35), math.radians(1))
     ('1', '35')
@@ -152,11 +152,11 @@ def scaled(value: float, unit: float) -> str:
         return number(value)
     quotient = value / unit
     for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
-        near = float(f"{quotient:.{digits}g}")
+        rounded = float(f"{quotient:.{digits}g}")
         for candidate in (
-            near,
-            math.nextafter(near, math.inf),
-            math.nextafter(near, 0),
+            rounded,
+            math.nextafter(rounded, math.inf),
+            math.nextafter(rounded, 0),
         ):
             if candidate * unit == value:
                 return number(candidate)
@@ -167,17 +167,17 @@ def text(value: str) -> str:
     """Return text quoted for YAML.
 
     Raises:
-        FormatError: It holds a control character, with which no file is read (DOC023).
+        FormatError: It contains a control character, which readers refuse (DOC023).
 
     >>> text("hips"), text("no: 1"), text("12")
     ('hips', '"no: 1"', '"12"')
     """
-    plain = value
-    for mark in "_.-/":
-        plain = plain.replace(mark, "")
-    named = {"null", "true", "false", "nan", "inf"}
-    safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
-    if safe and value.lower() not in named:
+    unquoted = value
+    for separator in "_.-/":
+        unquoted = unquoted.replace(separator, "")
+    reserved_words = {"null", "true", "false", "nan", "inf"}
+    needs_no_quotes = unquoted.isascii() and unquoted.isalnum() and value[0].isalpha()
+    if needs_no_quotes and value.lower() not in reserved_words:
         return value
     if problem := unreadable(value):
         message = (
@@ -208,29 +208,37 @@ def flow(items: list[str]) -> str:
     return f"[{', '.join(items)}]"
 
 
-def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | None:
+def similar(
+    name: str, names: Iterable[str], cutoff: float = MIN_SIMILARITY
+) -> str | None:
     """Return the name most similar to another, above a cutoff 0 to 1, or None.
 
-    Of many names the first 2000 are looked at, and of these the 40 that share most
-    pairs of letters. One of more than 120 letters is like no other.
+    Of many names the first 2000 are considered, and of these the 40 that share most
+    letter pairs. A name of more than 120 letters is similar to none.
 
     >>> similar("ebow", ["hand", "elbow"]), similar("ebow", ["hip"])
     ('elbow', None)
     """
-    if len(name) > LONGEST:
+    if len(name) > MAX_LENGTH:
         return None
-    near = [known for known in islice(names, MAX_NAMES) if len(known) <= LONGEST]
-    if len(near) > MAX_COMPARED:
+    candidates = [
+        candidate
+        for candidate in islice(names, MAX_NAMES)
+        if len(candidate) <= MAX_LENGTH
+    ]
+    if len(candidates) > MAX_COMPARED:
         pairs = _pairs(name)
-        near.sort(key=lambda known: len(pairs & _pairs(known)), reverse=True)
+        candidates.sort(
+            key=lambda candidate: len(pairs & _pairs(candidate)), reverse=True
+        )
     from difflib import get_close_matches  # every command imports this module
 
-    matches = get_close_matches(name, near[:MAX_COMPARED], 1, cutoff)
+    matches = get_close_matches(name, candidates[:MAX_COMPARED], 1, cutoff)
     return matches[0] if matches else None
 
 
 def by_likeness(name: str, names: Iterable[str]) -> list[str]:
-    """Return names, sorted by the letter pairs they share with another.
+    """Return names sorted by the letter pairs they share with another.
 
     >>> by_likeness("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
@@ -250,16 +258,16 @@ def distinct(names: Iterable[str]) -> list[str]:
     >>> distinct(["a", "b", "a", "a_2", "a"])
     ['a', 'b', 'a_2', 'a_2_2', 'a_3']
     """
-    taken: dict[str, None] = {}
+    used_names: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for name in names:
         unique = name
-        while unique in taken:
-            # All lower numbers are taken, and stay so.
+        while unique in used_names:
+            # All lower numbers are in use, and stay so.
             numbers[name] = numbers.get(name, 1) + 1
             unique = f"{name}_{numbers[name]}"
-        taken[unique] = None
-    return list(taken)
+        used_names[unique] = None
+    return list(used_names)
 
 
 def _pairs(text: str) -> set[str]:

@@ -1,4 +1,4 @@
-"""Old names of modules, attributes and arguments, which still work and warn."""
+"""Old names of modules, attributes and arguments, which still work with a warning."""
 
 from __future__ import annotations
 
@@ -36,18 +36,19 @@ OLD_NAMES = {
 
 
 def new_name(name: str) -> str | None:
-    """Return the new name of an old module or of one below it; None of others."""
-    above, _, rest = name.rpartition(".")
-    if name in OLD_NAMES or not above:
+    """Return the new name of a moved module or of a submodule; None for others."""
+    parent_name, _, child_name = name.rpartition(".")
+    if name in OLD_NAMES or not parent_name:
         return OLD_NAMES.get(name)
-    parent = new_name(above)
-    return parent and f"{parent}.{rest}"
+    parent = new_name(parent_name)
+    return parent and f"{parent}.{child_name}"
 
 
 class _OldNames:
     """Finds moved modules by their old names.
 
-    It has what `importlib.abc` asks of a finder and a loader, which loads 40 modules.
+    It has the methods that `importlib.abc` requires of a finder and a loader; importing
+    that would load 40 modules.
     """
 
     def create_module(self, _: ModuleSpec) -> None:
@@ -56,21 +57,21 @@ class _OldNames:
     def find_spec(
         self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of an old name; None for any other."""
+        """Return the spec of an old name; None for others."""
         if not new_name(name):
             return None
-        # From now on first: later finders would find modules below the new name.
+        # From now on first, since later finders would find modules below the new name.
         sys.meta_path.remove(cast(Any, self))
         sys.meta_path.insert(0, cast(Any, self))
         return ModuleSpec(name, cast(Any, self))
 
     def exec_module(self, module: ModuleType) -> None:
-        """Replace the module of the old name by that of the new one."""
-        new = new_name(module.__name__)
-        assert new is not None
-        text = f"{module.__name__} is now called {new}"
+        """Replace the module of the old name by that of the new name."""
+        new_module = new_name(module.__name__)
+        assert new_module is not None
+        text = f"{module.__name__} is now called {new_module}"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
-        sys.modules[module.__name__] = import_module(new)
+        sys.modules[module.__name__] = import_module(new_module)
 
 
 Parameters = ParamSpec("Parameters")
@@ -106,7 +107,7 @@ def rename_attributes(owner: type, **new_names: str) -> None:
 def renamed_arguments(
     **new_names: str,
 ) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
-    """Return a decorator with which a function takes old names of its arguments.
+    """Return a decorator for a function that accepts old names of its arguments.
 
     >>> @renamed_arguments(extent="size")
     ... def half(size: float) -> float:

@@ -1,6 +1,6 @@
-"""Options of a record, each declared once: on its field, with the range of its numbers.
+"""Options of a record, each declared once: on its field, with its valid range.
 
-A record says once what its numbers may be, and `range_faults` checks all of them::
+A record states the ranges of its numbers once, and `range_faults` checks all of them::
 
     step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
 
@@ -28,7 +28,7 @@ from animtool.core.arguments import argument, marked
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
-# What a value is, and so how files and the command line write it.
+# Kind of a value, which determines its spelling in files and on the command line.
 OptionKind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
     "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
@@ -39,23 +39,23 @@ OptionKind: TypeAlias = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """How a kind of file documents the key of an option."""
+    """Documentation of an option's key in a kind of file."""
 
     description: str
     example: Any
     choices: tuple[str, ...] = ()  # of a choice
-    alias: str | None = None  # the key, where it is not the name of the field
-    read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
+    alias: str | None = None  # the key, if it differs from the field's name
+    read: Callable[[Any], Any] | None = None  # converts the key's value to the field's
 
 
 def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
     """Return the dataclass field of a key.
 
     Args:
-        text: What it is.
-        example: A value of it.
-        default: Its value if it is not given; without one it must be given.
-        said: What else `Key` has.
+        text: Description.
+        example: Example value.
+        default: Default value; without one the key is required.
+        said: Other arguments of `Key`.
     """
     return field(default=default, metadata={"key": Key(text, example, **said)})
 
@@ -67,27 +67,27 @@ class _DocOfKeys:
         self.docstring = docstring
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
-        head, _, listed = self.docstring.partition("    Attributes:\n")
-        _, blank, rest = listed.partition("\n\n")
+        head, _, attribute_lines = self.docstring.partition("    Attributes:\n")
+        _, blank, after_list = attribute_lines.partition("\n\n")
         texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
             for text, name in re.findall(_ATTRIBUTE, _plain_docstring(base), re.M)
         }
-        about = {name: each.about for name, each in options_of(owner).items()}
-        about |= {name: key.description for name, key in keys_of(owner).items()}
-        for name, text in about.items():
+        description = {name: option.about for name, option in options_of(owner).items()}
+        description |= {name: key.description for name, key in keys_of(owner).items()}
+        for name, text in description.items():
             if text:
                 texts_by_name.setdefault(name, f"        {name}: {text}\n")
         if not texts_by_name:
             return self.docstring
-        names = [each.name for each in fields(owner)]
+        names = [option.name for option in fields(owner)]
         texts = [texts_by_name[name] for name in names if name in texts_by_name]
-        listed = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
-        return f"{head.rstrip()}\n\n{listed}{rest or '    '}"
+        attribute_lines = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
+        return f"{head.rstrip()}\n\n{attribute_lines}{after_list or '    '}"
 
 
-# An attribute of a docstring, with its continuation lines.
+# An attribute in a docstring, with its continuation lines.
 _ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
@@ -107,35 +107,35 @@ def inherits_docs(record: type[Described]) -> type[Described]:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """Declaration of an option and where it applies."""
+    """Declaration of an option and its scope."""
 
     kind: OptionKind
-    flag: str = ""  # word of the command line, where it is not the name of the field
-    label: str = ""  # as refusals name it in a scene
+    flag: str = ""  # command-line name, if it differs from the field's
+    label: str = ""  # name in refusals of a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
-    over_layer: str = ""  # why an animation layer refuses it; empty where it does not
-    # Options that it excludes, with the refusal's message if not the default.
+    over_layer: str = ""  # why an animation layer refuses it; empty if it does not
+    # Options that it excludes, with the message if it is not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
-    goes_with: str = ""  # another option that it needs, or none
-    lacking: str = ""  # the refusal's message where that is missing, if not the default
+    goes_with: str = ""  # another option that it requires, if any
+    lacking: str = ""  # message if that option is missing, if it is not the default
     scene: Key | None = None
     batch: Key | None = None
-    help: str = ""  # of the command line; empty where commands have another such option
+    help: str = ""  # help on the command line; empty if commands declare their own
     metavar: str | None = (
-        None  # placeholder of the value in help; None is that of its kind
+        None  # placeholder of the value in help; None uses that of its kind
     )
-    choices: tuple[str, ...] = ()  # on the command line; of a switch, off and on
-    least: int = 0  # of a count
-    reason: str = ""  # why a source may not take it
-    # The default, where the command line has another unit.
+    choices: tuple[str, ...] = ()  # on the command line; for a switch, off and on
+    least: int = 0  # minimum of a count
+    reason: str = ""  # why a source may not have it
+    # Default in the command line's unit, if that differs.
     written: str | float | None = None
-    short: str = ""  # the flag of one letter
+    short: str = ""  # one-letter flag
 
     @property
     def about(self) -> str:
-        """Its documentation in Python: that of files, else the help.
+        """Description for Python: that of files, else the help text.
 
-        Nothing, where its words on the command line are no values in Python.
+        Empty if its command-line values are not values in Python.
         """
         key = self.scene or self.batch
         if key is None and self.kind in {"switch", "answer"} and self.choices:
@@ -144,7 +144,7 @@ class Option:
         return f"{text} {_UNITS.get(self.kind, '')}".rstrip()
 
 
-# Of numbers that files and the command line write with a unit.
+# Units of numbers that files and the command line write with a unit.
 _UNITS: dict[OptionKind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
 
 
@@ -159,11 +159,11 @@ def option(
     """Return the dataclass field of an option.
 
     Args:
-        default: As `dataclasses.field` takes it, or ``MISSING``.
-        kind: What the value is.
-        default_factory: Likewise.
-        both: The key of scenes and batches.
-        said: What else `Option` has.
+        default: Default, as in `dataclasses.field`, or ``MISSING``.
+        kind: Kind of the value.
+        default_factory: As in `dataclasses.field`.
+        both: Key of both scenes and batches.
+        said: Other arguments of `Option`.
     """
     inherits_docs = Option(kind, **{"scene": both, "batch": both, **said})
     return field(
@@ -188,20 +188,20 @@ FileKind: TypeAlias = Literal["scene", "batch"]
 def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
     """Return the keys of a record in a kind of file, by field.
 
-    Without a kind those of `key`, which any file may have.
+    Without a kind, the keys of `key`, which any file may have.
     """
     if file_kind is None:
         return {
-            each.name: each.metadata["key"]
-            for each in fields(record)
-            if "key" in each.metadata
+            record_field.name: record_field.metadata["key"]
+            for record_field in fields(record)
+            if "key" in record_field.metadata
         }
     keys = {name: getattr(o, file_kind) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
 
 
 Record = TypeVar("Record")
-# What files write for a value of some kinds: a length as text, an angle in degrees.
+# Types of text values: lengths are text, angles are in degrees.
 _WRITTEN: dict[OptionKind, type] = {"length": str, "angle": float}
 
 
@@ -210,24 +210,24 @@ def with_text_values(
 ) -> Callable[[type[Record]], type[Record]]:
     """Give a frozen dataclass the options of a record with text values.
 
-    first: Names of options that come before the others.
+    first: Names of options that precede the others.
     """
 
     def add(record_type: type[Record]) -> type[Record]:
         hints, options = get_type_hints(record), options_of(record)
-        more = []
+        new_fields = []
         for name in dict.fromkeys((*first, *options)):
             written = _WRITTEN.get(options[name].kind)
             default_value = record.__dataclass_fields__[name].default
             default = default_value if written is None else options[name].written
-            more.append((name, written or hints[name], default))
+            new_fields.append((name, written or hints[name], default))
         inherits_docs = {
             "__module__": record_type.__module__,
             "__doc__": record_type.__doc__,
         }
         written_record: type[Record] = make_dataclass(
             record_type.__name__,
-            more,
+            new_fields,
             bases=(record_type,),
             namespace=inherits_docs,
             frozen=True,
@@ -254,9 +254,9 @@ def option_marker(name: str, inherits_docs: Option) -> str:
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
-    """Return the chosen options that a use refuses, by their markers.
+    """Return the chosen options that a use refuses.
 
-    By the marker of each in a text.
+    The result maps the marker of each to its reason.
     """
     chosen = chosen_options(record).items()
     return {
@@ -267,26 +267,28 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
 
 
 def clashes(record: Any) -> list[str]:
-    """Return messages of chosen options that exclude or lack one another."""
+    """Return messages about chosen options that exclude or require others."""
     options, chosen = options_of(record), chosen_options(record)
     names = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
-    for name, one in chosen.items():
-        for other, message in one.excludes.items():
-            if other in chosen:
-                default_message = f"{names[name]} and {names[other]} exclude each other"
+    for name, option_a in chosen.items():
+        for excluded_name, message in option_a.excludes.items():
+            if excluded_name in chosen:
+                default_message = (
+                    f"{names[name]} and {names[excluded_name]} exclude each other"
+                )
                 messages.append(message or default_message)
-        if one.goes_with and one.goes_with not in chosen:
-            default_message = f"{names[name]} needs {names[one.goes_with]}"
-            messages.append(one.lacking or default_message)
+        if option_a.goes_with and option_a.goes_with not in chosen:
+            default_message = f"{names[name]} needs {names[option_a.goes_with]}"
+            messages.append(option_a.lacking or default_message)
     return messages
 
 
-# What a message says of a number of an entry in a file.
+# Message template for a number of an entry in a file.
 OF_ENTRY = "its {name} must be {bound}, not {value:g}"
-# What options may be at most, where nothing else limits them.
-LARGEST = 1e9
-# What a message says of an argument.
+# Upper limit of options without another limit.
+MAX_NUMBER = 1e9
+# Message template for an argument.
 OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 
 
@@ -294,13 +296,13 @@ OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 class Range:
     """Allowed values of a number or a vector's components; NaN is never allowed."""
 
-    bound: str  # in words, as in "must be above 0"
+    bound: str  # description, as in "must be above 0"
     code: str
     least: float
     most: float = math.inf
-    reached: bool = True  # whether the least is in range itself
-    finite: bool = False  # whether infinity is out of range
-    count: int = 0  # numbers of a vector; 0 is a number
+    reached: bool = True  # whether the minimum itself is valid
+    finite: bool = False  # whether infinity is invalid
+    count: int = 0  # number of components; 0 for a scalar
 
     def holds(self, value: Any) -> bool:
         """Return whether a number, or a vector, is in range."""
@@ -310,14 +312,14 @@ class Range:
         return len(values) == (self.count or 1) and all(map(self._holds, values))
 
     def _holds(self, value: float) -> bool:
-        inside = self.least <= value <= self.most
+        in_range = self.least <= value <= self.most
         if self.finite and not math.isfinite(value):
             return False
-        return inside and (self.reached or value > self.least)
+        return in_range and (self.reached or value > self.least)
 
 
 def above(least: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range that does not hold its least number.
+    """Return a range above an excluded minimum.
 
     >>> above(0, "SIM004", finite=True).bound
     'finite and above 0'
@@ -340,7 +342,7 @@ def at_least(least: float, code: str, *, finite: bool = False) -> Range:
 
 
 def within(
-    least: float, code: str, most: float = LARGEST, *, reached: bool = True
+    least: float, code: str, most: float = MAX_NUMBER, *, reached: bool = True
 ) -> Range:
     """Return a range between two finite numbers.
 
@@ -365,20 +367,25 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
     'above 1'
     """
     if hasattr(record, "model_fields"):
-        declared = {name: each.metadata for name, each in record.model_fields.items()}
+        metadata_of_fields = {
+            name: model_field.metadata
+            for name, model_field in record.model_fields.items()
+        }
     else:
         hints = get_type_hints(record, include_extras=True)
-        declared = {name: getattr(hints[name], "__metadata__", ()) for name in hints}
+        metadata_of_fields = {
+            name: getattr(hints[name], "__metadata__", ()) for name in hints
+        }
     return {
-        name: each
-        for name, metadata in declared.items()
-        for each in metadata
-        if isinstance(each, Range)
+        name: model_field
+        for name, metadata in metadata_of_fields.items()
+        for model_field in metadata
+        if isinstance(model_field, Range)
     }
 
 
 def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
-    """Return a fault for each number of a record out of its range.
+    """Return a fault for each number of a record that is out of range.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
@@ -387,17 +394,17 @@ must be above 1, not 1']
     """
     kind: Any = type(record)
     faults = []
-    for name, allowed in ranges_of(kind).items():
+    for name, valid_range in ranges_of(kind).items():
         value = getattr(record, name)
-        if not allowed.holds(value):
-            words = message.partition(", not ")[0] if allowed.count else message
-            text = words.format(name=name, bound=allowed.bound, value=value)
-            faults.append(Fault(allowed.code, text, where=name))
+        if not valid_range.holds(value):
+            words = message.partition(", not ")[0] if valid_range.count else message
+            text = words.format(name=name, bound=valid_range.bound, value=value)
+            faults.append(Fault(valid_range.code, text, where=name))
     return faults
 
 
 class Checked:
-    """A record of an entry that reports its invalid values."""
+    """A record of a file entry that reports its invalid values."""
 
     __slots__ = ()
     code: ClassVar[str]
@@ -409,4 +416,4 @@ class Checked:
 
     def faults(self, where: str) -> list[Fault]:
         """Return the invalid options as faults of one code."""
-        return [Fault(self.code, why, where=where) for _, why in self.problems()]
+        return [Fault(self.code, reason, where=where) for _, reason in self.problems()]

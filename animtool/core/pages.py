@@ -22,9 +22,9 @@ KINDS = {
     "explanation": "Explanation",
     "": "More",
 }
-# Names of earlier pages, and the pages that say where their text is.
+# Names of earlier pages, and the pages that refer to their new location.
 MOVED = {"guide": "reference/index", "formats": "reference/files"}
-# What users call the subject of a page.
+# Pages by the subject that users search for.
 SUBJECTS = {
     "bring": "howto/fbx-and-gltf",
     "cape": "howto/cloth-and-hair",
@@ -40,7 +40,7 @@ SUBJECTS = {
     "suppress": "reference/checking",
     "units": "howto/units-and-axes",
 }
-# Pages that mention a topic, listed in a hint.
+# Number of pages in a hint on a topic.
 MAX_MENTIONED = 5
 
 
@@ -49,7 +49,7 @@ class PageEntry:
     """A documentation page.
 
     Attributes:
-        name: Its path below ``docs``, without suffix, such as ``howto/ci``.
+        name: Path below ``docs``, without suffix, such as ``howto/ci``.
         title: Its first heading.
     """
 
@@ -58,7 +58,7 @@ class PageEntry:
 
     @property
     def kind(self) -> str:
-        """Its kind: one of the values of `KINDS`."""
+        """Kind of the page: one of the values of `KINDS`."""
         folder = self.name.partition("/")[0] if "/" in self.name else ""
         return KINDS.get(folder, KINDS[""])
 
@@ -85,7 +85,7 @@ def find_page(topic: str) -> PageEntry:
     """Return the page of a topic: its name, the last part or a word of it.
 
     Args:
-        topic: Such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
+        topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
 
     Raises:
         OptionError: No page has that name, or several have (CLI009).
@@ -98,9 +98,9 @@ def find_page(topic: str) -> PageEntry:
     pages = all_pages()
     matches = [page for page in pages if page.name == name]
     matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
-    among = [page for page in pages if name in page.name.split("/")[-1].split("-")]
-    if len(matches) == 1 or (not matches and len(among) == 1):
-        return (matches or among)[0]
+    candidates = [page for page in pages if name in page.name.split("/")[-1].split("-")]
+    if len(matches) == 1 or (not matches and len(candidates) == 1):
+        return (matches or candidates)[0]
     if matches:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
@@ -113,15 +113,15 @@ def _hint(topic: str) -> str:
     """Return the pages on a subject, or the page with the nearest name."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     counts = {page.name: _mentions(page, topic) for page in pages}
-    mentioned = [
+    mentioning_pages = [
         page.name
         for page in pages
         if counts[page.name] and any(topic in h.lower() for h in _headings(page))
     ]
-    most = max(counts, key=lambda name: counts[name])
-    mentioned = mentioned or ([most] if counts[most] else [])
-    if mentioned:
-        return f"it is a subject of {', '.join(mentioned[:MAX_MENTIONED])}"
+    best_page = max(counts, key=lambda name: counts[name])
+    mentioning_pages = mentioning_pages or ([best_page] if counts[best_page] else [])
+    if mentioning_pages:
+        return f"it is a subject of {', '.join(mentioning_pages[:MAX_MENTIONED])}"
     hint = nearest(topic, [page.name.split("/")[-1] for page in pages])
     if hint.startswith("allowed"):
         return f"{argument('list')} lists the pages"

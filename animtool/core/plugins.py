@@ -25,9 +25,9 @@ def lazy_names(
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
 
-    A module that is imported becomes an attribute of its package, so that none may have
-    the name of something else in it. A name of a module is the module's own. An old
-    name gives the object of its new one, with a warning.
+    An imported module becomes an attribute of its package, so that no public name may
+    equal a module name. Names of modules are looked up as modules. An old name returns
+    the object of its new name, with a warning.
 
     >>> get, _ = lazy_names("animtool", {"Fault": "animtool.core.errors"})
     >>> get("Fault")
@@ -71,8 +71,8 @@ def load_object(path: str) -> object:
 def plugin_points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name.
 
-    Reading them takes tens of milliseconds, so it is left to what a table lacks, and
-    to where a package has some.
+    Reading them takes tens of milliseconds; it is therefore deferred until a table
+    lacks an entry, or `may_have` reports some.
     """
     if not may_have(group):
         return {}
@@ -84,7 +84,7 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
 def may_have(group: str) -> bool:
     """Return whether a package has entry points of a group, without loading it.
 
-    Where packages may be anywhere else than in folders, they may.
+    If packages are not all in folders, it returns True.
     """
     if sum(hasattr(finder, "find_distributions") for finder in sys.meta_path) > 1:
         return True
@@ -95,27 +95,29 @@ def may_have(group: str) -> bool:
             if entry.suffix == ".egg":
                 return True
             if entry.suffix in {".dist-info", ".egg-info"}:
-                listed = entry / "entry_points.txt"
-                if listed.is_file() and group.encode() in listed.read_bytes():
+                entry_file = entry / "entry_points.txt"
+                if entry_file.is_file() and group.encode() in entry_file.read_bytes():
                     return True
     return False
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
-    """Return the object of an entry point, of a type (else IO003)."""
+    """Return the object of an entry point, checked by type (else IO003)."""
     try:
-        loaded: object = point.load()
+        plugin: object = point.load()
     except Exception as error:
         raise _broken(point, kind, str(error)) from error
-    if not isinstance(loaded, kind):
-        why = f"a {type(loaded).__name__}, no {kind.__name__}"
-        raise _broken(point, kind, why)
-    return loaded
+    if not isinstance(plugin, kind):
+        reason = f"a {type(plugin).__name__}, no {kind.__name__}"
+        raise _broken(point, kind, reason)
+    return plugin
 
 
-def _broken(point: EntryPoint, kind: type[object], why: str) -> OptionError:
-    what = f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
-    message = f"the {what} cannot be loaded: {why}"
+def _broken(point: EntryPoint, kind: type[object], reason: str) -> OptionError:
+    description = (
+        f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
+    )
+    message = f"the {description} cannot be loaded: {reason}"
     return OptionError(Fault("IO003", message, hint="repair or remove the plug-in"))
 
 
@@ -165,15 +167,15 @@ def listed_entries(
 class FormatTable(Generic[Entry]):
     """A table whose built-in entries precede those of plug-ins."""
 
-    builtin: Mapping[str, Entry]  # by suffix, with its dot
-    group: str  # of the entry points
+    builtin: Mapping[str, Entry]  # by suffix, including the dot
+    group: str  # group of the entry points
     kind: type[Entry]
 
     def find(self, path: Path) -> Entry | None:
-        """Return the entry of a file's suffix; None without one.
+        """Return the entry of a file's suffix; None if there is none.
 
         Raises:
-            OptionError: The plug-in that has it cannot be loaded (IO003).
+            OptionError: The plug-in for it cannot be loaded (IO003).
         """
         suffix = path.suffix.lower()
         if suffix in self.builtin:
@@ -206,7 +208,7 @@ class FormatTable(Generic[Entry]):
 
 
 def suffix_text(path: Path) -> str:
-    """Return the name of a file's suffix for messages.
+    """Return a file's suffix for messages.
 
     >>> suffix_text(Path("walk.txt")), suffix_text(Path("walk"))
     ("suffix '.txt'", 'a name without suffix')

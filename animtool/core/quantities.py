@@ -1,8 +1,8 @@
 """Numbers, lengths, durations and texts formatted for reports.
 
-What names, paths and messages hold may come from anyone. Control characters move the
-cursor or set a title, bidirectional marks show a name backwards, and a line that
-begins with ``::`` is a command to some services of continuous integration.
+Names, paths and messages may contain anything. Control characters move the cursor or
+set a title, bidirectional marks show a name backwards, and a line that begins with
+``::`` is a command for some services of continuous integration.
 
 References:
     Unicode Technical Report 36, "Unicode Security Considerations".
@@ -16,10 +16,10 @@ import json
 import math
 import re
 
-# A class of a regular expression: characters that names never need.
+# Character class of a regular expression: characters that names never need.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
-# Controls, what ends a line, what has no width, what turns the direction of text, and
-# joiners, save between letters that are joined.
+# Control characters, line ends, zero-width characters, changes of text direction, and
+# joiners except between joined letters.
 _UNSEEN = (
     f"{CONTROL}\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f"
     "\ufeff\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e007f"
@@ -27,21 +27,21 @@ _UNSEEN = (
 _JOINER = "(?<![^\x00-\x7f])[\u200c\u200d]|[\u200c\u200d](?![^\x00-\x7f])"
 _COMMAND = r"#(?=#\w{0,9}\[)"
 _ESCAPED = re.compile(f"[{_UNSEEN}]|{_JOINER}|{_COMMAND}")
-_FIRST = re.compile(r"\A(\s*):(?=:)")
-_SHORT = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
+_LEADING_COLON = re.compile(r"\A(\s*):(?=:)")
+_SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def escaped(text: str) -> str:
     r"""Return text with escapes for characters that must not be printed.
 
-    Text without such characters comes back as it is, and so does what was escaped.
+    Text without such characters is returned unchanged, and so is escaped text.
 
     >>> escaped("hip\x1b]0;mine\x07"), escaped("a\n::error::b"), escaped("::error::b")
     ('hip\\x1b]0;mine\\x07', 'a\\n::error::b', '\\x3a:error::b')
     """
     if text.isascii() and text.isprintable() and ":" not in text and "#" not in text:
         return text
-    return _FIRST.sub(r"\1\\x3a", _ESCAPED.sub(_escape, text))
+    return _LEADING_COLON.sub(r"\1\\x3a", _ESCAPED.sub(_escape, text))
 
 
 def escaped_lines(text: str) -> str:
@@ -62,14 +62,14 @@ def json_printed(
     '"\\u009b\\udcff\\u0023#[error]"'
     """
     text = json.dumps(value, indent=indent, ensure_ascii=ascii_only, allow_nan=False)
-    # Ends of lines are those between values: json escapes all others.
+    # Line ends are only between values; json escapes all others.
     return _ESCAPED.sub(_escape_json, text)
 
 
 def _escape(match: re.Match[str]) -> str:
     code = ord(match[0])
-    if match[0] in _SHORT:
-        return _SHORT[match[0]]
+    if match[0] in _SHORT_ESCAPES:
+        return _SHORT_ESCAPES[match[0]]
     if code < 0x100:
         return f"\\x{code:02x}"
     return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
@@ -81,14 +81,14 @@ def _escape_json(match: re.Match[str]) -> str:
     return json.dumps(match[0])[1:-1] if match[0] != "#" else "\\u0023"
 
 
-# Least number that a unit is used for, the unit, and its name.
+# Minimum for using a unit, its size, and its name.
 _LENGTHS = (
     (1.0, 1.0, "m"),
     (1e-6, 1e-3, "mm"),
     (1e-9, 1e-6, "µm"),
     (0.0, 1e-9, "nm"),
 )
-# Of a number that is printed without an exponent.
+# Largest number of zeros printed before using an exponent.
 MAX_ZEROS = 15
 # Shorter lengths are rounding errors of float64 [m].
 MIN_LENGTH = 1e-12
@@ -111,7 +111,7 @@ def floored(value: float) -> float:
 def plain(value: float, digits: int = 3) -> str:
     """Return a number with some significant digits and no exponent.
 
-    Beyond some fifteen zeros it has one: they are no easier to read.
+    Beyond some fifteen zeros it has an exponent.
 
     >>> plain(1614.2), plain(0.000267), plain(26.2), plain(0.0), plain(5e-324)
     ('1610', '0.000267', '26.2', '0', '4.94e-324')
@@ -121,11 +121,11 @@ def plain(value: float, digits: int = 3) -> str:
     text = f"{value:.{digits}g}"
     if "e" not in text:
         return text
-    rounded, exponent = float(text), int(text.partition("e")[2])
+    number_and_exponent, exponent = float(text), int(text.partition("e")[2])
     if abs(exponent) > MAX_ZEROS:
         return text
     decimals = max(0, digits - 1 - exponent)
-    text = f"{rounded:.{decimals}f}"
+    text = f"{number_and_exponent:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if decimals else text
 
 

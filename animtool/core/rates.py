@@ -12,14 +12,15 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, excerpt
 from animtool.core.record import dataclass
 
-# Beyond it a frame is no frame: times between frames would be lost to rounding.
-LARGEST_FRAME = 10**9
-# Exporters print frame times to 6 or more digits: the error left in a rate up to
+# Largest frame number; beyond it, times between frames are lost to rounding.
+MAX_FRAME = 10**9
+# Exporters print frame times with 6 or more digits: the resulting error of a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
-# Metadata says 29.97 for 30000/1001, which is 1e-6 off; 1000/1001 apart is 1e-3.
+# Metadata has 29.97 for 30000/1001, which is off by 1e-6; a factor of 1000/1001 is
+# 1e-3.
 METADATA_TOLERANCE = Fraction(5, 1_000_000)
-# Powers of ten [s] beyond which a time between frames is none.
+# Powers of ten that limit a valid frame time [s].
 FRAME_TIME_EXPONENTS = (-9, 6)
 LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
@@ -36,8 +37,8 @@ FractionLike: TypeAlias = int | float | str | Fraction
 class OptionalFraction:
     """Field type: accepts a number or text and stores a fraction.
 
-    Type checkers alone know it as a descriptor; `__post_init__` of the record makes
-    the fraction.
+    Only type checkers see a descriptor; the record's `__post_init__` converts the
+    value.
     """
 
     if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class OptionalFraction:
         def __set__(self, record: object, value: FractionLike | None) -> None: ...
 
 
-NO_FRACTION: Any = None  # the default of such a field
+NO_FRACTION: Any = None  # default of such a field
 
 
 class RateError(ValueError):
@@ -70,20 +71,20 @@ class RateKind(StrEnum):
 class RateChoice:
     """A frame rate chosen for a printed frame time."""
 
-    fps: Fraction  # frames a second, exact
-    # ``reprinted``: the reciprocal rounds to what is printed; ``nearest``: the closest
-    # usual rate; ``printed``: the printed number taken as it is.
+    fps: Fraction  # exact frames per second
+    # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest
+    # common rate; ``printed``: the printed number as it is.
     kind: RateKind
-    rivals: tuple[int, ...] = ()  # other integer rates that would have printed the same
+    rivals: tuple[int, ...] = ()  # other integer rates that print equally
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
     """Return the rate of a printed frame time [s].
 
-    An integer whose reciprocal, rounded to the digits printed, is the printed
-    value (of several, the exact one, else a usual one, else the nearest); else the
-    nearest of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the
-    reciprocal of the printed decimal.
+    An integer whose reciprocal, rounded to the printed digits, equals the printed value
+    (of several, the exact one, else a common one, else the nearest); else the nearest
+    of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the reciprocal of the
+    printed decimal.
 
     Raises:
         ValueError: The text is not a positive finite decimal number.
@@ -94,31 +95,39 @@ def rate_from_frame_time(text: str) -> RateChoice:
     '24000/1001'
     """
     try:
-        printed = Decimal("x" if "_" in text else text)
+        frame_time = Decimal("x" if "_" in text else text)
     except InvalidOperation as error:
         raise ValueError(f"{text!r} is not a number") from error
-    if not printed.is_finite() or printed <= 0:
+    if not frame_time.is_finite() or frame_time <= 0:
         raise ValueError(f"{text!r} is not a positive number")
     low, high = FRAME_TIME_EXPONENTS
-    if not low <= printed.adjusted() <= high:
+    if not low <= frame_time.adjusted() <= high:
         raise ValueError(f"{text!r} is not a number of seconds between two frames")
-    digits = max(0, -int(printed.as_tuple().exponent))
-    exact = 1 / Fraction(printed)
+    digits = max(0, -int(frame_time.as_tuple().exponent))
+    exact_rate = 1 / Fraction(frame_time)
 
-    fitting = _integers_that_print(Fraction(printed), digits)
-    if fitting:
-        common = [] if exact in fitting else [n for n in fitting if n in COMMON_RATES]
-        best = min(common or fitting, key=lambda n: abs(n - exact))
-        rivals = () if best == exact else tuple(n for n in fitting if n != best)
-        return RateChoice(Fraction(best), RateKind.REPRINTED, rivals)
+    matching_rates = _integers_that_print(Fraction(frame_time), digits)
+    if matching_rates:
+        common = (
+            []
+            if exact_rate in matching_rates
+            else [n for n in matching_rates if n in COMMON_RATES]
+        )
+        best_integer = min(common or matching_rates, key=lambda n: abs(n - exact_rate))
+        rivals = (
+            ()
+            if best_integer == exact_rate
+            else tuple(n for n in matching_rates if n != best_integer)
+        )
+        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, rivals)
 
-    candidates = [Fraction(n) for n in _around(exact)]
-    candidates += [Fraction(n * 1000, 1001) for n in _around(exact * 1001 / 1000)]
+    candidates = [Fraction(n) for n in _around(exact_rate)]
+    candidates += [Fraction(n * 1000, 1001) for n in _around(exact_rate * 1001 / 1000)]
     if candidates:
-        best_rate = min(candidates, key=lambda rate: abs(rate - exact))
-        if abs(best_rate - exact) <= NEAREST_RATE_TOLERANCE * best_rate:
+        best_rate = min(candidates, key=lambda rate: abs(rate - exact_rate))
+        if abs(best_rate - exact_rate) <= NEAREST_RATE_TOLERANCE * best_rate:
             return RateChoice(best_rate, RateKind.NEAREST)
-    return RateChoice(exact, RateKind.PRINTED)
+    return RateChoice(exact_rate, RateKind.PRINTED)
 
 
 def _around(rate: Fraction) -> list[int]:
@@ -128,22 +137,21 @@ def _around(rate: Fraction) -> list[int]:
 def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
     """Integers n in 1..1000 with 1/n, rounded half up to digits, as printed."""
     half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
-    low, high = printed - half, printed + half
-    first = int(1 / high)
-    last = int(1 / low) + 1 if low > 0 else HIGHEST_RATE
+    lower, upper = printed - half, printed + half
+    smallest = int(1 / upper)
+    largest = int(1 / lower) + 1 if lower > 0 else HIGHEST_RATE
     return [
         n
-        for n in range(max(1, first), min(HIGHEST_RATE, last) + 1)
-        if low <= Fraction(1, n) < high
+        for n in range(max(1, smallest), min(HIGHEST_RATE, largest) + 1)
+        if lower <= Fraction(1, n) < upper
     ]
 
 
 def rate_from_float(fps: float) -> Fraction:
     """Return the exact rate of a float in file metadata.
 
-    An integer or N·1000/1001 where the float is one of them to 5e-6, or the
-    decimal that is usually written for one; else the float's exact value rounded to
-    a denominator below 1e6.
+    An integer or N·1000/1001 if the float equals one of them to 5e-6, or is the usual
+    decimal for one; else the float's exact value rounded to a denominator below 1e6.
 
     Raises:
         ValueError: The rate is not positive and finite.
@@ -153,21 +161,21 @@ def rate_from_float(fps: float) -> Fraction:
     """
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
-    exact = Fraction(fps)
-    fixed = _BROADCAST.get(f"{fps:g}")
-    if fixed is not None:
-        return fixed
-    integer, broadcast = round(exact), round(exact * 1001 / 1000)
+    exact_rate = Fraction(fps)
+    known_rate = _BROADCAST.get(f"{fps:g}")
+    if known_rate is not None:
+        return known_rate
+    integer, broadcast = round(exact_rate), round(exact_rate * 1001 / 1000)
     nearest = min(
         (Fraction(integer), Fraction(broadcast * 1000, 1001)),
-        key=lambda rate: abs(rate - exact),
+        key=lambda rate: abs(rate - exact_rate),
     )
-    if abs(nearest - exact) <= nearest * METADATA_TOLERANCE:
+    if abs(nearest - exact_rate) <= nearest * METADATA_TOLERANCE:
         return nearest
-    return exact.limit_denominator(1_000_000)
+    return exact_rate.limit_denominator(1_000_000)
 
 
-# The decimals that people write for the broadcast rates.
+# Common decimals for the broadcast rates.
 _BROADCAST = {
     "23.976": Fraction(24000, 1001),
     "23.98": Fraction(24000, 1001),
@@ -183,14 +191,14 @@ def exact_number(text: FractionLike) -> Fraction:
     """Return an exact number from ``24``, ``23.976`` or ``24000/1001``.
 
     Raises:
-        ValueError: It is none, or has more digits than a number that anybody writes.
+        ValueError: The text is not a number, or has too many digits.
 
     >>> exact_number("1e-3")
     Fraction(1, 1000)
     """
     text = (text if isinstance(text, str) else _digits(text)).strip()
     exponent = text.lower().partition("e")[2]
-    # What has millions of digits takes hours to work out.
+    # Numbers of millions of digits would take hours.
     if len(text) > MAX_DIGITS or len(exponent) > len("-300"):
         raise ValueError(f"{excerpt(text)} has too many digits")
     return Fraction(text)
@@ -199,10 +207,10 @@ def exact_number(text: FractionLike) -> Fraction:
 def parse_rate(text: FractionLike) -> Fraction:
     """Return a rate from ``24``, ``23.976`` or ``24000/1001``.
 
-    A fraction is taken as it is.
+    A fraction is used as it is.
 
     Raises:
-        RateError: It is not a positive number.
+        RateError: The value is not a positive number.
 
     >>> parse_rate("29.97")
     Fraction(30000, 1001)
@@ -219,13 +227,13 @@ def parse_rate(text: FractionLike) -> Fraction:
             f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
     if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
-        shown = excerpt(text).strip("'")
-        raise RateError(f"a frame rate is between 0.001 and 100000, not {shown}")
+        quoted = excerpt(text).strip("'")
+        raise RateError(f"a frame rate is between 0.001 and 100000, not {quoted}")
     return rate
 
 
 def _digits(number: object) -> str:
-    """Return a number as text for `Fraction`; anything else unchanged."""
+    """Return a number as text for `Fraction`; other values unchanged."""
     if isinstance(number, float):
         return f"{number:.12g}"
     is_rate = isinstance(number, Rational) and not isinstance(number, bool)

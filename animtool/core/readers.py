@@ -1,6 +1,6 @@
 """The table of readers by suffix: of rigs and of motion.
 
-The table holds the readers; what they open a file with is imported when used.
+The table contains names of readers; the functions are imported when used.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ class Reader:
     """An entry of the table of readers.
 
     Attributes:
-        about: What such files are, one line.
-        rig: ``module:object`` of a function from a path to a rig; empty where such
-            files hold none.
-        source: ``module:object`` of a function from a path, and options by keyword,
-            to a stream of motion; empty where they hold none.
-        options: Names of the source options that it takes; ``progress`` where it
-            reports the share read.
-        prim: ``module:object`` of a function from a path, the name of an object in
-            it, a rig, and the name of an object in whose frame that stands or None,
-            to the object's transforms over time; empty where they hold none.
-        markers: ``module:object`` of a function from a path, and options by keyword,
-            to `animtool.motion.markers.Markers`; empty where such files hold none.
+        about: One-line description of such files.
+        rig: ``module:object`` of a function from a path to a rig; empty if such files
+            contain none.
+        source: ``module:object`` of a function from a path, and options by keyword, to
+            a stream of motion; empty if they contain none.
+        options: Names of the source options that it accepts; ``progress`` if it reports
+            the fraction read.
+        prim: ``module:object`` of a function from a path, the name of an object in it,
+            a rig, and the name of a reference object or None, to the object's
+            transforms over time; empty if they contain none.
+        markers: ``module:object`` of a function from a path, and options by keyword, to
+            `animtool.motion.markers.Markers`; empty if such files contain none.
         has_markers: ``module:object`` of a function from a path to whether a file
-            holds markers; empty where its suffix says it.
-        takes: ``module:object`` of a function from a path to the names of the takes
-            that the option ``take`` reads; empty where a file holds one.
-        still: Whether such files hold a rig and no motion: their take is one frame.
+            contains markers; empty if its suffix determines it.
+        takes: ``module:object`` of a function from a path to the names of the takes for
+            the option ``take``; empty if a file contains one take.
+        still: Whether such files contain a rig without motion, so that their take is
+            one frame.
     """
 
     about: str
@@ -63,7 +64,7 @@ class Reader:
         return _opener(self.rig, "rig", path)
 
     def source_opener(self, path: Path) -> Callable[..., Any]:
-        """Return the function that opens a source (none: IO002; broken: IO003)."""
+        """Return the opener of a source (unsupported: IO002; broken: IO003)."""
         return _opener(self.source, "motion", path)
 
     def prim_opener(self, path: Path) -> Callable[..., Any]:
@@ -71,7 +72,7 @@ class Reader:
         return _opener(self.prim, "prim", path)
 
     def take_names(self, path: Path) -> list[str]:
-        """Return the names of a file's takes, where it may have several."""
+        """Return the names of a file's takes, if it may have several."""
         if not self.takes:
             return []
         return list(_opener(self.takes, "takes", path)(path))
@@ -153,24 +154,24 @@ STO = Reader(
     has_markers="animtool.formats.mot.points:holds_points",
 )
 
-_OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
+_MARKER_OPTIONS = ("unit", "up", "fps", "rig", "template", "progress")
 _SOLVE = "animtool.capture.solve.source:open_markers_source"
 C3D = Reader(
     "C3D markers",
     source=_SOLVE,
-    options=_OF_MARKERS,
+    options=_MARKER_OPTIONS,
     markers="animtool.formats.c3d.read:read_c3d",
 )
 TRC = Reader(
     "TRC markers",
     source=_SOLVE,
-    options=_OF_MARKERS,
+    options=_MARKER_OPTIONS,
     markers="animtool.formats.trc.read:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",
     source=_SOLVE,
-    options=(*_OF_MARKERS, "cameras"),
+    options=(*_MARKER_OPTIONS, "cameras"),
     markers="animtool.formats.marker_arrays:read_markers",
 )
 
@@ -198,7 +199,7 @@ READERS: dict[str, Reader] = {
     ".sto": STO,
 }
 
-# What OpenTimelineIO and its adapters read.
+# Formats of OpenTimelineIO and its adapters.
 TIMELINE_SUFFIXES = (
     ".otio",
     ".otioz",
@@ -211,7 +212,7 @@ TIMELINE_SUFFIXES = (
 )
 
 
-# Files of applications, and the formats to export them to.
+# Formats of applications, with the formats to export to.
 EXPORTS: dict[str, tuple[str, str]] = {
     ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
@@ -250,8 +251,8 @@ EXPORTS: dict[str, tuple[str, str]] = {
 }
 
 _TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
-# Of a file named .xml: as much as its root element is looked for in, and the roots of
-# timelines, which OpenTimelineIO reads.
+# Number of bytes that are searched for the root element of an .xml file, and the root
+# elements of timelines, which OpenTimelineIO reads.
 HEAD_BYTES = 65_536
 _ROOT = re.compile(rb"<(?![?!])\s*([^\s/>]{1,100})")
 _COMMENTS = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
@@ -282,9 +283,9 @@ def is_timeline(path: Path) -> bool:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader of a file by its suffix; None without one.
+    """Return the reader of a file by its suffix; None if there is none.
 
-    A timeline named .xml has none.
+    A timeline named .xml has no reader.
 
     Raises:
         OptionError: The plug-in that has it cannot be loaded (IO003).
@@ -296,7 +297,7 @@ def reader_of(path: Path) -> Reader | None:
 
 
 def is_rig_only(path: Path) -> bool:
-    """Return whether files of a path's suffix hold a rig and no motion.
+    """Return whether files with a path's suffix contain a rig without motion.
 
     >>> is_rig_only(Path("arm.urdf")), is_rig_only(Path("walk.bvh"))
     (True, False)
@@ -348,9 +349,9 @@ def export_fault(path: Path) -> Fault:
     return Fault("IO002", message, str(path), (), hint)
 
 
-def _opener(target: str, what: str, path: Path) -> Callable[..., Any]:
+def _opener(target: str, content: str, path: Path) -> Callable[..., Any]:
     if not target:
-        message = f"{path.suffix} files hold no {what}"
+        message = f"{path.suffix} files hold no {content}"
         raise OptionError(Fault("IO002", message, str(path)))
     try:
         return cast(Callable[..., Any], load_object(target))
@@ -361,7 +362,7 @@ def _opener(target: str, what: str, path: Path) -> Callable[..., Any]:
 
 
 def listed_readers() -> list[ListedEntry]:
-    """Return every reader, built-in ones first, plug-ins loaded.
+    """Return every reader, built-in ones first, with plug-ins loaded.
 
     >>> listed_readers()[0].name
     '.bvh'
@@ -370,5 +371,5 @@ def listed_readers() -> list[ListedEntry]:
 
 
 def _opens(reader: Reader) -> tuple[str, ...]:
-    named = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
-    return tuple(name for name, target in named.items() if target)
+    objects = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
+    return tuple(name for name, target in objects.items() if target)

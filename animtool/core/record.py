@@ -1,9 +1,9 @@
 """A record decorator like `dataclasses.dataclass`, without generated code.
 
-The one of the standard library writes the methods of each class as text and compiles
-it, about 0.4 ms a class; a command loads some hundred. These methods are closures over
-the names of the fields. All else is the same: `fields`, `replace`, `asdict`, pickles,
-`match`, and a subclass may be decorated by either.
+The decorator of the standard library generates the source of each class's methods and
+compiles it, about 0.4 ms per class; a command loads some hundred. These methods are
+closures over the field names. Everything else is the same: `fields`, `replace`,
+`asdict`, pickling, `match`, and subclasses decorated by either.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import FunctionType, MemberDescriptorType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin
 
 if TYPE_CHECKING:
-    # Type checkers know the effect of that decorator; this one has the same.
+    # For type checkers, this is the decorator of the standard library.
     from dataclasses import dataclass as dataclass  # noqa: PLC0414  # exports it
 else:
 
@@ -53,13 +53,13 @@ else:
 
 def _record(cls: type[Any], flags: Any) -> type[Any]:
     """Return a class with the methods of a record."""
-    declared: dict[str, Field[Any]] = {}
+    declared_fields: dict[str, Field[Any]] = {}
     for base in cls.__mro__[-1:0:-1]:
-        declared.update(getattr(base, "__dataclass_fields__", {}))
+        declared_fields.update(getattr(base, "__dataclass_fields__", {}))
     for name, type_ in inspect.get_annotations(cls).items():
         if not _is_class_variable(type_):
-            declared[name] = _declared_field(cls, name, type_, flags.kw_only)
-    methods = _methods(declared, flags, hasattr(cls, "__post_init__"))
+            declared_fields[name] = _declared_field(cls, name, type_, flags.kw_only)
+    methods = _methods(declared_fields, flags, hasattr(cls, "__post_init__"))
     attributes = vars(cls)
     if flags.eq and "__hash__" not in attributes:
         methods["__hash__"] = methods["__hash__"] if flags.frozen else None
@@ -67,19 +67,21 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
         not flags.eq or attributes["__hash__"] is not None or "__eq__" not in attributes
     ):
         methods.pop("__hash__", None)
-    added = {name: each for name, each in methods.items() if name not in attributes}
+    methods_to_add = {
+        name: method for name, method in methods.items() if name not in attributes
+    }
     if "__hash__" in methods:
-        added["__hash__"] = methods["__hash__"]
-    for name, each in added.items():
-        if isinstance(each, FunctionType):
-            each.__qualname__ = f"{cls.__qualname__}.{name}"
-            each.__module__ = cls.__module__
-    added["__dataclass_fields__"] = declared
-    added["__dataclass_params__"] = flags
+        methods_to_add["__hash__"] = methods["__hash__"]
+    for name, method in methods_to_add.items():
+        if isinstance(method, FunctionType):
+            method.__qualname__ = f"{cls.__qualname__}.{name}"
+            method.__module__ = cls.__module__
+    methods_to_add["__dataclass_fields__"] = declared_fields
+    methods_to_add["__dataclass_params__"] = flags
     if flags.slots:
-        return _slotted(cls, declared, added)
-    for name, each in added.items():
-        setattr(cls, name, each)
+        return _slotted(cls, declared_fields, methods_to_add)
+    for name, method in methods_to_add.items():
+        setattr(cls, name, method)
     return cls
 
 
@@ -106,7 +108,7 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
         kind = type(entry.default)
         raise ValueError(f"mutable default {kind} of {name}: use default_factory")
     entry.name, entry.type = name, type_
-    entry._field_type = _FIELD  # as `fields` and `replace` ask for it
+    entry._field_type = _FIELD  # as required by `fields` and `replace`
     if entry.kw_only is MISSING:
         entry.kw_only = kw_only
     return entry
@@ -123,86 +125,118 @@ _FIELD = _mark_of_fields()
 
 
 def _methods(
-    declared: Mapping[str, Field[Any]], flags: Any, finished: bool
+    declared_fields: Mapping[str, Field[Any]], flags: Any, has_post_init: bool
 ) -> dict[str, Any]:
     """Return the methods of a record.
 
-    finished: Whether it has a ``__post_init__``.
+    has_post_init: Whether it has a ``__post_init__``.
     """
-    initialized = [each for each in declared.values() if each.init]
-    placed = tuple(each.name for each in initialized if not each.kw_only)
-    compared = [each for each in declared.values() if each.compare]
-    hashed = [e for e in declared.values() if (e.compare if e.hash is None else e.hash)]
+    init_fields = [
+        record_field for record_field in declared_fields.values() if record_field.init
+    ]
+    positional_names = tuple(
+        record_field.name for record_field in init_fields if not record_field.kw_only
+    )
+    compared_fields = [
+        record_field
+        for record_field in declared_fields.values()
+        if record_field.compare
+    ]
+    hashed_fields = [
+        e for e in declared_fields.values() if (e.compare if e.hash is None else e.hash)
+    ]
     methods: dict[str, Any] = {
-        "__init__": _initializer(declared.values(), placed, flags.frozen, finished),
+        "__init__": _initializer(
+            declared_fields.values(), positional_names, flags.frozen, has_post_init
+        ),
         "__signature__": _Signature(),
-        "__match_args__": placed,
+        "__match_args__": positional_names,
     }
     if flags.repr:
-        methods["__repr__"] = _shower([e.name for e in declared.values() if e.repr])
+        methods["__repr__"] = _shower(
+            [e.name for e in declared_fields.values() if e.repr]
+        )
     if flags.eq:
-        methods["__eq__"] = _comparer([each.name for each in compared])
-        methods["__hash__"] = _hasher([each.name for each in hashed])
+        methods["__eq__"] = _comparer(
+            [record_field.name for record_field in compared_fields]
+        )
+        methods["__hash__"] = _hasher(
+            [record_field.name for record_field in hashed_fields]
+        )
     if flags.frozen:
-        methods["__setattr__"], methods["__delattr__"] = _locks(frozenset(declared))
+        methods["__setattr__"], methods["__delattr__"] = _frozen_methods(
+            frozenset(declared_fields)
+        )
     if flags.frozen and flags.slots:
-        methods["__getstate__"], methods["__setstate__"] = _pickled(tuple(declared))
+        methods["__getstate__"], methods["__setstate__"] = _pickled(
+            tuple(declared_fields)
+        )
     return methods
 
 
 def _initializer(
-    declared: Iterable[Field[Any]],
-    placed: tuple[str, ...],
+    field_list: Iterable[Field[Any]],
+    positional_names: tuple[str, ...],
     frozen: bool,
-    finished: bool,
+    has_post_init: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` of fields, ``placed`` ones by position too."""
-    declared = list(declared)
-    defaults = {e.name: e.default for e in declared if e.default is not MISSING}
+    """Return the ``__init__`` of fields; ``positional_names`` may be positional."""
+    field_list = list(field_list)
+    defaults = {e.name: e.default for e in field_list if e.default is not MISSING}
     factories = [
-        (each.name, each.default_factory)
-        for each in declared
-        if each.default_factory is not MISSING
+        (record_field.name, record_field.default_factory)
+        for record_field in field_list
+        if record_field.default_factory is not MISSING
     ]
-    valued = {each.name for each in declared if each.init or each.name in defaults}
-    valued.update(name for name, _ in factories)
-    never = [each.name for each in declared if not each.init]
-    most = len(placed) if valued == set(placed) else -1  # where they can be all
+    settable_names = {
+        record_field.name
+        for record_field in field_list
+        if record_field.init or record_field.name in defaults
+    }
+    settable_names.update(name for name, _ in factories)
+    unset_names = [
+        record_field.name for record_field in field_list if not record_field.init
+    ]
+    max_positional = (
+        len(positional_names) if settable_names == set(positional_names) else -1
+    )  # if all fields can be positional
     put: Callable[[Any, str, Any], None] = object.__setattr__ if frozen else setattr
 
     def __init__(self: Any, /, *positional: Any, **named: Any) -> None:  # noqa: N807
-        if len(positional) == most and not named:
-            for name, value in zip(placed, positional, strict=True):
+        if len(positional) == max_positional and not named:
+            for name, value in zip(positional_names, positional, strict=True):
                 put(self, name, value)
         else:
-            values = defaults | dict(zip(placed, positional, strict=False)) | named
+            values = (
+                defaults | dict(zip(positional_names, positional, strict=False)) | named
+            )
             for name, make in factories:
                 if name not in values:
                     values[name] = make()
             if (
-                len(positional) > len(placed)
-                or values.keys() != valued
+                len(positional) > len(positional_names)
+                or values.keys() != settable_names
                 or (
-                    (positional or never)
-                    and _taken(named, placed[: len(positional)], never)
+                    (positional or unset_names)
+                    and _taken(named, positional_names[: len(positional)], unset_names)
                 )
             ):
                 _refuse(self, positional, named)
             for name, value in values.items():
                 put(self, name, value)
-        if finished:
+        if has_post_init:
             self.__post_init__()
 
     return __init__
 
 
-def _taken(named: Mapping[str, Any], *others: Iterable[str]) -> bool:
+def _taken(named: Mapping[str, Any], *known_names: Iterable[str]) -> bool:
     """Return whether an argument is repeated or unknown."""
-    return any(name in named for names in others for name in names)
+    return any(name in named for names in known_names for name in names)
 
 
 def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
-    """Raise Python's error of arguments that do not fit."""
+    """Raise Python's error for arguments that do not fit."""
     kind = type(record)
     try:
         _signature(kind).bind(*positional, **named)
@@ -212,20 +246,20 @@ def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) 
 
 def _signature(kind: type[Any]) -> inspect.Signature:
     parameters = []
-    for each in kind.__dataclass_fields__.values():
-        if each.init:
+    for record_field in kind.__dataclass_fields__.values():
+        if record_field.init:
             default: Any = inspect.Parameter.empty
-            if each.default is not MISSING:
-                default = each.default
-            elif each.default_factory is not MISSING:
+            if record_field.default is not MISSING:
+                default = record_field.default
+            elif record_field.default_factory is not MISSING:
                 default = _FactoryDefault()
             parameter = inspect.Parameter(
-                each.name,
+                record_field.name,
                 inspect.Parameter.KEYWORD_ONLY
-                if each.kw_only
+                if record_field.kw_only
                 else inspect.Parameter.POSITIONAL_OR_KEYWORD,
                 default=default,
-                annotation=each.type,
+                annotation=record_field.type,
             )
             parameters.append(parameter)
     parameters.sort(key=lambda parameter: parameter.kind)
@@ -233,7 +267,7 @@ def _signature(kind: type[Any]) -> inspect.Signature:
 
 
 class _FactoryDefault:
-    """Shown default of a field with a factory."""
+    """Displayed default of a field with a factory."""
 
     def __repr__(self) -> str:
         return "<factory>"
@@ -261,7 +295,7 @@ def _comparer(names: list[str]) -> Callable[[Any, Any], Any]:
     def __eq__(self: Any, other: object) -> Any:  # noqa: N807
         if other.__class__ is not self.__class__:
             return NotImplemented
-        # In a tuple an identical object is equal, as a NaN is to itself.
+        # In a tuple, identical objects are equal, such as a NaN and itself.
         return (values(self),) == (values(other),)
 
     return __eq__
@@ -279,26 +313,26 @@ def _hasher(names: list[str]) -> Callable[[Any], int]:
 def _shower(names: list[str]) -> Callable[[Any], str]:
     def __repr__(self: Any) -> str:  # noqa: N807
         kind = type(self)
-        # A record that is in itself, by way of a list, would have no end.
-        if id(self) in _SHOWN:
+        # A record that contains itself, through a list, would recurse endlessly.
+        if id(self) in _REPR_ACTIVE:
             return "..."
-        _SHOWN.add(id(self))
+        _REPR_ACTIVE.add(id(self))
         try:
-            shown = ", ".join(f"{name}={getattr(self, name)!r}" for name in names)
+            fields_text = ", ".join(f"{name}={getattr(self, name)!r}" for name in names)
         finally:
-            _SHOWN.discard(id(self))
-        return f"{kind.__qualname__}({shown})"
+            _REPR_ACTIVE.discard(id(self))
+        return f"{kind.__qualname__}({fields_text})"
 
     return __repr__
 
 
-_SHOWN: set[int] = set()
+_REPR_ACTIVE: set[int] = set()
 
 
-def _locks(
+def _frozen_methods(
     names: frozenset[str],
 ) -> tuple[Callable[[Any, str, Any], None], Callable[[Any, str], None]]:
-    """Return methods that refuse to set and delete fields; subclasses may add some."""
+    """Return methods that refuse to set or delete fields; subclasses may add some."""
 
     def __setattr__(self: Any, name: str, value: Any) -> None:  # noqa: N807
         if name in names or not hasattr(self, "__dict__"):
@@ -329,17 +363,19 @@ def _pickled(
 
 
 def _slotted(
-    cls: type[Any], declared: Iterable[str], added: Mapping[str, Any]
+    cls: type[Any], declared_fields: Iterable[str], methods_to_add: Mapping[str, Any]
 ) -> type[Any]:
     """Return a class with slots for fields that its bases have no slots for."""
-    inherited = {
+    inherited_names = {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }
-    body = {**vars(cls), **added}
-    for name in (*declared, "__dict__", "__weakref__"):
-        body.pop(name, None)
-    body["__slots__"] = tuple(name for name in declared if name not in inherited)
+    namespace = {**vars(cls), **methods_to_add}
+    for name in (*declared_fields, "__dict__", "__weakref__"):
+        namespace.pop(name, None)
+    namespace["__slots__"] = tuple(
+        name for name in declared_fields if name not in inherited_names
+    )
     metaclass: Any = type(cls)
-    rebuilt: type[Any] = metaclass(cls.__name__, cls.__bases__, body)
-    rebuilt.__qualname__ = cls.__qualname__
-    return rebuilt
+    slotted_class: type[Any] = metaclass(cls.__name__, cls.__bases__, namespace)
+    slotted_class.__qualname__ = cls.__qualname__
+    return slotted_class

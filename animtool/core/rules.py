@@ -1,4 +1,4 @@
-"""The codes of faults: each is a page whose front matter declares it.
+"""The codes of faults; each is declared in the front matter of its page.
 
 ``docs/rules/CODE.md``; rules of plug-ins declare themselves.
 """
@@ -42,7 +42,7 @@ class Kind(StrEnum):
     REMAP = "remap"
     LIVELINK = "livelink"
     CAMERAS = "cameras"
-    TAKE = "take"  # of a format that has no rules of its own
+    TAKE = "take"  # a take of a format without its own rules
     TRAJECTORIES = "trajectories"
     COORDINATES = "coordinates"
     BVH = "bvh"
@@ -59,16 +59,16 @@ class Rule:
 
     Attributes:
         code: Family and three digits, such as ``RIG201``.
-        title: What it says, a line without a full stop.
-        severity: Of its findings.
-        kind: Of the files that `check` looks at, or several kinds; None for a code
-            that readers or commands report by themselves.
-        check: ``module:function`` of a function from the subject of such a file to
-            its faults; empty where there is none.
-        takes: Whether `check` looks at each take of a file, a
-            `validation.motion.subject.MotionSubject`, in place of the file.
-        hint: What to do about it, where that is always the same.
-        replaces: Codes of earlier versions that it took over.
+        title: One-line statement, without a full stop.
+        severity: Severity of its findings.
+        kind: Kind or kinds of the files that `check` validates; None for a code that
+            readers or commands report.
+        check: ``module:function`` of a function from the subject of such a file to its
+            faults; empty if there is none.
+        takes: Whether `check` validates each take of a file, a
+            `validation.motion.subject.MotionSubject`, instead of the file.
+        hint: How to correct it, if that is always the same.
+        replaces: Codes of earlier versions that it replaces.
     """
 
     code: str
@@ -82,24 +82,24 @@ class Rule:
 
     @property
     def kinds(self) -> frozenset[Kind]:
-        """Kinds of the files that the rule checks; none without a check."""
+        """Kinds of the files that the rule validates; empty without a check."""
         if self.kind is None:
             return frozenset()
         return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind
 
     def load(self) -> Check:
-        """Return the function of a rule that has a check."""
+        """Return the check function of a rule that has one."""
         return cast(Check, load_object(self.check))
 
 
 def read_page(code: str) -> tuple[Rule, str] | None:
-    """Return a code and the Markdown of its page; None without one."""
+    """Return a code and the Markdown of its page; None if there is none."""
     file = _PAGES / f"{code}.md"
     return _parsed(file.read_text("utf-8")) if file.is_file() else None
 
 
 def page_text(code: str) -> str | None:
-    """Return the Markdown of a code's page; None without one."""
+    """Return the Markdown of a code's page; None if there is none."""
     page = read_page(code)
     return None if page is None else page[1]
 
@@ -109,7 +109,7 @@ def builtin_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules by code, in order."""
     rules = []
     for file in _PAGES.iterdir():
-        # Of 800 files, the buffers and decoders of text would take half of the time.
+        # For 800 files, text buffers and decoders would take half of the time.
         with cast(Path, file).open("rb", buffering=0) as page:
             rules.append(_parsed(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
@@ -118,11 +118,11 @@ def builtin_rules() -> Mapping[str, Rule]:
 @cache
 def replaced_codes() -> Mapping[str, tuple[str, ...]]:
     """Return the codes of earlier versions and those that replace them."""
-    current: dict[str, tuple[str, ...]] = {}
+    new_codes: dict[str, tuple[str, ...]] = {}
     for rule in builtin_rules().values():
-        for old in rule.replaces:
-            current[old] = (*current.get(old, ()), rule.code)
-    return current
+        for old_code in rule.replaces:
+            new_codes[old_code] = (*new_codes.get(old_code, ()), rule.code)
+    return new_codes
 
 
 def finding(
@@ -130,7 +130,7 @@ def finding(
 ) -> Fault:
     """Return a fault at a prim or property, with the severity of its page.
 
-    A severity that is given counts for more than that of the page.
+    An explicit severity overrides that of the page.
     """
     rule = _builtin_rule(code)
     return Fault(
@@ -150,9 +150,9 @@ def _builtin_rule(code: str) -> Rule:
 
 
 def _parsed(text: str) -> tuple[Rule, str]:
-    """Return the code that a page declares in front, and the page under its title."""
-    _, front, body = text.split("---\n", 2)
-    values = dict(line.split(": ", 1) for line in front.splitlines())
+    """Return the code that a page's front matter declares, and the text of the page."""
+    _, front_matter, page_body = text.split("---\n", 2)
+    values = dict(line.split(": ", 1) for line in front_matter.splitlines())
     kinds = frozenset(map(Kind, _list(values.get("kind", ""))))
     rule = Rule(
         values["code"],
@@ -164,7 +164,7 @@ def _parsed(text: str) -> tuple[Rule, str]:
         _text(values.get("hint", "")),
         _list(values.get("replaces", "")),
     )
-    return rule, f"# {rule.code}: {rule.title}\n{body}"
+    return rule, f"# {rule.code}: {rule.title}\n{page_body}"
 
 
 def _text(value: str) -> str:
@@ -179,17 +179,17 @@ def _list(value: str) -> tuple[str, ...]:
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     """Return every rule by code, plug-ins included, and the broken plug-ins.
 
-    An entry point's name is the code of the rule that it leads to.
+    The name of an entry point is the code of its rule.
     """
     rules = dict(builtin_rules())
-    broken: list[Fault] = []
-    for point in _points():
-        loaded = _loaded(point)
-        if isinstance(loaded, Rule):
-            rules[loaded.code] = loaded
+    failed: list[Fault] = []
+    for entry_point in _points():
+        rule_or_fault = _loaded(entry_point)
+        if isinstance(rule_or_fault, Rule):
+            rules[rule_or_fault.code] = rule_or_fault
         else:
-            broken.append(loaded)
-    return rules, tuple(broken)
+            failed.append(rule_or_fault)
+    return rules, tuple(failed)
 
 
 def listed_rules() -> list[ListedEntry]:
@@ -228,13 +228,19 @@ def find_rule(code: str) -> Rule:
     rules, _ = all_rules()
     if name not in rules:
         message = f"unknown code {code!r}"
-        padded = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
-        hint = nearest(padded, [padded] if padded in rules else sorted(rules))
+        padded_code = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
+        hint = nearest(
+            padded_code, [padded_code] if padded_code in rules else sorted(rules)
+        )
         family = re.match("[A-Z]*", name)[0]  # type: ignore[index]
-        among = sorted(known for known in rules if known.startswith(family))
-        if padded not in rules and family and among:
-            ends = f"{among[0]} to {among[-1]}"
-            hint = f"{family} codes are {ends}; animtool explain {family} lists them"
+        family_codes = sorted(
+            known_code for known_code in rules if known_code.startswith(family)
+        )
+        if padded_code not in rules and family and family_codes:
+            range_text = f"{family_codes[0]} to {family_codes[-1]}"
+            hint = (
+                f"{family} codes are {range_text}; animtool explain {family} lists them"
+            )
         elif hint.startswith("allowed"):
             hint = "animtool explain lists them"
         raise OptionError(Fault("VAL005", message, hint=hint))
@@ -247,23 +253,23 @@ def _points() -> list[EntryPoint]:
 
 def _loaded(point: EntryPoint) -> Rule | Fault:
     """Return the rule of a plug-in, or its fault."""
-    what = f"the plug-in rule {point.name!r} ({point.value})"
+    description = f"the plug-in rule {point.name!r} ({point.value})"
     try:
         rule = load_plugin(point, Rule)
         rule.load()
     except OptionError as error:
         return error.faults[0]
     except Exception as error:
-        # Its module may do anything when it is imported.
+        # Importing its module may have any effect.
         hint = "repair or remove the plug-in"
-        message = f"{what} has a check that cannot be loaded: {error}"
+        message = f"{description} has a check that cannot be loaded: {error}"
         return Fault("IO003", message, hint=hint)
-    wrong = _wrong(point.name, rule)
-    return Fault("IO003", f"{what} {wrong}") if wrong else rule
+    fault = _wrong(point.name, rule)
+    return Fault("IO003", f"{description} {fault}") if fault else rule
 
 
 def _wrong(name: str, rule: Rule) -> str:
-    """Return the fault of a plug-in's rule, or nothing."""
+    """Return the fault of a plug-in's rule, or None."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
     if name in builtin_rules() or name in replaced_codes():

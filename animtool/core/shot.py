@@ -1,6 +1,6 @@
 """A shot: its frames, its rate and the times of its media.
 
-A shot counts **shot frames**: whole numbers at the shot's rate. Every command, file and
+A shot counts **shot frames**: integers at the shot's rate. Every command, file and
 report that names a frame of a shot means this number.
 """
 
@@ -17,18 +17,18 @@ from animtool.core.rates import NO_FRACTION, OptionalFraction, rate_label, rate_
 from animtool.core.record import dataclass
 from animtool.core.timecode import timecode_label
 
-# The number of a shot's first frame where nothing states another.
+# Number of a shot's first frame, unless stated otherwise.
 SHOT_START = 1001
-# Timelines store times as floats: this near to a frame, the frame is meant [frame].
-ON_FRAME = Fraction(1, 10_000)
+# Timelines store times as floats: a time this near to a frame is that frame [frame].
+FRAME_TOLERANCE = Fraction(1, 10_000)
 
 
 @dataclass(frozen=True, slots=True)
 class MediaTimecode:
-    """Time codes of a shot's media as a timeline counts them.
+    """Time codes of a shot's media as counted by its timeline.
 
     Attributes:
-        rate: Labels count frames at this rate.
+        rate: Frame rate of the labels.
         first: Time of the media's first frame [s].
         drop: Whether labels are drop-frame.
     """
@@ -38,14 +38,14 @@ class MediaTimecode:
     drop: bool = False
 
     def label(self, seconds: Fraction) -> str:
-        """Return the time code of a media time [s]; without labels the seconds.
+        """Return the time code of a media time [s]; without a rate the seconds.
 
         >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
         '01:00:00:12'
         """
         time = self.first + seconds
         try:
-            frame = math.floor(time * self.rate + ON_FRAME)
+            frame = math.floor(time * self.rate + FRAME_TOLERANCE)
             return timecode_label(frame, self.rate, drop=self.drop)
         except ValueError:
             return f"{float(time):.7g} s"
@@ -58,19 +58,19 @@ class Shot:
     Attributes:
         cut_in: First frame of the cut.
         cut_out: Last frame of the cut.
-        head: How many frames the handle before the cut has.
-        tail: How many frames the handle after the cut has.
-        name: Of the shot; empty where it has none.
-        fps: Shot frames a second; a number or text becomes a fraction. None is the
+        head: Number of frames of the handle before the cut.
+        tail: Number of frames of the handle after the cut.
+        name: Name of the shot; empty if it has none.
+        fps: Shot frames per second; a number or text becomes a fraction. None uses the
             rate of the output.
-        media_in: Time of the media that ``cut_in`` shows, 0 at its first frame [s];
-            None where the shot does not place its media.
-        speed: How many times as fast as its media the shot plays; below 0 it plays
-            backwards, and 0 holds the pose at ``media_in``.
-        timecode: How its timeline counts time codes of the media; None is unknown.
+        media_in: Media time shown at ``cut_in``, 0 for its first frame [s]; None if the
+            shot does not place its media.
+        speed: Playback speed of the media; negative plays backwards, and 0 holds the
+            pose at ``media_in``.
+        timecode: Time codes of the media in its timeline; None if unknown.
 
     Raises:
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a valid rate (SCN022).
 
     >>> shot = Shot(1009, 1056, 8, 8, fps=24, media_in=Fraction(2))
     >>> shot.start, shot.end, float(shot.seconds_at(1033))
@@ -166,8 +166,13 @@ class Shot:
         if self.fps is not None:
             text += f", {rate_label(self.fps)}"
         if self.places_media:
-            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
-            text += f", {float(first):.6g} s to {float(last):.6g} s of its media"
+            first_time, last_time = (
+                self.seconds_at(self.cut_in),
+                self.seconds_at(self.cut_out),
+            )
+            text += (
+                f", {float(first_time):.6g} s to {float(last_time):.6g} s of its media"
+            )
         return text
 
     @property
@@ -175,9 +180,16 @@ class Shot:
         """Media times and speed; empty without placed media."""
         if not self.places_media:
             return {}
-        first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
+        first_time, last_time = (
+            self.seconds_at(self.cut_in),
+            self.seconds_at(self.cut_out),
+        )
         speed = float(self.speed)
-        return {"media_in": float(first), "media_out": float(last), "speed": speed}
+        return {
+            "media_in": float(first_time),
+            "media_out": float(last_time),
+            "speed": speed,
+        }
 
     json_keys: ClassVar[str] = (
         "name start end cut_in cut_out head tail fps? rate=fps?# *media_times"
@@ -215,7 +227,7 @@ def frames_within(seconds: Fraction, fps: Fraction) -> int:
     >>> frames_within(Fraction(3), fps), frames_within(Fraction(0), fps)
     (72, 1)
     """
-    return max(1, math.ceil(seconds * fps - ON_FRAME))
+    return max(1, math.ceil(seconds * fps - FRAME_TOLERANCE))
 
 
 def frame_spans(frames: Iterable[int], step: int = 1) -> str:
@@ -230,8 +242,8 @@ def frame_spans(frames: Iterable[int], step: int = 1) -> str:
             spans[-1].append(frame)
         else:
             spans.append([frame])
-    ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
-    return ", ".join(" to ".join(map(str, one)) for one in ends)
+    span_ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
+    return ", ".join(" to ".join(map(str, bounds)) for bounds in span_ends)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +267,7 @@ class FrameRange:
         if isinstance(frames, FrameRange):
             return frames
         numbers: tuple[Any, ...] = tuple(frames)
-        are_integers = all(isinstance(one, Integral) for one in numbers)
+        are_integers = all(isinstance(value, Integral) for value in numbers)
         if len(numbers) not in {2, 3} or not are_integers:
             raise ValueError(f"{frames!r} is not a range such as (1, 40) or (1, 40, 2)")
         frame_range = FrameRange(*map(int, numbers))
@@ -277,18 +289,19 @@ class FrameList(FrameRange):
         >>> FrameList.of_frames([40, 1, 20])
         FrameList(first=1, last=40, step=1, frames=(40, 1, 20))
         """
-        listed = tuple(frames)
-        return FrameList(min(listed), max(listed), 1, listed)
+        frame_tuple = tuple(frames)
+        return FrameList(min(frame_tuple), max(frame_tuple), 1, frame_tuple)
 
 
-# First and last frame, and the step; options of a bake read text as `1-40x2` too.
+# First and last frame, and the step; options of a bake also accept text such as
+# `1-40x2`.
 FrameRangeLike: TypeAlias = FrameRange | tuple[int, int] | tuple[int, int, int] | str
 
 
 class OptionalRange:
     """Field type: accepts a range or its numbers and stores a range.
 
-    As `animtool.core.rates.OptionalFraction`, a descriptor to type checkers alone.
+    Like `animtool.core.rates.OptionalFraction`, a descriptor only for type checkers.
     """
 
     if TYPE_CHECKING:

@@ -11,24 +11,24 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 
-# What YAML takes for the end of a line.
-_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-# Longer files are arrays, of which no one reads a line.
+# Line ends according to YAML.
+_LINE_ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
+# Longer files are arrays, whose lines nobody reads.
 MAX_BYTES = 4_000_000
-WIDTH = 96
-# Fraction of a cut line before the fault's column.
-BEFORE = 32
+MAX_WIDTH = 96
+# Number of characters shown before the fault's column in a shortened line.
+CONTEXT_BEFORE = 32
 
 
 @dataclass(slots=True)
 class Sources:
     """Source lines of files; the last file is cached."""
 
-    path: str | None = None  # the file that is kept
-    lines: list[str] = field(default_factory=list)  # of it
+    path: str | None = None  # path of the cached file
+    lines: list[str] = field(default_factory=list)  # its lines
 
     def line(self, path: str, number: int) -> str | None:
-        """Return a 1-based line of a file; None where it cannot be read."""
+        """Return a 1-based line of a file; None if it cannot be read."""
         if path != self.path:
             self.path, self.lines = path, _lines(Path(path))
         return self.lines[number - 1] if 0 < number <= len(self.lines) else None
@@ -37,7 +37,7 @@ class Sources:
 def _lines(path: Path) -> list[str]:
     try:
         data = read_input(path, MAX_BYTES, recorded=False)
-        return _ENDS.split(data.decode("utf-8-sig"))
+        return _LINE_ENDS.split(data.decode("utf-8-sig"))
     except (FormatError, UnicodeDecodeError):
         return []
 
@@ -48,18 +48,18 @@ def cut(line: str, column: int) -> Iterator[str]:
     >>> list(cut("joints: []", 9))
     ['joints: []', '        ^']
     """
-    shown = line.rstrip()
-    start = 0
-    if len(shown) > WIDTH:
-        start = max(0, min(column - 1 - BEFORE, len(shown) - WIDTH))
-    part = shown[start : start + WIDTH]
-    part = "".join(c if c.isprintable() else " " for c in part)
-    if start:
-        part = "\N{HORIZONTAL ELLIPSIS}" + part[1:]
-    if start + WIDTH < len(shown):
-        part = part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
-    yield part
-    yield " " * (column - 1 - start) + "^"
+    line_part = line.rstrip()
+    offset = 0
+    if len(line_part) > MAX_WIDTH:
+        offset = max(0, min(column - 1 - CONTEXT_BEFORE, len(line_part) - MAX_WIDTH))
+    left_part = line_part[offset : offset + MAX_WIDTH]
+    left_part = "".join(c if c.isprintable() else " " for c in left_part)
+    if offset:
+        left_part = "\N{HORIZONTAL ELLIPSIS}" + left_part[1:]
+    if offset + MAX_WIDTH < len(line_part):
+        left_part = left_part[:-1] + "\N{HORIZONTAL ELLIPSIS}"
+    yield left_part
+    yield " " * (column - 1 - offset) + "^"
 
 
 def excerpt_lines(fault: Fault, sources: Sources) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 
-# Frames a second that are labelled, minutes but every tenth leaving so many out.
+# Labelled frame rates with drop-frame, and the labels skipped per minute except every
+# tenth.
 _DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
@@ -20,7 +21,7 @@ def is_timecode(text: object) -> bool:
 
 
 def count_rate(rate: Fraction) -> int:
-    """Return the number of labels a second: the rate, or 1001/1000 of it.
+    """Return the number of labels per second: the rate, or 1001/1000 of it.
 
     >>> count_rate(Fraction(24000, 1001)), count_rate(Fraction(25))
     (24, 25)
@@ -44,9 +45,9 @@ def day_frames(rate: Fraction, *, drop: bool = False) -> int:
 def parse_timecode(text: str, rate: Fraction) -> Fraction:
     """Return the frames from midnight to a label, ``HH:MM:SS:FF`` or ``HH:MM:SS;FF``.
 
-    A semicolon is drop-frame: all minutes but each tenth begin with label 02, at 59.94
-    with 04. ``FF.25`` is a quarter of a frame behind FF. What is no label of the rate,
-    or one that drop-frame leaves out, is a `ValueError`.
+    A semicolon means drop-frame: all minutes except every tenth begin with label 02, at
+    59.94 with 04. ``FF.25`` is a quarter of a frame after FF. An invalid label, or one
+    that drop-frame skips, raises `ValueError`.
 
     >>> parse_timecode("01:00:00;00", Fraction(30000, 1001))
     Fraction(107892, 1)
@@ -55,20 +56,22 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     if match is None:
         message = f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
-    count, drop = count_rate(rate), match[4] == ";"
+    labels_per_second, is_drop = count_rate(rate), match[4] == ";"
     hours, minutes, seconds, frames = (int(match[i]) for i in (1, 2, 3, 5))
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
-    for what, value, limit in (*limits, ("frame", frames, count)):
+    for component, value, limit in (*limits, ("frame", frames, labels_per_second)):
         if value >= limit:
-            message = f"{text!r} has {what} {value:02d}; the largest is {limit - 1:02d}"
+            message = (
+                f"{text!r} has {component} {value:02d}; the largest is {limit - 1:02d}"
+            )
             raise ValueError(message)
-    left_out = _dropped(rate) if drop else 0
+    left_out = _dropped(rate) if is_drop else 0
     if minutes % 10 and not seconds and frames < left_out:
-        first = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
-        message = f"drop-frame has no {text!r}: this minute starts at {first}"
+        first_label = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
+        message = f"drop-frame has no {text!r}: this minute starts at {first_label}"
         raise ValueError(message)
     total_minutes = 60 * hours + minutes
-    labels = count * (60 * total_minutes + seconds) + frames
+    labels = labels_per_second * (60 * total_minutes + seconds) + frames
     return (
         labels
         - left_out * (total_minutes - total_minutes // 10)
@@ -79,33 +82,33 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
 def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     """Return the label of a frame counted from midnight; see `parse_timecode`.
 
-    Frames of other days have the label that they have on this one.
+    Frames of other days have the same label as on this day.
 
     >>> timecode_label(107892, Fraction(30000, 1001), drop=True)
     '01:00:00;00'
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
-    count, left_out = count_rate(rate), _dropped(rate) if drop else 0
+    labels_per_second, left_out = count_rate(rate), _dropped(rate) if drop else 0
     frame %= day_frames(rate, drop=drop)
     if left_out:
-        tens, rest = divmod(frame, 600 * count - 9 * left_out)
-        minute = max(0, rest - left_out) // (60 * count - left_out)
+        tens, frame_in_tens = divmod(frame, 600 * labels_per_second - 9 * left_out)
+        minute = max(0, frame_in_tens - left_out) // (60 * labels_per_second - left_out)
         frame += left_out * (9 * tens + minute)
-    seconds, frames = divmod(frame, count)
+    seconds, frames = divmod(frame, labels_per_second)
     minutes, seconds = divmod(seconds, 60)
     hours, minutes = divmod(minutes, 60)
-    wide = max(2, len(str(count - 1)))
-    return f"{hours:02d}:{minutes:02d}:{seconds:02d}{':;'[drop]}{frames:0{wide}d}"
+    digits = max(2, len(str(labels_per_second - 1)))
+    return f"{hours:02d}:{minutes:02d}:{seconds:02d}{':;'[drop]}{frames:0{digits}d}"
 
 
 def seconds_between(
     first: str, first_rate: Fraction, other: str, other_rate: Fraction
 ) -> Fraction:
-    """Return the time from one label to another, over midnight too [s].
+    """Return the time from one label to another, also across midnight [s].
 
-    Each is counted from midnight at its own rate; of two ways around the clock it is
-    the shorter.
+    Each is counted from midnight at its own rate; the shorter way around the clock is
+    used.
 
     >>> seconds_between("23:59:59:00", Fraction(25), "00:00:01:05", Fraction(25))
     Fraction(11, 5)
@@ -117,7 +120,7 @@ def seconds_between(
 
 
 def _dropped(rate: Fraction) -> int:
-    """Return how many labels a minute of a drop-frame rate skips."""
+    """Return the number of labels that a drop-frame rate skips per minute."""
     if rate not in _DROPPED:
         message = f"drop-frame (;) does not apply to {float(rate):g} frames per second"
         raise ValueError(f"{message}, only to 30000/1001 and 60000/1001")

@@ -74,7 +74,7 @@ def up_from_up(
 ) -> tuple[float, float, float, float] | None:
     """Return the rotation (x, y, z, w) from a source's up axis to a target's.
 
-    A quarter turn about X; None where both are the same.
+    A rotation of 90 degrees about X; None if both axes are equal.
 
     >>> up_from_up(UpAxis.Y, UpAxis.Y) is None
     True

@@ -1,16 +1,16 @@
 """Plain JSON values of records, by their fields or a template of keys.
 
-A record whose report has other keys says them in ``json_keys``, a template of names of
-fields, or of properties, in the order of the report::
+A record whose report has other keys declares them in ``json_keys``, a template of names
+of fields or properties, in the order of the report::
 
     json_keys: ClassVar[str] = "'ik' frames fps=clock.fps# goals{name joint} shot?"
 
-``key=path.of.field`` is one under another key, and ``path{…}`` has these keys of the
-value, or of each of a list; ``.{…}`` are further ones of the record. Signs behind a
-path are of its value: with ``?`` the key is left out for None, with ``+`` for what is
-empty too; ``#`` is the text of it, ``~`` numbers to microseconds. ``*path`` are the
-keys of a value, if it is none of None, and ``*`` all fields of the record. A name in
-quotes is that of the report.
+``key=path.of.field`` uses another key; ``path{…}`` selects keys of the value, or of
+each element of a list; ``.{…}`` selects more keys of the record. Suffixes of a path:
+with ``?`` the key is omitted for None, with ``+`` also for empty values; ``#`` converts
+to text, ``~`` rounds numbers to microseconds. ``*path`` inserts the keys of a value, or
+none for None, and ``*`` all fields of the record. A name in quotes is that of the
+report.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _plain_parts(value: Any) -> Any:
         return picked(value, keys)
     if is_dataclass(value):
         return _fields_of(value)
-    if hasattr(value, "tolist"):  # an array, or a number of one
+    if hasattr(value, "tolist"):  # an array, or an element of one
         return plain_value(value.tolist())
     if isinstance(value, Mapping):
         return {str(key): plain_value(part) for key, part in value.items()}
@@ -92,10 +92,10 @@ def at_path(value: Any, path: str) -> Any:
 class JsonKey:
     """A key of a template."""
 
-    key: str  # empty for the keys of a value
-    path: str  # of the field; empty is the record
-    sign: str = ""  # `?`, `+`, `#`, `~`; `'` of the name of a report
-    keys: tuple[JsonKey, ...] | None = None  # of the value
+    key: str  # empty to insert the keys of a value
+    path: str  # path of the field; empty for the record
+    sign: str = ""  # `?`, `+`, `#`, `~`; `'` for the name of a report
+    keys: tuple[JsonKey, ...] | None = None  # keys of the value
 
 
 _TOKEN = re.compile(r"\s*(?:(\})|'([^']+)'|(\*)?(?:(\w+)=)?([\w.]*)([?+#~]*)(\{)?)\s*")
@@ -123,11 +123,11 @@ def _tokens(template: str) -> Iterator[re.Match[str]]:
 
 def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
     for token in tokens:
-        closes, head, star, key, path, signs, opens = token.groups()
+        closes, token_parts, star, key, path, signs, opens = token.groups()
         if closes:
             return
-        if head:
-            yield JsonKey(head, "", "'")
+        if token_parts:
+            yield JsonKey(token_parts, "", "'")
             continue
         inner = tuple(_parsed(tokens)) if opens else None
         yield JsonKey("" if star else key or path, path.strip("."), signs, inner)
@@ -135,14 +135,14 @@ def _parsed(tokens: Iterator[re.Match[str]]) -> Iterator[JsonKey]:
 
 def _filled(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
     values: dict[str, Any] = {}
-    for each in keys:
-        value = at_path(record, each.path)
-        if each.sign == "'":
-            values[each.key] = VERSION
-        elif not each.key:
-            values |= _spread(record, value, each)
-        elif not _is_left_out(value, each.sign):
-            values[each.key] = _keyed(value, each)
+    for json_key in keys:
+        value = at_path(record, json_key.path)
+        if json_key.sign == "'":
+            values[json_key.key] = VERSION
+        elif not json_key.key:
+            values |= _spread(record, value, json_key)
+        elif not _is_left_out(value, json_key.sign):
+            values[json_key.key] = _keyed(value, json_key)
     return values
 
 
@@ -154,8 +154,8 @@ def _spread(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
         return _filled(value, key.keys)
     if value is record:
         return _fields_of(record)
-    plain: dict[str, Any] = plain_value(value)
-    return plain
+    plain_values: dict[str, Any] = plain_value(value)
+    return plain_values
 
 
 def _is_empty(value: Any) -> bool:
@@ -177,7 +177,7 @@ def _keyed(value: Any, key: JsonKey) -> Any:
     if key.keys is None:
         return plain_value(value)
     if isinstance(value, list | tuple):
-        return [_filled(one, key.keys) for one in value]
+        return [_filled(element, key.keys) for element in value]
     return _filled(value, key.keys)
 
 

@@ -1,6 +1,6 @@
 """The table of writers by suffix: of takes, rigs and markers.
 
-The table holds the writers; what they write a file with is imported when used.
+The table contains names of writers; the functions are imported when used.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ class Writer:
     """An entry of the table of writers.
 
     Attributes:
-        name: What reports call the format, such as ``bvh``.
-        about: What such files are, one line.
+        name: Name of the format in reports, such as ``bvh``.
+        about: One-line description of such files.
         take: ``module:object`` of a function from a take, a path and
-            `animtool.motion.take_files.WriteOptions` to the files to write; empty
-            where such files hold no motion, or it is written by ``stage``.
+            `animtool.motion.take_files.WriteOptions` to the files to write; empty if
+            such files contain no motion, or it is written by ``stage``.
         text: ``module:object`` of a function from a take with a sample on every frame
-            to `animtool.formats.take_text.TakeText`, of a format of one file and a row
-            a frame; in place of ``take``.
+            to `animtool.formats.take_text.TakeText`, for a format of one file and one
+            row per frame; instead of ``take``.
         stage: Whether it is USD, which a bake writes block by block.
         markers: ``module:object`` of a function from markers, a path and ``overwrite``
-            to what the format cannot hold; empty where such files hold no markers.
+            to a description of lost content; empty if such files contain no markers.
         rig: ``module:object`` of a function from an
             `animtool.scene.convert.rigs.RigJob` to its report, which writes a rig;
-            empty where such files hold none.
-        sidecars: Suffixes of files that are written beside the output.
-        options: Names of the options of a bake that are for such files alone.
-        holds: Which parts of a take have a place: ``joints``, ``shapes``,
-            ``controls``, ``meshes``.
-        samples: What it holds of a take, as a plan says it.
-        numbered: Whether times in the file say which frame is the first.
-        several: Whether one file holds several takes of a rig, each by its name.
+            empty if such files contain none.
+        sidecars: Suffixes of files that are written next to the output.
+        options: Names of the bake options that apply only to such files.
+        holds: Parts of a take that can be stored: ``joints``, ``shapes``, ``controls``,
+            ``meshes``.
+        samples: Stored samples, as described in a plan.
+        numbered: Whether times in the file determine the number of the first frame.
+        several: Whether one file contains several takes of a rig, by name.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Writer:
     def files(self, path: Path) -> list[Path]:
         """Return the files of an output, the main file last.
 
-        Those that not every take has are left out.
+        Files that not every take has are omitted.
 
         >>> [one.name for one in CLIP.files(Path("walk.clip.yaml"))]
         ['walk.rig.yaml', 'walk.clip.yaml']
@@ -84,7 +84,7 @@ def output_stem(path: Path) -> str:
 
 
 USD = Writer("usd", "USD", stage=True, rig="animtool.scene.convert.rigs:rig_to_usd")
-# Archives hold complete stages: no layer goes over one.
+# Archives contain complete stages: no layer is written over one.
 USDZ = replace(USD, rig="")
 RIG = Writer(
     "rig",
@@ -164,7 +164,7 @@ _TABLE = FormatTable(WRITERS, PLUGIN_GROUP, Writer)
 
 
 def writer_of(path: Path) -> Writer | None:
-    """Return the writer of a file by its suffix; None without one.
+    """Return the writer of a file by its suffix; None if there is none.
 
     Raises:
         OptionError: The plug-in that has it cannot be loaded (IO003).
@@ -178,18 +178,18 @@ def writer_of(path: Path) -> Writer | None:
 def take_writer(path: Path, *, folders: bool = False) -> Writer:
     """Return the writer of a take.
 
-    folders: whether an output may be a folder, which the hint then says.
+    folders: whether an output may be a folder, which the hint then mentions.
 
     Raises:
-        OptionError: The name is of no file that holds motion (OUT004), or the plug-in
-            that has its suffix cannot be loaded (IO003).
+        OptionError: The file type does not contain motion (OUT004), or the plug-in for
+            its suffix cannot be loaded (IO003).
     """
     writer = writer_of(path)
     if writer is not None and writer.holds_motion:
-        stated = Path(path.stem).suffix.lower().removeprefix(".")
-        if writer is not CLIP or stated not in KINDS or stated == "clip":
+        inner_suffix = Path(path.stem).suffix.lower().removeprefix(".")
+        if writer is not CLIP or inner_suffix not in KINDS or inner_suffix == "clip":
             return writer
-        message = f"is the name of a {stated} file, which holds no motion"
+        message = f"is the name of a {inner_suffix} file, which holds no motion"
     elif writer is not None:
         message = f"holds {writer.about}, not motion of joints"
     else:
@@ -207,19 +207,19 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
-_OF_ROBOTS = (
+_ROBOT_HINT = (
     "write .rig.yaml or USD of the robot, and USD, .mot or .clip.yaml of its motion"
 )
-# Formats that are only read, and their replacements for writing, by suffix.
+# Read-only formats, and their replacements for writing, by suffix.
 _READ_ONLY = {
     ".fbx": (
         "FBX",
         "write .usdc for Maya, Houdini, Unreal and Blender, .glb for Blender, Unity "
         "and Unreal, .bvh for MotionBuilder and 3ds Max",
     ),
-    ".urdf": ("URDF", _OF_ROBOTS),
-    ".mjcf": ("MJCF", _OF_ROBOTS),
-    ".xml": ("MJCF", _OF_ROBOTS),
+    ".urdf": ("URDF", _ROBOT_HINT),
+    ".mjcf": ("MJCF", _ROBOT_HINT),
+    ".xml": ("MJCF", _ROBOT_HINT),
 }
 
 
@@ -270,7 +270,7 @@ def writes_stage(path: Path) -> bool:
 
 
 def file_suffixes() -> list[str]:
-    """Return the suffixes of takes besides USD, without plug-ins.
+    """Return the suffixes of takes except USD, without plug-ins.
 
     >>> file_suffixes()[:2]
     ['.bvh', '.clip.yaml']
@@ -289,7 +289,7 @@ def _motion_suffixes() -> list[str]:
 
 
 def listed_writers() -> list[ListedEntry]:
-    """Return every writer, built-in ones first, plug-ins loaded.
+    """Return every writer, built-in ones first, with plug-ins loaded.
 
     >>> listed_writers()[0].name
     '.bvh'
@@ -298,9 +298,9 @@ def listed_writers() -> list[ListedEntry]:
 
 
 def _writes(writer: Writer) -> tuple[str, ...]:
-    named: dict[str, Any] = {
+    contents: dict[str, Any] = {
         "motion": writer.holds_motion,
         "markers": writer.markers,
         "rig": writer.rig,
     }
-    return tuple(name for name, has in named.items() if has)
+    return tuple(name for name, is_supported in contents.items() if is_supported)

@@ -14,17 +14,17 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion, MotionCurve
 from animtool.motion.take import Take
 
-# A sample this near to its curve, relative to the larger of 1 and its size, is on it:
-# rounding of times in the millions is less, and it is a tenth of a curve's tolerance
-# [m], [rad], [1].
-SAME = 1e-10
+# A sample within this distance of its curve, relative to the larger of 1 and its size,
+# is on the curve: more than the rounding of times in the millions, and a tenth of a
+# curve's tolerance [m], [rad], [1].
+ON_CURVE = 1e-10
 # Frames per block of the comparison.
 BLOCK_FRAMES = 512
-# Times are rounded to these decimals [frame], which restores decimals that users wrote,
-# so that a step stays on its side of its key.
+# Decimals to which times are rounded [frame]; this restores the decimals that users
+# wrote, so that a step stays on its side of its key.
 TIME_DECIMALS = 11
 
-CURVED = ("translations", "rotations", "scales", "weights", "controls")
+CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,9 @@ class Between:
     the shortest arc at constant speed. On a frame every row is its sample exactly.
 
     Attributes:
-        take: F frames.
-        curved: Which rows of each channel are evaluated, by the channel's name; a
-            channel without such rows is left out.
+        take: A take of F frames.
+        curved: Mask of the rows of each channel that are evaluated, by channel name;
+            channels without such rows are omitted.
     """
 
     take: Take
@@ -60,13 +60,15 @@ class Between:
         if take.curve is None:
             return Between(take, {})
         times, curved = take.clock.times, dict[str, BoolArray]()
-        for begin in range(0, len(times), BLOCK_FRAMES):
-            part = slice(begin, begin + BLOCK_FRAMES)
-            evaluated, sampled = take.curve(times[part]), take.motion.select(part)
-            for name in CURVED:
-                same = _same_rows(getattr(sampled, name), getattr(evaluated, name))
-                if same is not None:
-                    curved[name] = curved.get(name, same) & same
+        for start in range(0, len(times), BLOCK_FRAMES):
+            part = slice(start, start + BLOCK_FRAMES)
+            curve_values, samples = take.curve(times[part]), take.motion.select(part)
+            for name in CURVE_CHANNELS:
+                is_equal = _same_rows(
+                    getattr(samples, name), getattr(curve_values, name)
+                )
+                if is_equal is not None:
+                    curved[name] = curved.get(name, is_equal) & is_equal
         return Between(take, {k: rows for k, rows in curved.items() if rows.any()})
 
     def at(
@@ -74,24 +76,24 @@ class Between:
     ) -> Motion:
         """Return the take at positions between its frames.
 
-        smooth: rows of joints without curves follow splines of class C1; shared: the
-        animated rows are those of the take, as blocks of one motion have to share them.
+        smooth: rows of joints without curves follow splines of class C1; shared: all
+        results have the same animated rows, as required for blocks of one motion.
         """
         motion = self.take.motion
-        blended = motion.map(at.blend)
+        interpolated = motion.map(at.blend)
         if smooth:
             scales = motion.scales
-            blended = replace(
-                blended,
+            interpolated = replace(
+                interpolated,
                 translations=at.curve(motion.translations),
                 rotations=at.curve(motion.rotations),
                 scales=None if scales is None else at.curve(scales),
             )
-        between = at.fractions > 0
-        if not self.curved or not between.any():
-            return blended
-        times = self._times(at)[between]
-        return self._evaluated(blended, between, times, shared=shared)
+        is_between = at.fractions > 0
+        if not self.curved or not is_between.any():
+            return interpolated
+        times = self._times(at)[is_between]
+        return self._evaluated(interpolated, is_between, times, shared=shared)
 
     def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
         """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
@@ -116,15 +118,20 @@ class Between:
         return np.asarray(np.round(times, TIME_DECIMALS))
 
     def _evaluated(
-        self, blended: Motion, between: BoolArray, times: FloatArray, *, shared: bool
+        self,
+        interpolated: Motion,
+        is_between: BoolArray,
+        times: FloatArray,
+        *,
+        shared: bool,
     ) -> Motion:
         """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
-        evaluated = self.take.curve(times)
-        changed: dict[str, Channel] = {}
+        curve_motion = self.take.curve(times)
+        new_channels: dict[str, Channel] = {}
         for name, rows in self.curved.items():
-            linear: Channel = getattr(blended, name)
-            channel: Channel = getattr(evaluated, name)
+            linear: Channel = getattr(interpolated, name)
+            channel: Channel = getattr(curve_motion, name)
             moves = (linear.rest != channel.rest).any(axis=-1)
             moves[channel.animated] = True
             moves &= not shared
@@ -132,16 +139,16 @@ class Between:
             moving = np.flatnonzero(moves & rows)
             values_of_rows, values = linear.gather(moving), channel.gather(moving)
             if name == "rotations":
-                values = so3.align_to(values, values_of_rows[between])
-            values_of_rows[between] = values
-            changed[name] = linear.put(moving, values_of_rows)
+                values = so3.align_to(values, values_of_rows[is_between])
+            values_of_rows[is_between] = values
+            new_channels[name] = linear.put(moving, values_of_rows)
         return replace(
-            blended,
-            translations=changed.get("translations", blended.translations),
-            rotations=changed.get("rotations", blended.rotations),
-            scales=changed.get("scales", blended.scales),
-            weights=changed.get("weights", blended.weights),
-            controls=changed.get("controls", blended.controls),
+            interpolated,
+            translations=new_channels.get("translations", interpolated.translations),
+            rotations=new_channels.get("rotations", interpolated.rotations),
+            scales=new_channels.get("scales", interpolated.scales),
+            weights=new_channels.get("weights", interpolated.weights),
+            controls=new_channels.get("controls", interpolated.controls),
         )
 
 
@@ -153,14 +160,14 @@ def _same_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
     moving = np.union1d(a.animated, b.animated)
-    same: BoolArray = _near(a.rest[None], b.rest[None])[0]
-    same[moving] = _near(a.gather(moving), b.gather(moving)).all(axis=0)
-    return same
+    is_equal: BoolArray = _near(a.rest[None], b.rest[None])[0]
+    is_equal[moving] = _near(a.gather(moving), b.gather(moving)).all(axis=0)
+    return is_equal
 
 
 def _near(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Return which values ``(F, J, K)`` are the same ``(F, J)``."""
+    """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
-    bound = SAME * np.maximum(1.0, np.abs(a).max(axis=-1))
+    bound = ON_CURVE * np.maximum(1.0, np.abs(a).max(axis=-1))
     return np.asarray(np.abs(a - b).max(axis=-1) <= bound)

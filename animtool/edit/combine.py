@@ -2,7 +2,7 @@
 
 Addition of each kind of channel is defined in `animtool.maths.additive`.
 
-Rows static in both stay stored once, unless the weight changes over time.
+Rows that are static in both motions are stored once, unless the weight changes.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
-# A dot product of quaternions above this is positive, however its sum is rounded.
-SURELY = 1e-12
+# A dot product of quaternions above this is positive despite rounding.
+POSITIVE_DOT = 1e-12
 
 
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
     """Return the motion with rotation signs continuous along its frames.
 
-    ``previous`` ``(A, 4)``.
+    ``previous``: last rotations before the motion ``(A, 4)``.
     """
     channel = motion.rotations
     if not channel.values.size:
         return motion
-    before = channel.values[0] if previous is None else previous
+    previous_values = channel.values[0] if previous is None else previous
     dots = np.einsum("fak,fak->fa", channel.values[1:], channel.values[:-1])
-    first = np.einsum("ak,ak->a", channel.values[0], before)
-    if min(dots.min(initial=1.0), first.min()) > SURELY:
+    first_dots = np.einsum("ak,ak->a", channel.values[0], previous_values)
+    if min(dots.min(initial=1.0), first_dots.min()) > POSITIVE_DOT:
         return motion
-    values = so3.align_signs(channel.values, before)
+    values = so3.align_signs(channel.values, previous_values)
     return replace(motion, rotations=replace(channel, values=values))
 
 
-# From values (F, A, K) of both and weights (F, 1, 1) to values (F, A, K).
+# Maps both values (F, A, K) and weights (F, 1, 1) to values (F, A, K).
 Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 
@@ -64,8 +64,8 @@ class Strength:
     """Weight of the second motion, and the joints it affects."""
 
     weights: FloatArray  # [1] ``(F,)``
-    steady: bool = True  # the weight never changes, in this block or another
-    # Those that change; None is all, and shapes and controls with them.
+    steady: bool = True  # whether the weight is constant, in all blocks
+    # Affected joints; None affects all, including shapes and controls.
     joints: Sequence[int] | None = None
 
 
@@ -74,7 +74,7 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing = sorted(set(rig.names) ^ set(other.names))
-    what = (
+    problem = (
         f"joint {missing[0]!r} is in only one of them"
         if missing
         else ("joints are in different positions")
@@ -83,7 +83,7 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
         Fault(
             "SCN017",
             f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
-            f"joints and {other.name!r} with {len(other.joints)}: {what}",
+            f"joints and {other.name!r} with {len(other.joints)}: {problem}",
             hint="retarget one of them first",
         )
     )
@@ -146,30 +146,32 @@ def _neutral(like: Channel, value: float) -> Channel:
 def _joined(
     a: Channel, b: Channel, operation: Operation, strength: Strength
 ) -> Channel:
-    chosen = (
+    is_affected = (
         np.arange(len(a.rest))
         if strength.joints is None
         else np.array(strength.joints, np.int64)
     )
-    moves = np.isin(chosen, np.union1d(a.animated, b.animated)) | (not strength.steady)
-    moving, fixed = chosen[moves], chosen[~moves]
+    moves = np.isin(is_affected, np.union1d(a.animated, b.animated)) | (
+        not strength.steady
+    )
+    moving, fixed_rows = is_affected[moves], is_affected[~moves]
     weights = strength.weights[:, None, None]
-    rest = a.rest.copy()
-    if len(fixed) and len(weights):
-        rest[fixed] = operation(a.rest[fixed][None], b.rest[fixed][None], weights[:1])[
-            0
-        ]
-    result = replace(a, rest=rest)
+    rest_values = a.rest.copy()
+    if len(fixed_rows) and len(weights):
+        rest_values[fixed_rows] = operation(
+            a.rest[fixed_rows][None], b.rest[fixed_rows][None], weights[:1]
+        )[0]
+    result = replace(a, rest=rest_values)
     if len(moving):
-        both = a.gather(moving), b.gather(moving)
-        result = result.put(moving, operation(*both, weights))
+        gathered = a.gather(moving), b.gather(moving)
+        result = result.put(moving, operation(*gathered, weights))
     return result
 
 
 def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
     """Return a motion with a weighted delta on top.
 
-    A weight may be beyond 1 or negative. Signs of rotations may jump.
+    Weights may be above 1 or negative. Signs of rotations may jump.
 
     >>> from animtool.motion.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
@@ -182,7 +184,7 @@ def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
 
 
 def subtract(source: Motion, base: Motion) -> Motion:
-    """Return the delta that makes ``source`` of ``base``; `add` undoes it.
+    """Return the delta from ``base`` to ``source``; `add` reverses it.
 
     Scales of the base must not be 0. Signs of rotations may jump.
 
@@ -237,10 +239,10 @@ def _line(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _arc(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
-    between = so3.slerp(a, b, weight[..., 0])
-    # Equal values stay unchanged to the last bit.
-    kept = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
-    return np.where(kept, a, np.where(weight == 1, b, between))
+    interpolated = so3.slerp(a, b, weight[..., 0])
+    # Equal values stay bit-identical.
+    is_unchanged = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
+    return np.where(is_unchanged, a, np.where(weight == 1, b, interpolated))
 
 
 _MIX = Operations(_line, _arc, _line, _line)
@@ -256,11 +258,11 @@ def other_frames(
     """Return another take at ``count`` frames of a rate [1/s], clamped at its ends.
 
     First frames coincide, whatever the time codes; ``delay`` starts it later [frame].
-    Its curves are evaluated. As a `Between` it may be read block by block: all blocks
-    share the animated rows.
+    Its curves are evaluated. Pass a `Between` to read block by block, so that all
+    blocks share the animated rows.
     """
-    between = other if isinstance(other, Between) else Between.of(other)
-    clock = between.take.clock
+    sampler = other if isinstance(other, Between) else Between.of(other)
+    clock = sampler.take.clock
     index = np.arange(first, first + count)
     positions = even_positions(index, -delay, clock.rate / rate, clock.count)
-    return between.at(positions, shared=between is other)
+    return sampler.at(positions, shared=sampler is other)

@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, OptionError
 
 
 def exact(number: float, name: str) -> Fraction:
-    """Return the fraction that a decimal literal means.
+    """Return the fraction that a decimal literal denotes.
 
     Raises:
         OptionError: It is not finite (SCN013).
@@ -26,12 +26,12 @@ def exact(number: float, name: str) -> Fraction:
 
 def check_range(first: float | None, last: float | None) -> None:
     """Refuse a reversed range of frames; None is an end of the take."""
-    ends = [
-        exact(end, name)
-        for end, name in ((first, "first"), (last, "last"))
-        if end is not None
+    range_ends = [
+        exact(range_end, name)
+        for range_end, name in ((first, "first"), (last, "last"))
+        if range_end is not None
     ]
-    if ends != sorted(ends):
+    if range_ends != sorted(range_ends):
         message = f"the range from {first:g} to {last:g} is reversed"
         flags = argument("first", f"{last:g}"), argument("last", f"{first:g}")
         hint = f"write {' and '.join(flags)}"

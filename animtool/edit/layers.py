@@ -52,9 +52,9 @@ class BlendOptions:
 
     Attributes:
         take: File of the other take.
-        weight: Of the other take [1], one number or pairs ``[frame, weight]``.
-        interpolation: How a weight curve runs from pair to pair.
-        delay: By how much the other take starts later than this one [time code].
+        weight: Weight of the other take [1]: a number, or pairs ``[frame, weight]``.
+        interpolation: Interpolation between the pairs of a weight curve.
+        delay: Delay of the other take relative to this one [time code].
     """
 
     take: Path | None = None
@@ -77,12 +77,12 @@ def blend(
     is clamped at its ends. The other starts ``delay`` later.
 
     Args:
-        take: F frames, whose clock the result has.
-        other: K frames on the same rig, at any rate.
-        weight: Of the other take, 0 to 1 [1]: a number, or pairs of a time code and
-            a weight.
-        interpolation: How a weight curve runs from pair to pair.
-        delay: By how much the other take starts later [time codes].
+        take: A take of F frames, whose clock the result has.
+        other: A take of K frames of the same rig, at any rate.
+        weight: Weight of the other take, 0 to 1 [1]: a number, or pairs of a time code
+            and a weight.
+        interpolation: Interpolation between the pairs of a weight curve.
+        delay: Delay of the other take [time codes].
 
     Raises:
         OptionError: The delay is not finite (SCN013), a weight is not finite or not
@@ -92,16 +92,16 @@ def blend(
     """
     check_same_rig(take.rig, other.rig)
     clock = take.clock
-    late = exact(delay, "delay") / clock.step
+    delay_frames = exact(delay, "delay") / clock.step
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
-    count = max(clock.count, 1 + math.floor(late + length))
+    count = max(clock.count, 1 + math.floor(delay_frames + length))
     check_count(count)
     full_clock = replace(clock, count=count)
     weights = weights_at(weight, full_clock.times, interpolation)
     strength = Strength(weights, isinstance(weight, (int, float)))
-    one = other_frames(take, clock.rate, 0, count)
-    two = other_frames(other, clock.rate, 0, count, late)
-    motion = continuous(mix(one, two, strength)).map(Channel.compact)
+    first_motion = other_frames(take, clock.rate, 0, count)
+    second_motion = other_frames(other, clock.rate, 0, count, delay_frames)
+    motion = continuous(mix(first_motion, second_motion, strength)).map(Channel.compact)
     return replace(take, clock=full_clock, motion=motion)
 
 
@@ -136,12 +136,12 @@ BLEND = Pass(
 
 @dataclass(frozen=True, slots=True)
 class DifferenceOptions:
-    """What the take is compared with.
+    """The base of the difference.
 
     Attributes:
-        base: File of the base take; none is the rest pose of the rig.
-        frame: Time code of the base whose pose is the base; none compares frame by
-            frame, first frame with first.
+        base: File of the base take; None uses the rest pose of the rig.
+        frame: Time code of the base whose pose is subtracted; None compares frame by
+            frame from the first frames on.
     """
 
     base: Path | None = None
@@ -156,23 +156,24 @@ def difference(
     The layer pass adds it back, with the convention of `animtool.maths.additive`.
 
     Args:
-        take: F frames.
-        base: Resampled to the take's rate and held at its ends; None is the rest
-            pose.
-        frame: Time code of the base whose pose is the base; None is frame by frame.
+        take: A take of F frames.
+        base: Base take, resampled to the take's rate and clamped at its ends; None uses
+            the rest pose.
+        frame: Time code of the base whose pose is subtracted; None compares frame by
+            frame.
 
     Raises:
         OptionError: The base has no such frame (SCN013), is of another rig
             (SCN017), or a scale of it is 0 (SCN023).
     """
-    below = rest_take(take.rig, take.clock) if base is None else base
-    return _subtract_stream(TakeStream.of(take), _base(below, frame)).collect()
+    base_take = rest_take(take.rig, take.clock) if base is None else base
+    return _subtract_stream(TakeStream.of(take), _base(base_take, frame)).collect()
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a one-frame take of a rig at rest, on the rate of a clock."""
-    constant = Channel.static
-    motion = Motion(constant(rig.rest_translations), constant(rig.rest_rotations))
+    static = Channel.static
+    motion = Motion(static(rig.rest_translations), static(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
 
 
@@ -183,9 +184,9 @@ def _base(base: Take, frame: float | None) -> Take:
         base = replace(base, clock=replace(base.clock, count=1), motion=motion)
     scales = base.motion.scales
     if scales is not None:
-        flat = (scales.dense() == 0).any(axis=(0, 2))
-        if flat.any():
-            name = base.rig.names[int(np.argmax(flat))]
+        is_zero = (scales.dense() == 0).any(axis=(0, 2))
+        if is_zero.any():
+            name = base.rig.names[int(np.argmax(is_zero))]
             message = f"joint {name!r} has a scale of 0 in the base"
             raise OptionError(Fault("SCN023", message))
     return base
@@ -210,8 +211,8 @@ def _subtracted(
     stream: TakeStream, options: DifferenceOptions, context: PassContext
 ) -> TakeStream:
     if options.base is None:
-        start = Fraction(1) if stream.start is None else stream.start
-        base = rest_take(stream.rig, Clock(stream.fps, start, stream.step, 1))
+        first_code = Fraction(1) if stream.start is None else stream.start
+        base = rest_take(stream.rig, Clock(stream.fps, first_code, stream.step, 1))
     else:
         base = context.take(options.base, "base")
     return _subtract_stream(stream, _base(base, options.frame))
@@ -242,13 +243,13 @@ class LayerOptions:
         take: File of the other take.
         mode: ``override`` blends towards the other take; ``additive`` adds it, and
             it must be a difference (see the pass of that name).
-        weight: [1], one number or pairs ``[frame, weight]``; 0 to 1 for
+        weight: Weight [1]: a number, or pairs ``[frame, weight]``; 0 to 1 for
             ``override``, any for ``additive``.
-        interpolation: How a weight curve runs from pair to pair.
-        joints: Names or patterns of the joints that change; none is all of them,
-            and shapes and controls too.
-        children: Take what is below these joints too.
-        delay: By how much the other take starts later than this one [time code].
+        interpolation: Interpolation between the pairs of a weight curve.
+        joints: Names or patterns of the affected joints; empty affects all of them,
+            including shapes and controls.
+        children: Whether the joints below these are affected too.
+        delay: Delay of the other take relative to this one [time code].
     """
 
     take: Path | None = None
@@ -277,17 +278,17 @@ def layer(
     later, is resampled to its rate and clamped at its ends.
 
     Args:
-        take: F frames, whose clock and rig the result has.
-        other: K frames on the same rig, at any rate.
+        take: A take of F frames, whose clock and rig the result has.
+        other: A take of K frames of the same rig, at any rate.
         mode: ``override`` blends towards ``other``; ``additive`` adds it, and it must
             come from `difference`.
-        weight: Of the other take [1], 0 to 1 for ``override`` and any for
+        weight: Weight of the other take [1], 0 to 1 for ``override`` and any for
             ``additive``: a number, or pairs of a time code and a weight.
-        interpolation: How a weight curve runs from pair to pair.
-        joints: Names or patterns of the joints that change; empty is all of them,
-            and shapes and controls too.
-        children: Change what is below these joints too.
-        delay: By how much the other take starts later [time codes].
+        interpolation: Interpolation between the pairs of a weight curve.
+        joints: Names or patterns of the affected joints; empty affects all of them,
+            including shapes and controls.
+        children: Whether the joints below these are affected too.
+        delay: Delay of the other take [time codes].
 
     Raises:
         OptionError: A joint is not in the rig (SCN012), the delay is not finite
@@ -325,25 +326,28 @@ class _Plan:
         return replace(stream, blocks=self._blocks(stream))
 
     def _weights(self, times: FloatArray) -> FloatArray:
-        bounded = self.mode is LayerMode.OVERRIDE
-        return weights_at(self.weight, times, self.interpolation, bounded=bounded)
+        is_bounded = self.mode is LayerMode.OVERRIDE
+        return weights_at(self.weight, times, self.interpolation, bounded=is_bounded)
 
     def _blocks(self, stream: TakeStream) -> Iterator[Motion]:
-        start = Fraction(1) if stream.start is None else stream.start
+        first_code = Fraction(1) if stream.start is None else stream.start
         delay = exact(self.delay, "delay") / stream.step
         operation = mix if self.mode is LayerMode.OVERRIDE else add
-        steady = isinstance(self.weight, (int, float))
-        between = Between.of(self.other)
-        first, previous = 0, None
+        is_constant = isinstance(self.weight, (int, float))
+        sampler = Between.of(self.other)
+        frame_count, previous = 0, None
         for block in stream.blocks:
-            begin = start + first * stream.step
-            weights = self._weights(time_codes(begin, stream.step, block.frames))
+            block_code = first_code + frame_count * stream.step
+            weights = self._weights(time_codes(block_code, stream.step, block.frames))
             rate = stream.fps / stream.step
-            above = other_frames(between, rate, first, block.frames, delay)
-            strength = Strength(weights, steady, self.joints)
-            motion = continuous(operation(block, above, strength), previous)
+            other_motion = other_frames(sampler, rate, frame_count, block.frames, delay)
+            strength = Strength(weights, is_constant, self.joints)
+            motion = continuous(operation(block, other_motion, strength), previous)
             yield motion
-            first, previous = first + block.frames, motion.rotations.values[-1]
+            frame_count, previous = (
+                frame_count + block.frames,
+                motion.rotations.values[-1],
+            )
 
 
 def _layered(
@@ -361,10 +365,10 @@ def _layered(
 
 
 def _check_layer(options: LayerOptions) -> OptionChecks:
-    bounded = options.mode is LayerMode.OVERRIDE
+    is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),
-        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=bounded),
+        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=is_bounded),
         "delay": lambda: exact(options.delay, "delay"),
     }
 

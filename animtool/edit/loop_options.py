@@ -12,9 +12,9 @@ class LoopOptions:
     """The cycle and how often it is repeated.
 
     Attributes:
-        find: Look for the best cycle between ``first`` and ``last``.
-        shortest: Least length of the cycle [s].
-        longest: Most [s].
+        find: Whether to search for the best cycle between ``first`` and ``last``.
+        shortest: Minimum length of the cycle [s].
+        longest: Maximum length of the cycle [s].
     """
 
     first: float | None = option(None, "frame", help="The first frame of the cycle.")

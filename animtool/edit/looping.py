@@ -1,9 +1,9 @@
 """Seamless repetition of a take.
 
-Towards the end two corrections are added, quintics of the time s from 0 to 1: one
-removes the pose offset and arrives without speed, the other corrects the speed and
-arrives without offset. Both start with no offset, speed or acceleration, so that frames
-before the blend stay unchanged (the idea of D. Bollo, Inertialization: high-performance
+Two corrections are added towards the end, quintics of the time s from 0 to 1: one
+removes the pose offset and ends without speed, the other corrects the speed and ends
+without offset. Both start without offset, speed or acceleration, so that frames before
+the blend stay unchanged (the idea of D. Bollo, Inertialization: high-performance
 animation transitions in Gears of War, 2018).
 """
 
@@ -41,12 +41,12 @@ from animtool.motion.transforms import Track, Transforms
 from animtool.rig.skeleton import Joint, Rig
 
 _Value = TypeVar("_Value", bound=np.generic)
-Onward: TypeAlias = Callable[[FloatArray], FloatArray]
+NextCycle: TypeAlias = Callable[[FloatArray], FloatArray]
 
-# If a cycle spans the full take, speeds at its ends are only approximate. A
-# change of speed below this fraction of the largest within is then taken as
-# natural: an even cycle stays unchanged if its fastest part takes nine
-# frames or more (by Bernstein's inequality).
+# If a cycle spans the full take, speeds at its ends are only approximate. A change of
+# speed below this fraction of the largest change within the cycle is then considered
+# natural: a seamless cycle stays unchanged if its fastest part takes nine frames or
+# more (by Bernstein's inequality).
 NATURAL_CHANGE = 0.25
 
 
@@ -54,25 +54,27 @@ NATURAL_CHANGE = 0.25
 class SeamBlend:
     """A cycle within some frames, and the blend weights of its corrections."""
 
-    length: int  # frames of the cycle, L
-    before: int  # whether there is a frame before the cycle (1) or none (0)
-    behind: int  # whether there is one after the frame that shows the first pose again
-    pose: FloatArray  # how much of the offset at the end [1] ``(L, 1, 1)``
-    speed: FloatArray  # how much of the missing speed [frame] ``(L, 1, 1)``
+    length: int  # number of frames of the cycle, L
+    before: int  # 1 if there is a frame before the cycle, else 0
+    behind: int  # 1 if a frame follows the repeated pose, else 0
+    pose: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
+    speed: FloatArray  # 1 if there is a frame after the repeated pose, else 0
 
     @staticmethod
     def over(length: int, frames: int, before: int, behind: int) -> SeamBlend:
         """Return the blend of the last frames of a cycle."""
-        span = min(frames, length)
-        s = np.clip((np.arange(length) - (length - span)) / max(span, 1), 0, 1)
+        blend_length = min(frames, length)
+        s = np.clip(
+            (np.arange(length) - (length - blend_length)) / max(blend_length, 1), 0, 1
+        )
         pose = s**3 * (10 - 15 * s + 6 * s**2)
-        speed = span * s**3 * (-4 + 7 * s - 3 * s**2)
+        speed = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
         pose, speed = pose[:, None, None], speed[:, None, None]
         return SeamBlend(length, before, behind, pose, speed)
 
     @property
     def late(self) -> slice:
-        """The blended frames: the last of the cycle."""
+        """The blended frames at the end of the cycle."""
         (frames,) = np.nonzero(self.pose[:, 0, 0])
         return slice(int(frames[0]) if len(frames) else self.length, self.length)
 
@@ -86,46 +88,48 @@ class SeamBlend:
         They are the frames on either side if both ends have them; else, if the cycle
         spans the full take, three frames at each end.
         """
-        around = self.before + self.behind
-        if around:
-            pair = np.array([0, around])
-            return values[pair], values[pair + self.length]
+        extra_frames = self.before + self.behind
+        if extra_frames:
+            end_offsets = np.array([0, extra_frames])
+            return values[end_offsets], values[end_offsets + self.length]
         return values[:3], values[-3:]
 
 
-def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
+def closed_lines(values: FloatArray, blend: SeamBlend, onward: NextCycle) -> FloatArray:
     """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
     cycle = blend.cycle(values)
-    start, end = blend.ends(values)
+    start_frames, end_frames = blend.ends(values)
     missing = _missing_speed(
-        np.diff(onward(start), axis=0),
-        np.diff(end, axis=0),
+        np.diff(onward(start_frames), axis=0),
+        np.diff(end_frames, axis=0),
         lambda: np.diff(cycle, axis=0),
         blend,
     )
-    gap = onward(cycle[:1])[0] - cycle[-1]
-    closed, late = cycle[:-1].copy(), blend.late
-    closed[late] += blend.pose[late] * gap + blend.speed[late] * missing
-    return closed
+    offset = onward(cycle[:1])[0] - cycle[-1]
+    corrected, blended = cycle[:-1].copy(), blend.late
+    corrected[blended] += blend.pose[blended] * offset + blend.speed[blended] * missing
+    return corrected
 
 
 def closed_rotations(
-    values: FloatArray, blend: SeamBlend, onward: Onward
+    values: FloatArray, blend: SeamBlend, onward: NextCycle
 ) -> FloatArray:
     """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
     cycle = blend.cycle(values)
-    start, end = blend.ends(values)
-    gap = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
-    # Speeds are about the joint's own axes, which the gap turns.
-    ending = so3.rotate(so3.conjugate(gap), so3.steps(end))
+    start_frames, end_frames = blend.ends(values)
+    offset = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
+    # Speeds are about the joint's own axes, which the offset rotates.
+    end_values = so3.rotate(so3.conjugate(offset), so3.steps(end_frames))
     missing = _missing_speed(
-        so3.steps(onward(start)), ending, lambda: so3.steps(cycle), blend
+        so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
     )
-    closed, late = cycle[:-1].copy(), blend.late
-    part = so3.slerp(so3.IDENTITY, gap, blend.pose[late, :, 0])
-    turned = so3.multiply(closed[late], part)
-    closed[late] = so3.multiply(turned, so3.exp(blend.speed[late] * missing))
-    return closed
+    corrected, blended = cycle[:-1].copy(), blend.late
+    correction = so3.slerp(so3.IDENTITY, offset, blend.pose[blended, :, 0])
+    corrected_part = so3.multiply(corrected[blended], correction)
+    corrected[blended] = so3.multiply(
+        corrected_part, so3.exp(blend.speed[blended] * missing)
+    )
+    return corrected
 
 
 def _missing_speed(
@@ -134,22 +138,22 @@ def _missing_speed(
     measure: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
-    """Return the speed ``(A, K)`` [a frame] missing at the end of a cycle.
+    """Return the speed missing at the end of a cycle ``(A, K)`` [1/frame].
 
-    ``measure`` returns the steps from frame to frame ``(L, A, K)``.
+    ``measure`` returns the steps between frames ``(L, A, K)``.
     """
-    around = blend.before + blend.behind
-    if around:
-        return np.asarray((starting[0] - ending[0]) / around)
+    extra_frames = blend.before + blend.behind
+    if extra_frames:
+        return np.asarray((starting[0] - ending[0]) / extra_frames)
     steps = measure()
     if len(steps) < 2:
         return np.zeros(steps.shape[1:])
     mean_rate = (ending[1] - ending[0] + starting[1] - starting[0]) / 2
     missing = starting[0] - ending[1] - mean_rate
-    size = np.linalg.norm(missing, axis=-1, keepdims=True)
+    magnitude = np.linalg.norm(missing, axis=-1, keepdims=True)
     changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
-    beyond = np.maximum(size - NATURAL_CHANGE * changes[:, None], 0)
-    return np.asarray(missing * (beyond / np.where(size > 0, size, 1)))
+    excess = np.maximum(magnitude - NATURAL_CHANGE * changes[:, None], 0)
+    return np.asarray(missing * (excess / np.where(magnitude > 0, magnitude, 1)))
 
 
 def mapped_numbers(
@@ -162,8 +166,8 @@ def mapped_numbers(
 
     def numbers(values: FloatArray) -> FloatArray:
         columns = values.reshape(len(values), -1, 1)
-        mapped = function(columns)
-        return mapped.reshape(len(mapped), *values.shape[1:])
+        mapped_columns = function(columns)
+        return mapped_columns.reshape(len(mapped_columns), *values.shape[1:])
 
     return Transforms(
         numbers(known.translations),
@@ -181,8 +185,8 @@ def mapped_numbers(
 def gridded(track: Track, known: Transforms) -> Track:
     """Return a track sampled at times 0, 1, 2 ..., clamped at its ends.
 
-    Between samples rotations follow the shortest arc, numbers are linear and tokens are
-    held.
+    Between samples, rotations follow the shortest arc, numbers are linear and tokens
+    are held.
     """
     count = len(known)
 
@@ -190,16 +194,18 @@ def gridded(track: Track, known: Transforms) -> Track:
         positions = nearby_positions(times, count)
 
         def between(values: FloatArray) -> FloatArray:
-            every = np.arange(values.shape[1])
-            return positions.blend(Channel(values[0], every, values)).values
+            all_rows = np.arange(values.shape[1])
+            return positions.blend(Channel(values[0], all_rows, values)).values
 
-        mapped = mapped_numbers(track, known, between)
+        mapped_transforms = mapped_numbers(track, known, between)
         values = tuple(
-            mapped.values[i] if attribute.width else known.values[i][positions.frames]
+            mapped_transforms.values[i]
+            if attribute.width
+            else known.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
         static = None if known.clamped is None else known.clamped[positions.frames]
-        return replace(mapped, values=values, clamped=static)
+        return replace(mapped_transforms, values=values, clamped=static)
 
     return replace(track, sample=sample)
 
@@ -224,18 +230,18 @@ def loop(
     The frame ``last`` is the first of the next cycle and is not shown itself. Over the
     ``blend`` frames before it, the missing offset and speed are added, so that neither
     jumps; speeds are most accurate if the take has frames on either side of the cycle.
+
     The joint that carries the character keeps its travel: each cycle continues, on the
-    ground and about the up axis, from the end of the previous one. That is a root, or
-    the topmost moving joint below a static root. Tracks keep their travel likewise. A
-    take of one frame stays unchanged.
+    ground and about the up axis, from the end of the previous one. This joint is a
+    root, or the topmost moving joint below a static root. Tracks keep their travel,
+    too. A take of one frame stays unchanged.
 
     Args:
-        take: F frames.
-        first: First time code of the cycle; None is that of the take.
-        last: Time code that shows the first pose again; None is the last of the
-            take.
-        repeats: How often the cycle is shown, at least 1.
-        blend: Frames before the seam that change, at least 0.
+        take: A take of F frames.
+        first: First time code of the cycle; None uses the take's first.
+        last: Time code that shows the first pose again; None uses the take's last.
+        repeats: Number of cycles shown, at least 1.
+        blend: Number of changed frames before the seam, at least 0.
 
     Raises:
         OptionError: A frame is outside the take (SCN013), there is no cycle or
@@ -253,18 +259,25 @@ def loop(
     _check_least(blend, 0, "blend")
     length = j - i
     check_count(length * repeats)
-    before, behind = int(i > 0), int(j < clock.count - 1)
-    seam = SeamBlend.over(length, blend, before, behind)
-    within, around = slice(i, j + 1), slice(i - before, j + behind + 1)
-    cycle = _Cycling(cycle_travel(take.rig, take.motion.select(within)), seam, repeats)
-    motion = cycle.motion(take.motion.select(around))
+    has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
+    seam = SeamBlend.over(length, blend, has_frame_before, has_frame_after)
+    cycle_frames, frames_with_neighbours = (
+        slice(i, j + 1),
+        slice(i - has_frame_before, j + has_frame_after + 1),
+    )
+    cycle = _Cycling(
+        cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
+    )
+    motion = cycle.motion(take.motion.select(frames_with_neighbours))
     tracks = take.tracks
     if tracks:
-        motion, tracks = _looped_tracks(take, motion, around, seam, repeats)
-    start = clock.start + i * clock.step
+        motion, tracks = _looped_tracks(
+            take, motion, frames_with_neighbours, seam, repeats
+        )
+    first_code = clock.start + i * clock.step
     return replace(
         take,
-        clock=replace(clock, start=start, count=length * repeats),
+        clock=replace(clock, start=first_code, count=length * repeats),
         motion=continuous(motion).map(Channel.compact),
         tracks=tracks,
     )
@@ -275,20 +288,20 @@ def _looped_tracks(
 ) -> tuple[Motion, tuple[Track, ...]]:
     """Return the looped motion with the times of looped tracks, and the tracks.
 
-    Each continues as a root does, and is sampled at the loop's frames.
+    Each track continues as a root does, and is sampled at the loop's frames.
     """
     times = take.motion.track_times
     assert times is not None
-    shown = times.select(around).dense()[..., 0]
+    times_shown = times.select(around).dense()[..., 0]
     tracks = tuple(
-        _looped_track(track, track.at(shown[:, i]), take.rig.up, seam, repeats)
+        _looped_track(track, track.at(times_shown[:, i]), take.rig.up, seam, repeats)
         if track.moves
         else track
         for i, track in enumerate(take.tracks)
     )
     frames = np.arange(seam.length * repeats, dtype=np.float64)
-    every = np.repeat(frames[:, None, None], len(tracks), axis=1)
-    return replace(motion, track_times=Channel.from_dense(every)), tracks
+    frame_columns = np.repeat(frames[:, None, None], len(tracks), axis=1)
+    return replace(motion, track_times=Channel.from_dense(frame_columns)), tracks
 
 
 def _looped_track(
@@ -299,21 +312,23 @@ def _looped_track(
         Channel.from_dense(known.translations[:, None]),
         Channel.from_dense(known.rotations[:, None]),
     )
-    ends = slice(seam.before, seam.before + seam.length + 1)
-    cycle = _Cycling(cycle_travel(root, motion.select(ends)), seam, repeats)
+    cycle_slice = slice(seam.before, seam.before + seam.length + 1)
+    cycle = _Cycling(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
     looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
         cycle_values = closed_lines(values, seam, lambda same: same)
         return np.concatenate([cycle_values] * repeats)
 
-    mapped = mapped_numbers(track, known, closed)
+    mapped_transforms = mapped_numbers(track, known, closed)
     looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
-        for attribute, values in zip(track.attributes, mapped.values, strict=True)
+        for attribute, values in zip(
+            track.attributes, mapped_transforms.values, strict=True
+        )
     )
-    looped = replace(
-        mapped,
+    result = replace(
+        mapped_transforms,
         translations=looped_motion.translations.dense()[:, 0],
         rotations=looped_motion.rotations.dense()[:, 0],
         values=looped_values,
@@ -321,7 +336,7 @@ def _looped_track(
         if known.clamped is None
         else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
-    return gridded(track, looped)
+    return gridded(track, result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,17 +375,17 @@ class _Cycling:
         cycle = closed_rotations(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
-    def repeated(self, cycle: FloatArray, onward: Onward) -> FloatArray:
-        parts = [cycle]
+    def repeated(self, cycle: FloatArray, onward: NextCycle) -> FloatArray:
+        cycles = [cycle]
         # One step per repeat: each adds the travel to the previous one.
         for _ in range(self.repeats - 1):
-            parts.append(onward(parts[-1]))
-        return np.concatenate(parts)
+            cycles.append(onward(cycles[-1]))
+        return np.concatenate(cycles)
 
 
-def _check_least(number: int, least: int, name: str) -> None:
-    if not number >= least:  # NaN too
-        message = f"{name} is {number}; it must be at least {least}"
+def _check_least(number: int, minimum: int, name: str) -> None:
+    if not number >= minimum:  # NaN too
+        message = f"{name} is {number}; it must be at least {minimum}"
         raise OptionError(Fault("SCN018", message))
 
 
@@ -398,27 +413,27 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
         )
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(cycle_notices(cycle, searched=options.find))
+    context.notices.extend(cycle_notices(cycle, is_searched=options.find))
     return result
 
 
-def cycle_notices(cycle: Cycle, *, searched: bool) -> list[Fault]:
+def cycle_notices(cycle: Cycle, *, is_searched: bool) -> list[Fault]:
     """Return the notices about a cycle."""
-    ends = (
+    ends_text = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
         f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "
         "between them"
     )
     notices = []
-    if searched:
-        message = f"the best cycle: {ends}"
+    if is_searched:
+        message = f"the best cycle: {ends_text}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:
         hint = (
             f"choose other frames with {argument('first')} and {argument('last')}, or "
             f"a longer {argument('blend')}"
         )
-        message = f"the loop has a visible seam: {ends}"
+        message = f"the loop has a visible seam: {ends_text}"
         notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
     return notices
 

@@ -1,4 +1,4 @@
-"""Mirroring of a take: left and right exchanged, controls too."""
+"""Mirroring of a take: left and right are swapped, including controls."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from animtool.rig.sides import SidePairs, pair_sides, unpaired_sides
 from animtool.rig.skeleton import Rig
 
 # Test change of a control, as a fraction of its range [1].
-NUDGE = 0.1
+TEST_CHANGE = 0.1
 # Effects that differ by less are equal [rad], [m].
 SAME_EFFECT = 1e-9
 
@@ -41,10 +41,10 @@ SAME_EFFECT = 1e-9
 class ControlMirror:
     """How values of each control map to its partner."""
 
-    partners: IntArray  # index of each one's partner ``(C,)``
+    partners: IntArray  # index of each control's partner ``(C,)``
     # 1 for equal signs, -1 for opposite signs ``(C,)``.
     signs: FloatArray
-    pivots: FloatArray  # the values that stay where signs change ``(C,)``
+    pivots: FloatArray  # values that remain unchanged when signs flip ``(C,)``
 
     @staticmethod
     def of(
@@ -57,14 +57,15 @@ class ControlMirror:
         """Return how a rig's controls are mirrored.
 
         A control and its partner have opposite signs if the mirror image of one's
-        effect on joints and shapes is nearer to the other's negative effect: a control
-        that turns the head left above 0 and right below it.
+        effect on joints and shapes is nearer to the other's negative effect: for
+        example, a control that rotates the head left for positive and right for
+        negative values.
 
         ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``normal``
         ``(3,)``.
         """
         # A mirror reverses axes of rotation.
-        across = np.concatenate([-normal, normal])
+        mirror_signs = np.concatenate([-normal, normal])
         rest_rotations = rest_world(rig).linear[0]
 
         def effect(c: int, sign: float) -> FloatArray:
@@ -72,23 +73,23 @@ class ControlMirror:
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
-            displaced, weights = _effect(rig, i, 1.0, rest_rotations)
-            flat_effect = _flat(((displaced * across)[joints], weights[shapes]))
+            effects, weights = _effect(rig, i, 1.0, rest_rotations)
+            flat_effect = _flat(((effects * mirror_signs)[joints], weights[shapes]))
             if not flat_effect.any():
                 continue
-            on, back = (
+            partner_effects, mirrored_distances = (
                 np.linalg.norm(flat_effect - effect(partner, sign))
                 for sign in (1.0, -1.0)
             )
-            if back < on - SAME_EFFECT:
+            if mirrored_distances < partner_effects - SAME_EFFECT:
                 signs[i] = -1.0
         pivots = np.array([_pivot(control) for control in rig.controls])
         return ControlMirror(partners, signs, pivots)
 
     def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
         """Return values ``(..., A, 1)`` of controls mapped to their partners."""
-        turned = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
-        return np.where(self.signs[c, None] < 0, turned, values)
+        flipped = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
+        return np.where(self.signs[c, None] < 0, flipped, values)
 
 
 def _pivot(control: Control) -> float:
@@ -108,39 +109,42 @@ def _effect(
     """Return the effect of a small change of a control, in direction 1 or -1.
 
     On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
-    [m]; and on each shape ``(S,)``. ``turned`` are joints at rest, world ``(J, 3, 3)``.
+    [m]; and on each shape ``(S,)``. ``turned``: world rotations of the joints at rest
+    ``(J, 3, 3)``.
     """
     control = rig.controls[c]
-    span = 1.0
+    range_width = 1.0
     if control.low is not None and control.high is not None:
-        span = control.high - control.low
-    start = np.array([_pivot(control)])
-    displaced = start + sign * NUDGE * span
-    before = evaluate_controls(rig.controls, {control.name: start}).targets
-    after = evaluate_controls(rig.controls, {control.name: displaced}).targets
+        range_width = control.high - control.low
+    base_value = np.array([_pivot(control)])
+    changed = base_value + sign * TEST_CHANGE * range_width
+    targets_before = evaluate_controls(rig.controls, {control.name: base_value}).targets
+    targets_after = evaluate_controls(rig.controls, {control.name: changed}).targets
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
-    for target in after:
-        change = after[target][0] - before[target][0]
+    for target in targets_after:
+        change = targets_after[target][0] - targets_before[target][0]
         kind, _, name = target.partition("/")
         if kind == "shape":
             weights[shapes[name]] += change
             continue
         name, part = split_part(name, DRIVEN_PARTS)
         j = rig.index(name)
-        first = 0 if part.startswith(("angle", "rotation")) else 3
+        first_row = 0 if part.startswith(("angle", "rotation")) else 3
         if part in {"angle", "slide"}:
             axis = np.array(rig.joints[j].axis, np.float64)
         else:
             axis = np.eye(3)["xyz".index(part[-1])]
-        local[j, first : first + 3] += axis * change
-    halves = (np.einsum("jab,jb->ja", turned, half) for half in np.split(local, 2, 1))
-    return np.concatenate(list(halves), axis=1), weights
+        local[j, first_row : first_row + 3] += axis * change
+    row_parts = (
+        np.einsum("jab,jb->ja", turned, half) for half in np.split(local, 2, 1)
+    )
+    return np.concatenate(list(row_parts), axis=1), weights
 
 
-# How far the rest position of a joint may be from its partner's mirror image, as a
-# share of the rig's size: measured skeletons of people differ by up to 0.015 [1].
-SYMMETRIC = 0.02
+# Largest distance between a joint's rest position and its partner's mirror image, as a
+# fraction of the rig's size: measured skeletons of people reach 0.015 [1].
+SYMMETRY_TOLERANCE = 0.02
 
 _ValueMap: TypeAlias = Callable[[FloatArray, IntArray], FloatArray]
 
@@ -158,9 +162,9 @@ class MirrorOptions:
     """The mirror plane, and the joints it exchanges.
 
     Attributes:
-        axis: Normal of the mirror's plane.
-        pairs: Names of joints that change places; the rest is found by what the
-            rig states, then by names.
+        axis: Normal of the mirror plane.
+        pairs: Names of joints to swap; other pairs are found by the rig's statements,
+            then by names.
     """
 
     axis: Axis = Axis.X
@@ -170,29 +174,29 @@ class MirrorOptions:
 def mirror(
     take: Take, axis: Axis | str = Axis.X, pairs: Sequence[Sequence[str]] = ()
 ) -> Take:
-    """Return the take seen in a mirror, on the same rig.
+    """Return the mirrored take, on the same rig.
 
-    What a joint does beyond its rest frame, in the world, its partner does
-    mirrored; rest offsets stay each joint's own, so that a rig whose halves are
-    framed differently works, and what is static stays so. A joint without partner
-    below one that has a partner keeps its own motion: a sword in the right hand. Values
-    of controls go to their partners, and change their sign where the mirror image of
-    what a control does is what its partner does the other way. The
-    plane goes through the rest position of each root. Twice is the source again.
+    The world motion of a joint beyond its rest frame is mirrored and given to its
+    partner. Each joint keeps its rest offset, so that rigs whose halves have different
+    frames work, and static joints stay static. A joint without a partner below one with
+    a partner keeps its motion: a sword in the right hand. Control values go to their
+    partners, with opposite sign if the mirrored effect of a control is the partner's
+    negative effect. The plane passes through the rest position of each root. Mirroring
+    twice restores the source.
 
-    Limits: where the rest poses of both sides are no mirror images, the result is not
-    either, by as much. Scales that differ by axis keep their meaning, and come back,
-    only where partners' axes are parallel or at right angles in the mirror.
+    Limits: if the rest poses of both sides are not mirror images, neither is the
+    result, by the same amount. Scales that differ by axis keep their meaning, and are
+    restored, only if partners' axes are parallel or perpendicular in the mirror.
 
     Args:
-        take: F frames.
-        axis: Normal of the mirror's plane, an axis of the world.
-        pairs: Pairs of names of joints that change places; others are found by what
-            the rig states, then by names.
+        take: A take of F frames.
+        axis: Normal of the mirror plane, an axis of the world.
+        pairs: Pairs of joint names to swap; others are found by the rig's statements,
+            then by names.
 
     Raises:
-        OptionError: A pair names no joint (SCN012), or partners do not hang from
-            partners (SCN019), or there is no such axis (SCN025).
+        OptionError: A pair names an unknown joint (SCN012), the parents of partners are
+            not partners (SCN019), or the axis is unknown (SCN025).
     """
     options = MirrorOptions(parse_choice(Axis, axis, "axis"), _tuples(pairs))
     return _mirrored(TakeStream.of(take), options).collect()
@@ -208,8 +212,8 @@ def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
 def _stated(rig: Rig, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     for name in (name for pair in pairs for name in pair):
         joint_index(rig, name, "pairs")
-    stated = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
-    return [*pairs, *((a, b) for a, b in stated if b in rig.names)]
+    stated_pairs = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
+    return [*pairs, *((a, b) for a, b in stated_pairs if b in rig.names)]
 
 
 def _mirrored(
@@ -219,8 +223,8 @@ def _mirrored(
     pairs = pair_sides(rig.names, rig.parents, _stated(rig, _tuples(options.pairs)))
     partners = pairs.partners
     _check_stated(rig, options.pairs, partners)
-    kept = _kept(rig, partners)
-    _check_tree(rig, partners, kept)
+    is_kept = _kept(rig, partners)
+    _check_tree(rig, partners, is_kept)
     axis = "XYZ".index(parse_choice(Axis, options.axis, "axis"))
     names_by_kind = {
         kind: [part.name for part in getattr(rig, kind, ())]
@@ -228,46 +232,49 @@ def _mirrored(
     }
     swaps = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
     if context is not None:
-        context.notices.extend(_strays("joints", rig.names, pairs, kept))
+        context.notices.extend(_strays("joints", rig.names, pairs, is_kept))
         for kind, names in names_by_kind.items():
             context.notices.extend(_strays(kind, names, swaps[kind]))
-        alone = kept.copy()
-        alone[list(pairs.strays)] = True
-        context.notices.extend(_asymmetries(rig, partners, ~alone, axis))
-    glass = _JointMirror.of(rig, partners, kept, axis)
+        keeps_values = is_kept.copy()
+        keeps_values[list(pairs.strays)] = True
+        context.notices.extend(_asymmetries(rig, partners, ~keeps_values, axis))
+    joint_mirror = _JointMirror.of(rig, partners, is_kept, axis)
     shapes = swaps["shapes"].partners
     controls = ControlMirror.of(
-        rig, swaps["controls"].partners, partners, shapes, glass.normal
+        rig, swaps["controls"].partners, partners, shapes, joint_mirror.normal
     )
-    return replace(stream, blocks=_blocks(stream, glass, shapes, controls))
+    return replace(stream, blocks=_blocks(stream, joint_mirror, shapes, controls))
 
 
 def _kept(rig: Rig, partners: IntArray) -> BoolArray:
     """Return which joints have no partner but a parent that has one ``(J,)``."""
     parents = rig.parents
-    alone = partners == np.arange(len(partners))
-    return np.asarray(alone & (parents >= 0) & (partners[parents] != parents))
+    is_unpaired = partners == np.arange(len(partners))
+    return np.asarray(is_unpaired & (parents >= 0) & (partners[parents] != parents))
 
 
 def _strays(
-    kind: str, names: Sequence[str], pairs: SidePairs, kept: BoolArray | None = None
+    kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
-    alone = {*pairs.strays, *([] if kept is None else np.flatnonzero(kept).tolist())}
-    if not alone:
+    stray_indices = {
+        *pairs.strays,
+        *([] if is_kept is None else np.flatnonzero(is_kept).tolist()),
+    }
+    if not stray_indices:
         return
-    shown = listed([repr(names[i]) for i in sorted(alone)])
-    message = f"mirror: {kind} of one side have no partner: {shown}"
-    meant = unpaired_sides(names, pairs)
+    names_text = listed([repr(names[i]) for i in sorted(stray_indices)])
+    message = f"mirror: {kind} of one side have no partner: {names_text}"
+    likely_pairs = unpaired_sides(names, pairs)
     if kind != "joints":
         hint = (
             "each keeps its values; give both sides the same name except for the side"
         )
-    elif meant:
-        written = ", ".join(f"[{a}, {b}]" for a, b in meant)
+    elif likely_pairs:
+        written = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
         hint = f"add pairs: [{written}] to the pass's options to pair them"
     else:
-        stray = names[min(alone)]
+        stray = names[min(stray_indices)]
         hint = (
             f"add pairs: [[{stray}, OTHER]] to the pass's options to pair two joints; "
         )
@@ -276,28 +283,32 @@ def _strays(
 
 
 def _asymmetries(
-    rig: Rig, partners: IntArray, looked_at: BoolArray, axis: int
+    rig: Rig, partners: IntArray, is_checked: BoolArray, axis: int
 ) -> Iterator[Fault]:
     """Yield a warning where the rest pose is not its own mirror image."""
-    if not looked_at.any():
+    if not is_checked.any():
         return
     positions = rest_world(rig).positions[0]
     roots = np.arange(len(positions))
     for i, joint in enumerate(rig.joints):
         roots[i] = roots[joint.parent] if joint.parent >= 0 else i
     offsets = positions - positions[roots]
-    size = rest_size(rig)
-    across = np.where(np.arange(3) == axis, -1.0, 1.0)
-    away = np.linalg.norm(offsets[partners] * across - offsets, axis=1) * looked_at
-    worst = int(away.argmax())
-    if not away[worst] > SYMMETRIC * size:
+    rig_size = rest_size(rig)
+    mirror_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+    distances = (
+        np.linalg.norm(offsets[partners] * mirror_signs - offsets, axis=1) * is_checked
+    )
+    largest = int(distances.argmax())
+    if not distances[largest] > SYMMETRY_TOLERANCE * rig_size:
         return
-    count = int(np.count_nonzero(away > SYMMETRIC * size))
+    count = int(np.count_nonzero(distances > SYMMETRY_TOLERANCE * rig_size))
     message = (
-        f"mirror: the rest pose is not symmetric: {rig.names[worst]!r} is "
-        f"{away[worst]:.3g} m from the mirror image of "
-        f"{rig.names[int(partners[worst])]!r}, {percent(away[worst] / size)} of the "
-        f"rig's size; joints that differ by more than {percent(SYMMETRIC)}: {count}"
+        f"mirror: the rest pose is not symmetric: {rig.names[largest]!r} is "
+        f"{distances[largest]:.3g} m from the mirror image of "
+        f"{rig.names[int(partners[largest])]!r}, "
+        f"{percent(distances[largest] / rig_size)} of the "
+        f"rig's size; joints that differ by more than {percent(SYMMETRY_TOLERANCE)}: "
+        f"{count}"
     )
     hint = "each joint moves from its own rest pose, so the result differs by as much"
     yield Fault("SCN083", message, hint=hint, severity=Severity.WARNING)
@@ -307,13 +318,20 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
     """Refuse stated pairs whose parents are not partners."""
     faults = []
     for a, b in pairs:
-        above = [rig.joints[rig.index(name)].parent for name in (a, b)]
-        if min(above) < 0 and above[0] != above[1]:
-            low, top = (a, b) if above[0] >= 0 else (b, a)
-            faults.append(f"{top!r} has no parent, but {low!r} has one")
-        elif min(above) >= 0 and partners[above[0]] != above[1]:
-            one, two = (repr(rig.names[parent]) for parent in above)
-            faults.append(f"their parents {one} and {two} are not a pair")
+        parents_of_pair = [rig.joints[rig.index(name)].parent for name in (a, b)]
+        if min(parents_of_pair) < 0 and parents_of_pair[0] != parents_of_pair[1]:
+            first_name, second_name = (a, b) if parents_of_pair[0] >= 0 else (b, a)
+            faults.append(f"{second_name!r} has no parent, but {first_name!r} has one")
+        elif (
+            min(parents_of_pair) >= 0
+            and partners[parents_of_pair[0]] != parents_of_pair[1]
+        ):
+            first_parent, second_parent = (
+                repr(rig.names[parent]) for parent in parents_of_pair
+            )
+            faults.append(
+                f"their parents {first_parent} and {second_parent} are not a pair"
+            )
         else:
             continue
         faults[-1] = f"pairs: {a!r} and {b!r} cannot be swapped: {faults[-1]}"
@@ -322,14 +340,17 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
         raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
 
 
-def _check_tree(rig: Rig, partners: IntArray, kept: BoolArray) -> None:
+def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
     for i, joint in enumerate(rig.joints):
-        if kept[i]:
+        if is_kept[i]:
             continue
-        above = int(partners[joint.parent]) if joint.parent >= 0 else -1
-        other = rig.joints[int(partners[i])]
-        if other.parent != above:
-            message = f"the parents of {joint.name!r} and {other.name!r} are not a pair"
+        partner_parent = int(partners[joint.parent]) if joint.parent >= 0 else -1
+        partner_joint = rig.joints[int(partners[i])]
+        if partner_joint.parent != partner_parent:
+            message = (
+                f"the parents of {joint.name!r} and {partner_joint.name!r} are not a "
+                "pair"
+            )
             raise OptionError(Fault("SCN019", message, hint="write the pairs"))
 
 
@@ -338,44 +359,52 @@ class _JointMirror:
     """How values of each joint map to its partner."""
 
     partners: IntArray
-    kept: BoolArray  # those that keep their values (J,)
+    kept: BoolArray  # mask of the joints that keep their values (J,)
     normal: FloatArray
-    world: FloatArray  # rest rotations in the world (J, 4)
-    above: FloatArray  # of the parents
+    world: FloatArray  # world rotations at rest (J, 4)
+    above: FloatArray  # world rotations of the parents at rest
     rest: FloatArray
 
     @staticmethod
     def of(rig: Rig, partners: IntArray, kept: BoolArray, axis: int) -> _JointMirror:
         world = rig.rest_rotations.copy()
-        above = np.tile(so3.IDENTITY, (len(world), 1))
+        parent_rotations = np.tile(so3.IDENTITY, (len(world), 1))
         for i, joint in enumerate(rig.joints):
             if joint.parent >= 0:
-                above[i] = world[joint.parent]
-                world[i] = so3.multiply(above[i], world[i])
+                parent_rotations[i] = world[joint.parent]
+                world[i] = so3.multiply(parent_rotations[i], world[i])
         normal = np.where(np.arange(3) == axis, -1.0, 1.0)
-        return _JointMirror(partners, kept, normal, world, above, rig.rest_translations)
+        return _JointMirror(
+            partners, kept, normal, world, parent_rotations, rig.rest_translations
+        )
 
     def rotations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
-        turned = so3.multiply(self.above[j], values)
-        turned = so3.multiply(turned, so3.conjugate(self.world[j]))
+        world_rotations = so3.multiply(self.above[j], values)
+        world_rotations = so3.multiply(world_rotations, so3.conjugate(self.world[j]))
         # A mirror reverses axes of rotation.
-        turned = turned * np.append(-self.normal, 1.0)
-        turned = so3.multiply(so3.conjugate(self.above[p]), turned)
-        turned = so3.multiply(turned, self.world[p])
-        return np.where(self.kept[j, None], values, turned)
+        world_rotations = world_rotations * np.append(-self.normal, 1.0)
+        world_rotations = so3.multiply(so3.conjugate(self.above[p]), world_rotations)
+        world_rotations = so3.multiply(world_rotations, self.world[p])
+        return np.where(self.kept[j, None], values, world_rotations)
 
     def translations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
-        away = so3.rotate(self.above[j], values - self.rest[j]) * self.normal
-        reflected = self.rest[p] + so3.rotate(so3.conjugate(self.above[p]), away)
+        mirrored_offset = so3.rotate(self.above[j], values - self.rest[j]) * self.normal
+        reflected = self.rest[p] + so3.rotate(
+            so3.conjugate(self.above[p]), mirrored_offset
+        )
         return np.where(self.kept[j, None], values, reflected)
 
     def scales(self, values: FloatArray, j: IntArray) -> FloatArray:
-        ours, theirs = (so3.to_matrix(self.world[k]) for k in (j, self.partners[j]))
-        change = np.swapaxes(theirs, -1, -2) @ (self.normal[:, None] * ours)
-        scaled = np.asarray((change**2 @ values[..., None])[..., 0])
-        return np.where(self.kept[j, None], values, scaled)
+        source_axes, partner_axes = (
+            so3.to_matrix(self.world[k]) for k in (j, self.partners[j])
+        )
+        change = np.swapaxes(partner_axes, -1, -2) @ (
+            self.normal[:, None] * source_axes
+        )
+        mirrored_scales = np.asarray((change**2 @ values[..., None])[..., 0])
+        return np.where(self.kept[j, None], values, mirrored_scales)
 
 
 def _blocks(
@@ -404,10 +433,10 @@ def _swapped(
 
 def _mirrored_channel(channel: Channel, partners: IntArray, look: _ValueMap) -> Channel:
     all_joints = np.arange(len(channel.rest))
-    rest = look(channel.rest, all_joints)[partners]
+    rest_values = look(channel.rest, all_joints)[partners]
     values = look(channel.values, channel.animated)
     order = np.argsort(partners[channel.animated])
-    return Channel(rest, partners[channel.animated][order], values[:, order])
+    return Channel(rest_values, partners[channel.animated][order], values[:, order])
 
 
 PASS = Pass(

@@ -41,13 +41,12 @@ class SampleTimes:
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
-    # Time code of every sample ``(N,)``, ascending; sub-frame samples may lie before
-    # the first or after the last frame.
+    # Time code of every sample ``(N,)``, ascending; sub-frame samples may be before the
+    # first or after the last frame.
     codes: FloatArray
     frames: IntArray  # frame of the source at or before each sample ``(N,)``
-    fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
-    # Number of samples of the source between whole frames of the result that are not
-    # kept.
+    fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
+    # Number of dropped source samples between full frames of the result.
     between: int = 0
     # Remainder of the source after the last full frame [time codes].
     dropped: Fraction = Fraction(0)
@@ -66,75 +65,95 @@ def plan_samples(
     """Return the sample times of a take that starts at time code ``start``.
 
     Args:
-        clock: The source's own.
-        fps: Time codes a second of the result.
+        clock: Clock of the source.
+        fps: Time codes per second of the result.
         start: Time code of the first frame.
-        frame_range: Frames to keep, as time codes of the result; None is all.
-        offsets: Samples around each frame, in frames; none is one on the frame.
-        keep_samples: Keep every sample of the source at its exact time, in place
-            of one a frame.
-        hold: Keep every frame of the range; where the take has none, its first or
-            last pose is held.
+        frame_range: Frames to keep, as time codes of the result; None keeps all.
+        offsets: Sample offsets around each frame, in frames; empty for one sample on
+            the frame.
+        keep_samples: Keep every sample of the source at its exact time, instead of one
+            per frame.
+        hold: Keep every frame of the range; outside the take, its first or last pose is
+            held.
 
     Raises:
         OptionError: The range has no frame of the take, the options exclude each
             other, or there would be more than 10 million samples.
     """
-    ratio = clock.rate / fps  # source frames from one time code to the next
-    span = Fraction(clock.count - 1) / ratio
+    ratio = clock.rate / fps  # source frames per time code
+    frame_span = Fraction(clock.count - 1) / ratio
     if keep_samples:
         return _kept_samples(clock, start, 1 / ratio, frame_range)
-    # Frames count from the whole time code at or before the take's first frame.
+    # Frames are counted from the integer time code at or before the take's first frame.
     origin, shift = start, Fraction(0)
-    planned = range(int(span) + 1)
+    frame_numbers = range(int(frame_span) + 1)
     if frame_range is not None:
         origin = Fraction(math.floor(start))
         shift = origin - start
-        planned = _within(frame_range, start, span, hold=hold)
-    if len(planned) * max(1, len(offsets)) > MAX_FRAMES:
-        raise _refusal(f"{len(planned)} frames at {float(fps):g} fps are too many")
-    first, last = origin + planned[0], origin + planned[-1]
-    index = np.arange(planned[0], planned[-1] + 1, planned.step)
-    each = [
+        frame_numbers = _within(frame_range, start, frame_span, hold=hold)
+    if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAMES:
+        raise _refusal(
+            f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
+        )
+    first, last = origin + frame_numbers[0], origin + frame_numbers[-1]
+    index = np.arange(frame_numbers[0], frame_numbers[-1] + 1, frame_numbers.step)
+    positions_by_offset = [
         even_positions(index, shift + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
-    codes = np.stack([_codes(first + o, planned) for o in offsets or (0,)])
-    order = np.argsort(codes.T.ravel(), kind="stable")
-    frames = np.stack([positions.frames for positions in each]).T.ravel()[order]
-    fractions = np.stack([positions.fractions for positions in each]).T.ravel()[order]
-    end = span - shift  # of the take, counted as the frames are
-    last_frame = math.floor(end)
-    to_the_end = not hold and planned[-1] == last_frame
+    codes = np.stack([_codes(first + o, frame_numbers) for o in offsets or (0,)])
+    sort_order = np.argsort(codes.T.ravel(), kind="stable")
+    frames = np.stack(
+        [positions.frames for positions in positions_by_offset]
+    ).T.ravel()[sort_order]
+    fractions = np.stack(
+        [positions.fractions for positions in positions_by_offset]
+    ).T.ravel()[sort_order]
+    end_position = frame_span - shift  # of the take, in the same count
+    last_frame = math.floor(end_position)
+    remainder = not hold and frame_numbers[-1] == last_frame
     if frame_range is not None and frame_range.last <= origin + last_frame:
-        to_the_end = False
+        remainder = False
     return SampleTimes(
         first,
         last,
-        codes.T.ravel()[order],
+        codes.T.ravel()[sort_order],
         frames,
         fractions,
-        _between(planned, shift, ratio, clock.count, frames[fractions == 0]),
-        end - last_frame if to_the_end else Fraction(0),
+        _between(frame_numbers, shift, ratio, clock.count, frames[fractions == 0]),
+        end_position - last_frame if remainder else Fraction(0),
     )
 
 
 def _between(
-    frames: range, shift: Fraction, ratio: Fraction, count: int, taken: IntArray
+    frames: range,
+    shift: Fraction,
+    ratio: Fraction,
+    count: int,
+    sampled_frames: IntArray,
 ) -> int:
     """Return the number of source samples between result frames that are dropped.
 
     ``shift`` [frame].
     """
-    begin = max(frames[0], math.ceil(-shift))
-    end = min(frames[-1], math.floor((count - 1) / ratio - shift))
-    if end < begin:
+    first_frame = max(frames[0], math.ceil(-shift))
+    last_frame = min(frames[-1], math.floor((count - 1) / ratio - shift))
+    if last_frame < first_frame:
         return 0
-    low = max(0, math.ceil((frames[0] + shift) * ratio))
-    high = min(count - 1, math.floor((frames[-1] + shift) * ratio))
-    positions = even_positions(np.arange(begin, end + 1), shift, ratio, count)
-    kept = np.union1d(positions.frames[positions.fractions == 0], taken)
-    return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
+    first_sample = max(0, math.ceil((frames[0] + shift) * ratio))
+    last_sample = min(count - 1, math.floor((frames[-1] + shift) * ratio))
+    positions = even_positions(
+        np.arange(first_frame, last_frame + 1), shift, ratio, count
+    )
+    used_samples = np.union1d(
+        positions.frames[positions.fractions == 0], sampled_frames
+    )
+    return (
+        last_sample
+        - first_sample
+        + 1
+        - int(((used_samples >= first_sample) & (used_samples <= last_sample)).sum())
+    )
 
 
 def _refusal(message: str) -> OptionError:
@@ -175,18 +194,18 @@ def _codes(first: Fraction, frames: range) -> FloatArray:
 def _within(
     frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
 ) -> range:
-    """Return the range's frames that the take covers, from ``floor(start)``.
+    """Return the frames of the range that the take covers, from ``floor(start)``.
 
     With ``hold``, all frames of the range.
     """
     origin = math.floor(start)
     step = frame_range.step
-    low, high = frame_range.first - origin, frame_range.last - origin
+    range_first, range_last = frame_range.first - origin, frame_range.last - origin
     if hold:
-        return range(low, high + 1, step)
-    begin, end = start - origin, start - origin + span
-    low += max(0, math.ceil((begin - low) / step)) * step
-    frames = range(low, min(high, math.floor(end)) + 1, step)
+        return range(range_first, range_last + 1, step)
+    take_first, take_last = start - origin, start - origin + span
+    range_first += max(0, math.ceil((take_first - range_first) / step)) * step
+    frames = range(range_first, min(range_last, math.floor(take_last)) + 1, step)
     if not frames:
         raise OptionError(outside_take(frame_range, start, start + span))
     return frames
@@ -195,27 +214,27 @@ def _within(
 def _kept_samples(
     clock: Clock, start: Fraction, step: Fraction, frame_range: FrameRange | None
 ) -> SampleTimes:
-    low, high = 0, clock.count - 1
+    first_index, last_index = 0, clock.count - 1
     if frame_range is not None:
         if frame_range.step != 1:
             raise _refusal(
                 f"{argument('keep_samples', True)} needs a {argument('frame_range')} "
                 "without a step"
             )
-        low = max(low, -(-(frame_range.first - start) // step))
-        high = min(high, (frame_range.last - start) // step)
-        if low > high:
+        first_index = max(first_index, -(-(frame_range.first - start) // step))
+        last_index = min(last_index, (frame_range.last - start) // step)
+        if first_index > last_index:
             last = start + (clock.count - 1) * step
             raise OptionError(outside_take(frame_range, start, last))
-    frames = np.arange(low, high + 1)
-    first = start + low * step
+    frames = np.arange(first_index, last_index + 1)
+    first = start + first_index * step
     codes = time_codes(first, step, len(frames))
-    last = start + high * step
+    last = start + last_index * step
     return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
 
 
 def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
-    """Return the note that a fraction of a frame [time codes] is cut at the end."""
+    """Return the note that a fraction of a frame is cut at the end [time codes]."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
         f"after its last whole frame, {frame_label(last)}; that part is cut off"
@@ -242,31 +261,31 @@ def sample(
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
-    A sample on a frame of the source is that frame exactly; between frames rotations
-    follow the shortest arc at constant speed (slerp), other values are linear. With
-    ``smooth`` joints follow splines of class C1; weights and controls, which may have
-    bounds, do not. Curves of the take are evaluated.
+    A sample on a frame of the source equals that frame exactly. Between frames,
+    rotations follow the shortest arc at constant speed (slerp) and other values are
+    linear. With ``smooth``, joints follow splines of class C1; weights and controls,
+    which may have bounds, do not. Curves of the take are evaluated.
     """
-    between = take if isinstance(take, Between) else Between.of(take)
-    last = None
+    sampler = take if isinstance(take, Between) else Between.of(take)
+    previous_rotations = None
     # Blocks share their animated rows, which depend on the complete take.
-    length = max(1, len(times.codes)) if between.curved else BLOCK_FRAMES
-    for begin in range(0, len(times.codes), length):
-        part = slice(begin, begin + length)
-        at = FramePositions(times.frames[part], times.fractions[part])
-        motion = between.at(at, smooth=smooth)
+    length = max(1, len(times.codes)) if sampler.curved else BLOCK_FRAMES
+    for block_start in range(0, len(times.codes), length):
+        part = slice(block_start, block_start + length)
+        positions = FramePositions(times.frames[part], times.fractions[part])
+        motion = sampler.at(positions, smooth=smooth)
         if smooth:
             rotations = motion.rotations
-            signed = so3.align_signs(rotations.values, last)
-            motion, last = (
-                replace(motion, rotations=replace(rotations, values=signed)),
-                signed[-1],
+            aligned = so3.align_signs(rotations.values, previous_rotations)
+            motion, previous_rotations = (
+                replace(motion, rotations=replace(rotations, values=aligned)),
+                aligned[-1],
             )
         yield times.codes[part], motion
 
 
-# Before downsampling, the filter halves amplitudes at this fraction of the new rate and
-# leaves a 400th of what would alias below a quarter of it.
+# Before downsampling, the filter halves amplitudes at this fraction of the new rate,
+# and leaves a 400th of frequencies that would alias below a quarter of it.
 CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 
 
@@ -274,8 +293,8 @@ def lowpassed(motion: Motion, cutoff: float, rate: float) -> Motion:
     """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
     def slow(channel: Channel) -> Channel:
-        turning = channel is motion.rotations
-        run = filters.lowpass_rotations if turning else filters.lowpass
+        is_rotation = channel is motion.rotations
+        run = filters.lowpass_rotations if is_rotation else filters.lowpass
         values = run(channel.values, cutoff, rate, order=FILTER_ORDER)
         return replace(channel, values=values)
 
@@ -291,15 +310,15 @@ def resampled(
 
     Args:
         take: F frames.
-        fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
-        lowpass: Where these are fewer than the take's, first remove what is too fast
-            for them, which would show as something slower; without lag.
-        smooth: Between frames joints go along curves of class C1, whose error falls
-            with the cube of the frames' distance, and not straight.
+        fps: Frames per second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
+        lowpass: If the new rate is lower, first remove frequencies that would alias;
+            without lag.
+        smooth: Interpolate joints along curves of class C1, whose error falls with the
+            cube of the frame interval, instead of linearly.
 
     Raises:
-        OptionError: It is no rate (SCN022), or there would be more than 10 million
-            samples (SCN021).
+        OptionError: The rate is invalid (SCN022), or there would be more than 10
+            million samples (SCN021).
     """
     fps = rate_option(fps)
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
@@ -308,27 +327,29 @@ def resampled(
     if lowpass and fps < rate:
         cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=lowpassed(take.motion, cutoff, float(rate)))
-    between = Between.of(source)
+    sampler = Between.of(source)
     motion = Motion.concatenate(
-        [block for _, block in sample(between, times, smooth=smooth)]
+        [block for _, block in sample(sampler, times, smooth=smooth)]
     )
-    start, ratio = take.clock.start, float(take.clock.fps / fps)
-    clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
+    new_start, codes_ratio = take.clock.start, float(take.clock.fps / fps)
+    clock, notices = Clock(fps, new_start, Fraction(1), motion.frames), take.notices
     if not smooth:
-        at = FramePositions(times.frames, times.fractions)
+        positions = FramePositions(times.frames, times.fractions)
         hint = f"{argument('smooth', True)} interpolates smoothly"
-        notices = (*notices, *straight_notices(between, at, hint))
+        notices = (*notices, *straight_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
     notices = (*notices, *single_frame_warning(times, take.clock, fps))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
-    first = float(start)
+    first_code = float(new_start)
     return replace(
         take,
         clock=clock,
-        motion=motion.map(Channel.compact) if between.curved else motion,
+        motion=motion.map(Channel.compact) if sampler.curved else motion,
         notices=notices,
-        curve=between.curve(lambda codes: first + (codes - first) * ratio),
+        curve=sampler.curve(
+            lambda codes: first_code + (codes - first_code) * codes_ratio
+        ),
     )
 
 
@@ -337,11 +358,10 @@ class ResampleOptions:
     """The new rate.
 
     Attributes:
-        fps: Frames a second, such as ``24``, ``23.976`` or ``24000/1001``; none
-            leaves the take as it is.
-        lowpass: Where these are fewer than the take's, first remove what is too fast
-            for them, which would show as something slower.
-        smooth: Between frames, joints go along curves, and not straight.
+        fps: Frames per second, such as ``24``, ``23.976`` or ``24000/1001``; None
+            leaves the take unchanged.
+        lowpass: If the new rate is lower, first remove frequencies that would alias.
+        smooth: Interpolate joints along curves instead of linearly.
     """
 
     fps: str | float | None = None

@@ -36,10 +36,10 @@ from animtool.motion.passes import (
 )
 from animtool.motion.take import Take, TakeStream
 
-# How users lower the error of linear interpolation.
-RESAMPLE = "a smooth resampling to a higher rate, before this, lowers the error"
-# Time codes have few digits; a frame this near [frame] is meant.
-ON_FRAME = Fraction(1, 1_000_000)
+# Hint on how to lower the error of linear interpolation.
+RESAMPLE_HINT = "a smooth resampling to a higher rate, before this, lowers the error"
+# Time codes have few digits; a time code this near to a frame is that frame [frame].
+FRAME_TOLERANCE = Fraction(1, 1_000_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ class TrimOptions:
     """The frames to keep.
 
     Attributes:
-        first: First time code to keep; None is the take's own.
-        last: Last time code to keep; None is the take's own.
+        first: First time code to keep; None uses the take's first.
+        last: Last time code to keep; None uses the take's last.
     """
 
     first: float | None = None
@@ -56,15 +56,15 @@ class TrimOptions:
 
 
 def trim(take: Take, first: float | None = None, last: float | None = None) -> Take:
-    """Return the frames of a take from one time code to another, both included.
+    """Return the frames of a take between two time codes, both included.
 
-    Frames and their time codes stay unchanged; if a time code lies between two frames,
+    Frames and their time codes stay unchanged; if a time code is between two frames,
     the range starts after it or ends before it.
 
     Args:
-        take: F frames.
-        first: First time code to keep; None is that of the take.
-        last: Last time code to keep; None is that of the take.
+        take: A take of F frames.
+        first: First time code to keep; None uses the take's first.
+        last: Last time code to keep; None uses the take's last.
 
     Raises:
         OptionError: The take has no frame in the range (SCN013).
@@ -75,25 +75,38 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
 def _trimmed(
     stream: TakeStream, options: TrimOptions, context: PassContext | None = None
 ) -> TakeStream:
-    # The frames of a shot at the ends of the range may lie between two samples.
+    # The frames of a shot at the ends of the range may be between two samples.
     in_shot = context is not None and context.in_shot
     check_range(options.first, options.last)
-    start = Fraction(1) if stream.start is None else stream.start
-    low, high = 0, None
+    first_code = Fraction(1) if stream.start is None else stream.start
+    first_index, last_index = 0, None
     if options.first is not None:
-        away = (exact(options.first, "first") - start) / stream.step
-        full = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
-        low = max(0, full)
-    if options.last is not None:
-        away = (exact(options.last, "last") - start) / stream.step
-        high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
-    if high is not None and high < low:
-        raise frame_refusal(
-            f"there is no frame from {_shown(options.first, start)} to {options.last:g}"
+        frames_from_start = (exact(options.first, "first") - first_code) / stream.step
+        first_full = (
+            math.floor(frames_from_start + FRAME_TOLERANCE)
+            if in_shot
+            else math.ceil(frames_from_start - FRAME_TOLERANCE)
         )
-    new_start = stream.start if low == 0 else start + low * stream.step
+        first_index = max(0, first_full)
+    if options.last is not None:
+        frames_from_start = (exact(options.last, "last") - first_code) / stream.step
+        last_index = (
+            math.ceil(frames_from_start - FRAME_TOLERANCE)
+            if in_shot
+            else math.floor(frames_from_start + FRAME_TOLERANCE)
+        )
+    if last_index is not None and last_index < first_index:
+        raise frame_refusal(
+            f"there is no frame from {_shown(options.first, first_code)} to "
+            f"{options.last:g}"
+        )
+    new_start = (
+        stream.start if first_index == 0 else first_code + first_index * stream.step
+    )
     return replace(
-        stream, start=new_start, blocks=_kept(stream, low, high, start, in_shot=in_shot)
+        stream,
+        start=new_start,
+        blocks=_kept(stream, first_index, last_index, first_code, in_shot=in_shot),
     )
 
 
@@ -106,26 +119,36 @@ def _shown(frame: float | None, start: Fraction) -> str:
 
 
 def _kept(
-    stream: TakeStream, low: int, high: int | None, start: Fraction, *, in_shot: bool
+    stream: TakeStream,
+    first_index: int,
+    last_index: int | None,
+    start: Fraction,
+    *,
+    in_shot: bool,
 ) -> Iterator[Motion]:
     count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
-        begin = max(0, low - count)
-        end = block.frames if high is None else min(block.frames, high + 1 - count)
-        if begin < end:
-            yield block.select(slice(begin, end))
+        first_kept = max(0, first_index - count)
+        end_kept = (
+            block.frames
+            if last_index is None
+            else min(block.frames, last_index + 1 - count)
+        )
+        if first_kept < end_kept:
+            yield block.select(slice(first_kept, end_kept))
         count += block.frames
-    if low >= count:
+    if first_index >= count:
         last = start + (count - 1) * stream.step
         raise frame_refusal(
-            f"the first frame to keep is {float(start + low * stream.step):g}, but "
+            f"the first frame to keep is {float(start + first_index * stream.step):g}, "
+            "but "
             f"the take has {float(start):g}-{float(last):g}"
         )
-    if high is not None and high >= count and not in_shot:
+    if last_index is not None and last_index >= count and not in_shot:
         last = start + (count - 1) * stream.step
-        asked = float(start + high * stream.step)
-        message = f"last is {asked:g}, but the take ends at {float(last):g}"
+        requested_end = float(start + last_index * stream.step)
+        message = f"last is {requested_end:g}, but the take ends at {float(last):g}"
         stream.notices.append(Fault("SCN013", message, severity=Severity.NOTE))
 
 
@@ -146,8 +169,8 @@ class TimeScaleOptions:
     """The playback speed.
 
     Attributes:
-        speed: Factor: 2 is twice as fast, negative is backwards.
-        pivot: Time code that stays where it is; None is the first frame.
+        speed: Speed factor: 2 is twice as fast, negative plays backwards.
+        pivot: Time code that stays in place; None uses the first frame.
     """
 
     speed: float = 1.0
@@ -161,13 +184,13 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     their error (TAKE007).
 
     Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take. The
-    speed is taken as the decimal it is written as, so that coinciding frames are
-    exactly the source's.
+    speed is interpreted as a decimal, so that coinciding frames equal the source's
+    exactly.
 
     Args:
-        take: F frames.
+        take: A take of F frames.
         speed: Factor [1]: 2 is twice as fast, a negative one plays backwards.
-        pivot: Time code that stays where it is; None is the first.
+        pivot: Time code that stays in place; None uses the first.
 
     Raises:
         OptionError: The speed is 0 or not finite (SCN016), no frame of the grid is
@@ -176,22 +199,26 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     _check_speed(speed)
     clock = take.clock
     rate = exact(speed, "speed")
-    fixed = clock.start if pivot is None else exact(pivot, "pivot")
-    # All in frames of the take, 0 being its first.
-    centre = (fixed - clock.start) / clock.step
-    ends = sorted(centre + (edge - centre) / rate for edge in (0, clock.count - 1))
-    low, high = math.ceil(ends[0]), math.floor(ends[1])
-    if low > high:
+    pivot_code = clock.start if pivot is None else exact(pivot, "pivot")
+    # All in frames of the take, counted from its first.
+    pivot_frame = (pivot_code - clock.start) / clock.step
+    end_positions = sorted(
+        pivot_frame + (edge - pivot_frame) / rate for edge in (0, clock.count - 1)
+    )
+    first_index, last_index = math.ceil(end_positions[0]), math.floor(end_positions[1])
+    if first_index > last_index:
         raise frame_refusal(f"at speed {speed:g} no frame remains")
-    check_count(high - low + 1)
-    index = np.arange(low, high + 1)
-    positions = even_positions(index, centre / rate - centre, rate, clock.count)
-    pivoted, factor = float(fixed), float(rate)
+    check_count(last_index - first_index + 1)
+    index = np.arange(first_index, last_index + 1)
+    positions = even_positions(
+        index, pivot_frame / rate - pivot_frame, rate, clock.count
+    )
+    pivot_and_rate, factor = float(pivot_code), float(rate)
     return _retimed(
         take,
-        replace(clock, start=clock.start + low * clock.step, count=len(index)),
+        replace(clock, start=clock.start + first_index * clock.step, count=len(index)),
         positions,
-        lambda times: pivoted + (times - pivoted) * factor,
+        lambda times: pivot_and_rate + (times - pivot_and_rate) * factor,
     )
 
 
@@ -203,15 +230,15 @@ def _retimed(
 ) -> Take:
     """Return a take with its frames at positions between its own.
 
-    clock: of the result, whose time t shows time ``shown(t)`` of the take.
+    clock: clock of the result, whose time t shows time ``shown(t)`` of the take.
     """
-    between = Between.of(take)
+    sampler = Between.of(take)
     return replace(
         take,
         clock=clock,
-        motion=continuous(between.at(positions)).map(Channel.compact),
-        notices=(*take.notices, *straight_notices(between, positions, RESAMPLE)),
-        curve=between.curve(shown),
+        motion=continuous(sampler.at(positions)).map(Channel.compact),
+        notices=(*take.notices, *straight_notices(sampler, positions, RESAMPLE_HINT)),
+        curve=sampler.curve(shown),
     )
 
 
@@ -256,9 +283,9 @@ class TimeWarpOptions:
     """The time curve.
 
     Attributes:
-        curve: Pairs ``[frame of the result, frame of the take]``, the former
-            ascending; none leaves the take as it is.
-        interpolation: How time runs from pair to pair.
+        curve: Pairs ``[frame of the result, frame of the take]``, the former ascending;
+            empty leaves the take unchanged.
+        interpolation: Interpolation between the pairs.
     """
 
     curve: tuple[tuple[float, float], ...] = ()
@@ -272,46 +299,54 @@ def time_warp(
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
 
-    The result has the frames of the take's own grid, extended beyond its ends if the
-    curve reaches there. The curve may run backwards or be constant. Curves of the take
-    are evaluated between its frames; other values are linear, and a note estimates
-    their error (TAKE007).
+    The result has the frames of the take's grid, extended beyond its ends if the curve
+    reaches there. The curve may run backwards or be constant. Curves of the take are
+    evaluated between frames; other values are linear, and a note estimates their error
+    (TAKE007).
 
     Args:
-        take: F frames.
+        take: A take of F frames.
         curve: Pairs ``[frame of the result, frame of the take]``, time codes.
         interpolation: ``smooth`` never leaves the range of two neighbouring pairs.
 
     Raises:
-        OptionError: The curve is malformed (SCN015), shows frames that the take has
-            not or none of the grid (SCN013), or has too many (SCN021).
+        OptionError: The curve is malformed (SCN015), shows frames that the take lacks
+            or no frame of the grid (SCN013), or has too many (SCN021).
     """
     clock = take.clock
     key_times, values = key_arrays(curve, "curve")
     _check_inside(clock, values)
-    low = math.ceil((exact(key_times[0], "curve") - clock.start) / clock.step)
-    high = math.floor((exact(key_times[-1], "curve") - clock.start) / clock.step)
-    if low > high:
-        first, last = key_times[0], key_times[-1]
-        message = f"the curve from {first:g} to {last:g} contains no whole frame"
+    first_index = math.ceil((exact(key_times[0], "curve") - clock.start) / clock.step)
+    last_index = math.floor((exact(key_times[-1], "curve") - clock.start) / clock.step)
+    if first_index > last_index:
+        first_code, last_code = key_times[0], key_times[-1]
+        message = (
+            f"the curve from {first_code:g} to {last_code:g} contains no whole frame"
+        )
         raise frame_refusal(message)
-    check_count(high - low + 1)
+    check_count(last_index - first_index + 1)
     start, step = float(clock.start), float(clock.step)
-    at = replace(clock, start=clock.start + low * clock.step, count=high - low + 1)
+    result_clock = replace(
+        clock,
+        start=clock.start + first_index * clock.step,
+        count=last_index - first_index + 1,
+    )
 
     def shown(times: FloatArray) -> FloatArray:
         return evaluate_keyed(key_times, values, times, interpolation)
 
-    positions = nearby_positions((shown(at.times) - start) / step, clock.count)
-    return _retimed(take, at, positions, shown)
+    positions = nearby_positions(
+        (shown(result_clock.times) - start) / step, clock.count
+    )
+    return _retimed(take, result_clock, positions, shown)
 
 
 def _check_inside(clock: Clock, values: FloatArray) -> None:
     first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
-    slack = 1e-6 * float(clock.step)
-    outside = values[(values < first - slack) | (values > last + slack)]
-    if len(outside):
-        message = f"the curve maps to frame {outside[0]:g}, but the take has "
+    tolerance = 1e-6 * float(clock.step)
+    outside_values = values[(values < first - tolerance) | (values > last + tolerance)]
+    if len(outside_values):
+        message = f"the curve maps to frame {outside_values[0]:g}, but the take has "
         raise frame_refusal(f"{message}{first:g}-{last:g}")
 
 

@@ -17,7 +17,7 @@ from animtool.edit.travel import (
     traveller,
     twist,
 )
-from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
+from animtool.edit.tree import LocalPlacement, inserted, joint_index, removed, set_joint
 from animtool.maths import so3
 from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
@@ -37,15 +37,15 @@ class RootMotionOptions:
     """What the root joint carries.
 
     Attributes:
-        mode: ``extract`` gives the travel to the root joint, ``recompose`` folds it
+        mode: ``extract`` moves the travel to the root joint, ``recompose`` moves it
             back.
-        root: Name of the root joint; ``extract`` adds it where the rig has none.
-        hips: Joint whose travel is carried; none is the topmost that travels (below
-            ``root``, where the rig has that), else the first.
-        axes: World axes of the position that it carries, such as ``xz``; none is
-            the ground.
-        yaw: It carries the turn about the up axis too.
-        keep: ``recompose`` leaves the root joint in the rig, at rest.
+        root: Name of the root joint; ``extract`` adds it if the rig lacks it.
+        hips: Joint whose travel is moved; empty selects the topmost travelling joint
+            (below ``root`` if the rig has it), else the first.
+        axes: World axes of the moved position, such as ``xz``; empty selects the
+            ground.
+        yaw: Whether the rotation about the up axis is moved too.
+        keep: Whether ``recompose`` keeps the root joint in the rig, at rest.
     """
 
     mode: RootMode = RootMode.EXTRACT
@@ -61,23 +61,22 @@ def extract_root(
 ) -> Take:
     """Return the take with hip travel moved to a root joint above.
 
-    A joint named ``root`` takes it in place of its own motion; if the rig has none, one
-    is added right above the hips. Joints below keep their world transforms. The yaw is
-    undefined while the hips are upside down.
+    A joint named ``root`` gets the travel instead of its own motion; if the rig has
+    none, it is added directly above the hips. Joints below keep their world transforms.
+    The yaw is undefined while the hips are upside down.
 
     Args:
-        take: F frames.
-        root: Name of the joint that takes the travel.
-        axes: World axes of the position that it takes, such as ``xz``; empty is the
+        take: A take of F frames.
+        root: Name of the joint that gets the travel.
+        axes: World axes of the moved position, such as ``xz``; empty selects the
             ground.
-        yaw: It takes the rotation about the up axis too.
-        hips: Joint whose travel it takes; empty is the topmost that travels, below
-            ``root`` where the rig has that, else the first.
+        yaw: Whether the rotation about the up axis is moved too.
+        hips: Joint whose travel is moved; empty selects the topmost travelling joint,
+            below ``root`` if the rig has it, else the first.
 
     Raises:
-        OptionError: No joint is named so (SCN012); an axis is none, the root joint
-            is not above the hips, its scale does not allow it, or the rig has no
-            joints (SCN020).
+        OptionError: Unknown joint (SCN012); unknown axis, the root joint is not above
+            the hips, its scale does not allow it, or the rig has no joints (SCN020).
     """
     _check_axes(axes)
     rig = take.rig
@@ -99,25 +98,27 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     Joints below keep their world transforms.
 
     Args:
-        take: F frames.
+        take: A take of F frames.
         root: Name of the joint.
-        keep: Leave the joint in the rig, at rest: the inverse of an extraction into
-            a joint that the rig had.
+        keep: Keep the joint in the rig, at rest: the inverse of an extraction to an
+            existing joint.
 
     Raises:
-        OptionError: No joint is named so (SCN012); it has no joint below, its scale
-            does not allow it, or the rig still refers to it (SCN020).
+        OptionError: Unknown joint (SCN012); it has no child joint, its scale does not
+            allow it, or the rig still refers to it (SCN020).
     """
     rig = take.rig
     joint = joint_index(rig, root, "root")
     if joint not in rig.parents:
         raise _refusal(f"{root!r} has no joint below it", "name one above the hips")
     entry = rig.joints[joint]
-    identity = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
+    identity = LocalPlacement(np.zeros((1, 3)), so3.IDENTITY[None])
     if keep:
-        identity = Placing(np.array([entry.translation]), np.array([entry.rotation]))
-    done = set_joint(take, joint, identity)
-    return _compact(done if keep else removed(done, joint))
+        identity = LocalPlacement(
+            np.array([entry.translation]), np.array([entry.rotation])
+        )
+    at_rest = set_joint(take, joint, identity)
+    return _compact(at_rest if keep else removed(at_rest, joint))
 
 
 def _check_axes(axes: str) -> None:
@@ -143,17 +144,22 @@ def _hips(take: Take, root: str, hips: str) -> int:
         raise _refusal(
             "the rig has no joints, so there is no root motion", "remove the pass"
         )
-    there = root in rig.names
-    top = rig.index(root) if there else rig.roots[0]
-    traveller_joint = traveller(rig, take.motion, top, below=there)
-    if traveller_joint is None and there:
+    has_root = root in rig.names
+    topmost = rig.index(root) if has_root else rig.roots[0]
+    traveller_joint = traveller(rig, take.motion, topmost, below=has_root)
+    if traveller_joint is None and has_root:
         traveller_joint = next(
-            (j for j, one in enumerate(rig.joints) if one.parent == top), top
+            (
+                j
+                for j, rig_joint in enumerate(rig.joints)
+                if rig_joint.parent == topmost
+            ),
+            topmost,
         )
-    return top if traveller_joint is None else traveller_joint
+    return topmost if traveller_joint is None else traveller_joint
 
 
-def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
+def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPlacement:
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
@@ -168,11 +174,11 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
     rotations = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
-        rest = so3.conjugate(rest_rotation(rig, hip))
-        yaw_rotation = twist(so3.multiply(hips.rotation, rest), up)
+        inverse_rest = so3.conjugate(rest_rotation(rig, hip))
+        yaw_rotation = twist(so3.multiply(hips.rotation, inverse_rest), up)
         full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
         rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
-    return Placing(translations, rotations)
+    return LocalPlacement(translations, rotations)
 
 
 def _compact(take: Take) -> Take:

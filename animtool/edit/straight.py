@@ -21,7 +21,7 @@ from animtool.rig.kinematics import rest_size
 # than marker noise, 3 parts in 10,000 of a body are half a millimetre, and a weight is
 # visible from about a hundredth [rad], [1], [1].
 NEGLIGIBLE_ANGLE = np.radians(0.1)
-NEGLIGIBLE = 3e-4
+NEGLIGIBLE_LENGTH = 3e-4
 NEGLIGIBLE_WEIGHT = 5e-3
 # Samples per block.
 BLOCK_FRAMES = 4096
@@ -32,16 +32,16 @@ class StraightError:
     """The largest error of one kind of channel between frames."""
 
     channel: str  # field of a motion
-    row: int  # joint, shape or control
-    frame: float  # of the take, where it is
-    size: float  # estimate [m], [rad], [1]
+    row: int  # index of the joint, shape or control
+    frame: float  # frame of the take with the largest error
+    size: float  # estimated size [m], [rad], [1]
 
 
 def straight_errors(between: Between, positions: FramePositions) -> list[StraightError]:
     """Return the largest interpolation error of each kind of channel.
 
     A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
-    · |f''| at the fraction s; f'' is taken from differences of neighbouring frames.
+    · |f''| at the fraction s; f'' is estimated from differences of neighbouring frames.
     Rotations likewise, from the change of angular velocity. A motion that jumps
     deviates more than a smooth one.
     """
@@ -56,9 +56,9 @@ def straight_errors(between: Between, positions: FramePositions) -> list[Straigh
             straight = ~between.curved[name][channel.animated]
         largest = _largest(channel, np.flatnonzero(straight), positions)
         if largest is not None:
-            frame, column, size = largest
-            row = int(channel.animated[column])
-            errors.append(StraightError(name, row, frame, size))
+            frame, column, largest_size = largest
+            channel_row = int(channel.animated[column])
+            errors.append(StraightError(name, channel_row, frame, largest_size))
     return errors
 
 
@@ -67,17 +67,17 @@ def straight_notices(
 ) -> list[Fault]:
     """Return the note of the estimated interpolation error (TAKE007), if it matters.
 
-    hint: How its caller avoids it.
+    hint: How the caller can avoid it.
     """
     take = between.take
     rig = take.rig
-    least = {
-        "translations": NEGLIGIBLE * (rest_size(rig) or 1.0),
+    thresholds = {
+        "translations": NEGLIGIBLE_LENGTH * (rest_size(rig) or 1.0),
         "rotations": NEGLIGIBLE_ANGLE,
     }
-    said = []
+    error_texts = []
     for error in straight_errors(between, positions):
-        if error.size <= least.get(error.channel, NEGLIGIBLE_WEIGHT):
+        if error.size <= thresholds.get(error.channel, NEGLIGIBLE_WEIGHT):
             continue
         size = plain(error.size)
         kind, names = "joint", list(rig.names)
@@ -87,18 +87,18 @@ def straight_notices(
             size = angle_text(float(np.degrees(error.size)))
         elif error.channel != "scales":
             kind = error.channel.replace("weights", "shapes")[:-1]
-            names = [one.name for one in getattr(rig, f"{kind}s")]
+            names = [part.name for part in getattr(rig, f"{kind}s")]
         else:
             kind = "scale of joint"
         code = float(take.clock.start) + error.frame * float(take.clock.step)
-        said.append(
+        error_texts.append(
             f"{size} ({kind} {names[error.row]!r}, frame {frame_label(round(code, 2))})"
         )
-    if not said:
+    if not error_texts:
         return []
     message = (
         "the take has samples, not curves, there: interpolation between frames is "
-        f"linear, and may be off by about {listed(said)}"
+        f"linear, and may be off by about {listed(error_texts)}"
     )
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
@@ -107,31 +107,53 @@ def _largest(
     channel: Channel, columns: IntArray, positions: FramePositions
 ) -> tuple[float, int, float] | None:
     """Return frame, column and size of the largest error of some columns."""
-    (inside,) = np.nonzero(positions.fractions > 0)
+    (indices_between,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
-    if not len(inside) or not len(columns) or count < 3:
+    if not len(indices_between) or not len(columns) or count < 3:
         return None
-    worst: tuple[float, int, float] | None = None
-    for at in _blocks(inside):
-        frames, fraction = positions.frames[at], positions.fractions[at]
+    largest_error: tuple[float, int, float] | None = None
+    for block in _blocks(indices_between):
+        frames, fraction = positions.frames[block], positions.fractions[block]
         # Curvature at the frames before and after each position.
-        low = int(np.clip(frames.min(), 1, count - 2))
-        high = int(np.clip(frames.max() + 1, 1, count - 2))
-        bends = _bends(channel.values[low - 1 : high + 2], columns)
-        peaks, factor = bends.max(axis=1), fraction * (1 - fraction) / 2
-        around = [np.clip(one, low, high) - low for one in (frames, frames + 1)]
-        i = int(np.argmax(np.maximum(*(peaks[one] for one in around)) * factor))
-        sizes = np.maximum(*(bends[one[i]] for one in around)) * factor[i]
+        first_bend = int(np.clip(frames.min(), 1, count - 2))
+        last_bend = int(np.clip(frames.max() + 1, 1, count - 2))
+        second_differences = _bends(
+            channel.values[first_bend - 1 : last_bend + 2], columns
+        )
+        peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
+        bend_indices = [
+            np.clip(frame_indices, first_bend, last_bend) - first_bend
+            for frame_indices in (frames, frames + 1)
+        ]
+        i = int(
+            np.argmax(
+                np.maximum(*(peaks[frame_indices] for frame_indices in bend_indices))
+                * factor
+            )
+        )
+        sizes = (
+            np.maximum(
+                *(
+                    second_differences[frame_indices[i]]
+                    for frame_indices in bend_indices
+                )
+            )
+            * factor[i]
+        )
         column = int(np.argmax(sizes))
-        size = float(sizes[column])
-        if worst is None or size > worst[2]:
-            worst = float(frames[i] + fraction[i]), int(columns[column]), size
-    return worst
+        column_size = float(sizes[column])
+        if largest_error is None or column_size > largest_error[2]:
+            largest_error = (
+                float(frames[i] + fraction[i]),
+                int(columns[column]),
+                column_size,
+            )
+    return largest_error
 
 
 def _blocks(indices: IntArray) -> Iterator[IntArray]:
-    for begin in range(0, len(indices), BLOCK_FRAMES):
-        yield indices[begin : begin + BLOCK_FRAMES]
+    for start in range(0, len(indices), BLOCK_FRAMES):
+        yield indices[start : start + BLOCK_FRAMES]
 
 
 def _bends(values: FloatArray, columns: IntArray) -> FloatArray:

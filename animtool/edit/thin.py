@@ -20,21 +20,21 @@ from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# Least distance of a split from the ends of an interval, as a fraction of it.
+# Minimum distance of a split from the ends of an interval, as a fraction of its length.
 SPLIT_MARGIN = 0.125
-# Each pass may drop every second remaining sample; few find any.
-JOINING = 8
+# Maximum number of passes; each may drop every second remaining sample, but few do.
+MAX_DROP_PASSES = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Thinned:
     """Which samples are kept, and the resulting error."""
 
-    samples: int  # number of samples before
-    kept: IntArray  # indices of those that stay, ascending ``(N,)``
-    error: float  # largest distance of a point from where it was [m]
-    joint_index: int  # of the joint that carries it
-    code: float  # time code of that
+    samples: int  # number of samples before thinning
+    kept: IntArray  # indices of the kept samples, ascending ``(N,)``
+    error: float  # largest distance of a point from its original position [m]
+    joint_index: int  # of the joint of that point
+    code: float  # time code of that error
     weight_error: float  # largest error of a shape's weight [1]
 
     @property
@@ -51,61 +51,66 @@ def thin_samples(
     *,
     joint_tolerances: Mapping[str, float] | None = None,
 ) -> Thinned:
-    """Return which samples ``(F,)`` reproduce a motion within a tolerance > 0 [m].
+    """Return the samples that reproduce a motion within a tolerance > 0 [m].
 
     Between two samples USD interpolates translations, scales and weights linearly, and
     rotations along the shortest arc. An interval beyond the tolerance is split at its
-    worst sample (Douglas and Peucker, 1973); then samples that turn out not to be
-    needed are dropped again. The measure is that of
-    `animtool.clip.reduction.reduce.reduce_motion`: points that each joint carries, in
-    the world, at every sample. The first and last sample are kept. ``joint_tolerances``
-    are by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights is
-    `WEIGHT_TOLERANCE` [1].
+    worst sample (Douglas and Peucker, 1973); then samples that turn out to be
+    unnecessary are dropped again. The measure is that of
+    `animtool.clip.reduction.reduce.reduce_motion`: points attached to each joint, in
+    world space, at every sample. The first and last sample are kept.
+    ``joint_tolerances`` are by joint name or pattern such as ``hand_*`` > 0 [m]; the
+    tolerance of weights is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds)
-    kept = _split(measure, np.unique([0, len(codes) - 1]))
-    for round_ in range(JOINING):
-        kept = _joined(measure, kept, round_ % 2)
-    return measure.report(kept)
+    kept_samples = _split(measure, np.unique([0, len(codes) - 1]))
+    for round_ in range(MAX_DROP_PASSES):
+        kept_samples = _joined(measure, kept_samples, round_ % 2)
+    return measure.report(kept_samples)
 
 
-def _split(measure: _Measure, kept: IntArray) -> IntArray:
+def _split(measure: _Measure, kept_samples: IntArray) -> IntArray:
     """Add samples until every interval is within the tolerance."""
-    frames = np.setdiff1d(np.arange(len(measure.codes)), kept)
+    frames = np.setdiff1d(np.arange(len(measure.codes)), kept_samples)
     while len(frames):
-        ratios = measure.ratios(kept, frames)
-        interval = np.searchsorted(kept, frames) - 1
+        ratios = measure.ratios(kept_samples, frames)
+        interval = np.searchsorted(kept_samples, frames) - 1
         starts = np.flatnonzero(np.diff(interval, prepend=-1))
-        worst = np.maximum.reduceat(ratios, starts)
-        beyond = worst > 1
-        if not beyond.any():
+        worst_ratios = np.maximum.reduceat(ratios, starts)
+        is_beyond = worst_ratios > 1
+        if not is_beyond.any():
             break
         of_frame = np.repeat(np.arange(len(starts)), np.diff([*starts, len(frames)]))
-        peaks = np.flatnonzero(ratios == worst[of_frame])
-        _, first = np.unique(of_frame[peaks], return_index=True)
-        chosen = frames[peaks[first]][beyond]
-        low, high = kept[interval[starts[beyond]]], kept[interval[starts[beyond]] + 1]
-        margin = ((high - low) * SPLIT_MARGIN).astype(np.int64)
-        chosen = np.clip(chosen, low + margin, high - margin)
-        frames = np.setdiff1d(frames[beyond[of_frame]], chosen)
-        kept = np.union1d(kept, chosen)
-    return kept
+        peaks = np.flatnonzero(ratios == worst_ratios[of_frame])
+        _, first_peaks = np.unique(of_frame[peaks], return_index=True)
+        splits = frames[peaks[first_peaks]][is_beyond]
+        interval_starts, interval_ends = (
+            kept_samples[interval[starts[is_beyond]]],
+            kept_samples[interval[starts[is_beyond]] + 1],
+        )
+        margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)
+        splits = np.clip(splits, interval_starts + margin, interval_ends - margin)
+        frames = np.setdiff1d(frames[is_beyond[of_frame]], splits)
+        kept_samples = np.union1d(kept_samples, splits)
+    return kept_samples
 
 
-def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
-    """Return the samples without every second one that is not needed."""
-    trial = np.arange(1 + skip, len(kept) - 1, 2)
+def _joined(measure: _Measure, kept_samples: IntArray, skip: int) -> IntArray:
+    """Return the samples without every second one that is unnecessary."""
+    trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
     if not len(trial):
-        return kept
-    fewer = np.delete(kept, trial)
-    frames = np.setdiff1d(np.arange(kept[trial[0] - 1], kept[trial[-1] + 1]), fewer)
+        return kept_samples
+    fewer = np.delete(kept_samples, trial)
+    frames = np.setdiff1d(
+        np.arange(kept_samples[trial[0] - 1], kept_samples[trial[-1] + 1]), fewer
+    )
     ratios = measure.ratios(fewer, frames)
-    # Every interval of the trial has a frame: the sample that it drops.
-    interval = np.searchsorted(kept[trial - 1], frames, side="right") - 1
-    worst = np.zeros(len(trial))
-    np.maximum.at(worst, interval, ratios)
-    return np.delete(kept, trial[worst <= 1])
+    # Every interval of the trial contains one frame: the sample that it drops.
+    interval = np.searchsorted(kept_samples[trial - 1], frames, side="right") - 1
+    worst_ratios = np.zeros(len(trial))
+    np.maximum.at(worst_ratios, interval, ratios)
+    return np.delete(kept_samples, trial[worst_ratios <= 1])
 
 
 class _Measure:
@@ -123,35 +128,37 @@ class _Measure:
         self.points = attached_points(rig, SHELL_DISTANCE)
         self.truth = motion.world(rig)
 
-    def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+    def errors(
+        self, kept_samples: IntArray, frames: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
-        at = positions_between(self.codes[kept], self.codes[frames])
-        blended = self.motion.select(kept).map(at.blend)
+        positions = positions_between(self.codes[kept_samples], self.codes[frames])
+        restored = self.motion.select(kept_samples).map(positions.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
-        world = blended.world(self.rig)
+        world = restored.world(self.rig)
         weights = np.zeros(len(frames))
-        if blended.weights is not None and self.motion.weights is not None:
-            true = self.motion.weights.values[frames]
-            off = np.abs(blended.weights.values - true)
-            weights = off.max(axis=(1, 2), initial=0.0)
+        if restored.weights is not None and self.motion.weights is not None:
+            original_weights = self.motion.weights.values[frames]
+            weight_errors = np.abs(restored.weights.values - original_weights)
+            weights = weight_errors.max(axis=(1, 2), initial=0.0)
         return point_errors(self.points, truth, world), weights
 
-    def ratios(self, kept: IntArray, frames: IntArray) -> FloatArray:
+    def ratios(self, kept_samples: IntArray, frames: IntArray) -> FloatArray:
         """Return the largest error at each frame, over its tolerance ``(N,)``."""
-        joints, weights = self.errors(kept, frames)
+        joints, weights = self.errors(kept_samples, frames)
         largest = (joints / self.bounds).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
-    def report(self, kept: IntArray) -> Thinned:
+    def report(self, kept_samples: IntArray) -> Thinned:
         """Return the result for the kept samples."""
         count = len(self.codes)
-        joints, weights = self.errors(kept, np.arange(count))
+        joints, weights = self.errors(kept_samples, np.arange(count))
         if not joints.shape[1]:
             joints = np.zeros((count, 1))
         frame, joint = divmod(int(np.argmax(joints)), joints.shape[1])
         return Thinned(
             count,
-            kept,
+            kept_samples,
             float(joints[frame, joint]),
             joint,
             float(self.codes[frame]),

@@ -16,16 +16,18 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True, slots=True)
 class JointFrame:
-    """A joint in the world, in every frame."""
+    """A joint's world frame in every frame of a take."""
 
     position: FloatArray  # its origin ``(F, 3)`` [m]
-    # The rotations of the joints down to it, without their scales ``(F, 4)``.
+    # Product of the rotations of the joint and its ancestors, without scales ``(F,
+    # 4)``.
     rotation: FloatArray
-    linear: FloatArray  # linear part with scales ``(F, 3, 3)``; column c is its axis c
+    # Linear part including scales ``(F, 3, 3)``; column c is its axis c.
+    linear: FloatArray
 
 
 def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
-    """Return the world frame of a joint's local transform: its parent, or the world."""
+    """Return the world frame that contains a joint's local transform."""
     return _followed(motion, rig.upwards(joint)[:0:-1])
 
 
@@ -37,8 +39,8 @@ def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     """Return the rotation of a joint in the world at rest ``(4,)``."""
     rotation = so3.IDENTITY
-    for one in rig.upwards(joint)[::-1]:
-        rotation = so3.multiply(rotation, rig.joints[one].rotation)
+    for ancestor in rig.upwards(joint)[::-1]:
+        rotation = so3.multiply(rotation, rig.joints[ancestor].rotation)
     return rotation
 
 
@@ -47,11 +49,11 @@ def _followed(motion: Motion, joints: list[int]) -> JointFrame:
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
     for joint in joints:
-        step, local_rotation = (
+        local_values, local_rotation = (
             channel.gather(np.array([joint]))[:, 0]
             for channel in (motion.translations, motion.rotations)
         )
-        position = position + np.einsum("fij,fj->fi", linear, step)
+        position = position + np.einsum("fij,fj->fi", linear, local_values)
         rotation = so3.multiply(rotation, local_rotation)
         linear = linear @ so3.to_matrix(local_rotation)
         if motion.scales is not None:
@@ -62,18 +64,18 @@ def _followed(motion: Motion, joints: list[int]) -> JointFrame:
 def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
     """Return the part of rotations ``(..., 4)`` about a unit axis ``(3,)``.
 
-    It is identity where a rotation is half a turn about an axis across this one.
+    It is the identity for half a revolution about a perpendicular axis.
 
     >>> twist(np.array([0.0, 0.6, 0.8, 0.0]), np.array([0.0, 1.0, 0.0])).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    along = np.sum(rotation[..., :3] * up, axis=-1, keepdims=True) * up
-    return so3.normalize(np.concatenate([along, rotation[..., 3:]], axis=-1))
+    vector_on_axis = np.sum(rotation[..., :3] * up, axis=-1, keepdims=True) * up
+    return so3.normalize(np.concatenate([vector_on_axis, rotation[..., 3:]], axis=-1))
 
 
-# A position this near to a frame [frame] is the frame: the rounding
-# error of a time code in the millions is smaller.
-ON_FRAME = 1e-9
+# A position within this distance of a frame is that frame [frame]; the rounding error
+# of a time code in the millions is smaller.
+FRAME_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,53 +83,56 @@ class FramePositions:
     """Sample positions: at or between two frames."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
-    fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
+    fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
 
     def blend(self, channel: Channel) -> Channel:
         """Return the channel at these positions.
 
-        On a frame it is that frame exactly; between two, rotations (K = 4) follow the
-        shortest arc, other values are linear.
+        On a frame the result equals that frame exactly. Between two frames, rotations
+        (K = 4) follow the shortest arc and other values are linear.
         """
         values = channel.values[self.frames]
-        between = self.fractions > 0
-        weight = self.fractions[between, None]
+        is_between = self.fractions > 0
+        weight = self.fractions[is_between, None]
         if weight.size and values.size:
-            low, high = values[between], channel.values[self.frames[between] + 1]
+            lower, upper = (
+                values[is_between],
+                channel.values[self.frames[is_between] + 1],
+            )
             if values.shape[-1] == 4:
-                values[between] = so3.slerp(low, high, weight)
+                values[is_between] = so3.slerp(lower, upper, weight)
             else:
-                values[between] = low + (high - low) * weight[..., None]
+                values[is_between] = lower + (upper - lower) * weight[..., None]
         return Channel(channel.rest, channel.animated, values)
 
     def curve(self, channel: Channel) -> Channel:
         """Return the channel at these positions, on a spline through its frames.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
-        splines, 1974), of class C1; rotations (K = 4) by their components, normalised.
-        On a frame it is that frame exactly. A take of fewer than three frames is
-        blended.
+        splines, 1974), of class C1; rotations (K = 4) are interpolated by component and
+        normalised. On a frame the result equals that frame exactly. A take of fewer
+        than three frames is interpolated linearly.
         """
         values, count = channel.values, len(channel.values)
         if count < 3:
             return self.blend(channel)
-        # The parabola of the last three frames goes on beyond the ends.
-        before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
-        after = 3 * values[-1:] - 3 * values[-2:-1] + values[-3:-2]
+        # The parabola of the last three frames continues beyond the ends.
+        row_before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
+        row_after = 3 * values[-1:] - 3 * values[-2:-1] + values[-3:-2]
         is_rotation = values.shape[-1] == 4
         if is_rotation:
             values = so3.align_signs(values)
-            before, after = so3.normalize(before), so3.normalize(after)
-        longer = np.concatenate([before, values, after])
-        rows = channel.values[self.frames]
-        (between,) = np.nonzero(self.fractions > 0)
-        t = self.fractions[between, None, None]
-        a, b, c, d = (longer[self.frames[between] + k] for k in range(4))
+            row_before, row_after = so3.normalize(row_before), so3.normalize(row_after)
+        extended = np.concatenate([row_before, values, row_after])
+        values_at_frames = channel.values[self.frames]
+        (is_between,) = np.nonzero(self.fractions > 0)
+        t = self.fractions[is_between, None, None]
+        a, b, c, d = (extended[self.frames[is_between] + k] for k in range(4))
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        rows[between] = so3.normalize(curve) if is_rotation else curve
-        return Channel(channel.rest, channel.animated, rows)
+        values_at_frames[is_between] = so3.normalize(curve) if is_rotation else curve
+        return Channel(channel.rest, channel.animated, values_at_frames)
 
 
 def even_positions(
@@ -142,33 +147,37 @@ def even_positions(
     """
     shift = Fraction(offset)
     scale = ratio.denominator * shift.denominator
-    step = ratio.numerator * shift.denominator
-    start = ratio.numerator * shift.numerator
-    most = max(abs(int(index[0])), abs(int(index[-1]))) + 1
-    if max(scale, abs(step) * most + abs(start)) < 2**62:
-        exact = index.astype(np.int64) * step + start
-        frames, left = np.divmod(exact, scale)
-        fractions = left / float(scale)
+    numerator_step = ratio.numerator * shift.denominator
+    numerator = ratio.numerator * shift.numerator
+    largest_index = max(abs(int(index[0])), abs(int(index[-1]))) + 1
+    if max(scale, abs(numerator_step) * largest_index + abs(numerator)) < 2**62:
+        numerators = index.astype(np.int64) * numerator_step + numerator
+        frames, remainders = np.divmod(numerators, scale)
+        fractions = remainders / float(scale)
     else:
         pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
         frames = np.array([min(max(frame, -1), count) for frame, _ in pairs], np.int64)
-        fractions = np.array([float(left) for _, left in pairs])
+        fractions = np.array([float(remainders) for _, remainders in pairs])
     return _clamped(frames, fractions, count)
 
 
 def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     """Return the frame positions of numbers ``(N,)`` [frame], 0 the first.
 
-    A number within 1e-9 of a frame is on it; the ends of the take are clamped.
+    A number within 1e-9 of a frame is that frame; positions are clamped to the take.
 
     >>> nearby_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
-    clamped = np.clip(np.asarray(positions, np.float64), 0, count - 1)
-    nearest = np.round(clamped)
-    clamped = np.where(np.abs(clamped - nearest) <= ON_FRAME, nearest, clamped)
-    frames = np.floor(clamped).astype(np.int64)
-    return _clamped(frames, clamped - frames, count)
+    clamped_positions = np.clip(np.asarray(positions, np.float64), 0, count - 1)
+    nearest = np.round(clamped_positions)
+    clamped_positions = np.where(
+        np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE,
+        nearest,
+        clamped_positions,
+    )
+    frames = np.floor(clamped_positions).astype(np.int64)
+    return _clamped(frames, clamped_positions - frames, count)
 
 
 def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
@@ -181,21 +190,21 @@ def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
     """
     times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
     frames = np.searchsorted(codes, times, side="right") - 1
-    after = np.minimum(frames + 1, len(codes) - 1)
-    spans = np.where(after > frames, codes[after] - codes[frames], 1.0)
+    next_frames = np.minimum(frames + 1, len(codes) - 1)
+    spans = np.where(next_frames > frames, codes[next_frames] - codes[frames], 1.0)
     return _clamped(frames, (times - codes[frames]) / spans, len(codes))
 
 
 def _clamped(frames: IntArray, fractions: FloatArray, count: int) -> FramePositions:
-    outside = (frames < 0) | (frames >= count - 1)
+    is_outside = (frames < 0) | (frames >= count - 1)
     return FramePositions(
-        np.clip(frames, 0, count - 1), np.where(outside, 0.0, fractions)
+        np.clip(frames, 0, count - 1), np.where(is_outside, 0.0, fractions)
     )
 
 
 # A joint that moves by less than this fraction of the rig's size, or rotates by less
-# than this [rad], is static: files round, and captures jitter.
-STATIC = 1e-3
+# than this [rad], is static: files round values, and captures jitter.
+STATIC_FRACTION = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +225,9 @@ def traveller(
 ) -> int | None:
     """Return the joint that carries the full character, from a root down.
 
-    It is the root if that moves. Else it is a free joint with animated translation
-    below static joints only: of several, the one with most joints below it, then the
-    first. None if nothing travels.
+    This is the root if it moves. Otherwise it is a free joint with animated translation
+    below static joints only: the one with the most descendants, then the first. None if
+    nothing travels.
     """
     if not below and (_slides(rig, motion, root) or _rotates(motion, root)):
         return root
@@ -239,26 +248,26 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
         np.tile(np.eye(3), (count, 1, 1)),
         np.zeros((count, 3)),
     )
-    ends = motion.select(np.array([0, -1]))
+    end_frames = motion.select(np.array([0, -1]))
     for root in rig.roots:
-        chief = traveller(rig, motion, root)
-        if chief is None:
+        main_joint = traveller(rig, motion, root)
+        if main_joint is None:
             continue
-        joints = [root] if chief == root else _travellers(rig, motion, root)
-        rotation, slide = _ground_step(rig, ends, chief)
+        joints = [root] if main_joint == root else _travellers(rig, motion, root)
+        rotation, displacement = _ground_step(rig, end_frames, main_joint)
         for joint in joints:
-            _carry(travel, joint, rig, ends, rotation, slide)
+            _carry(travel, joint, rig, end_frames, rotation, displacement)
     return travel
 
 
 def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return world rotation ``(4,)`` and slide ``(3,)`` from first to last frame."""
+    """Return world rotation ``(4,)`` and displacement ``(3,)`` of the full cycle."""
     up = np.array(rig.up.vector)
     frame = joint_frame(rig, ends, joint)
     change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
     rotation = twist(change, up)
-    slide = frame.position[1] - so3.rotate(rotation, frame.position[0])
-    return rotation, slide - (slide @ up) * up
+    displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
+    return rotation, displacement - (displacement @ up) * up
 
 
 def _carry(
@@ -269,7 +278,7 @@ def _carry(
     world_rotation: FloatArray,
     slide: FloatArray,
 ) -> None:
-    """Store the world step as one in the frame of a joint's parent."""
+    """Store a world step as a step in the frame of a joint's parent."""
     if rig.joints[joint].parent < 0:
         travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
         travel.linear[joint] = so3.to_matrix(world_rotation)
@@ -305,18 +314,18 @@ def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
 
 
 def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
-    reach = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
-    return bool(np.linalg.norm(reach) > STATIC * rest_size(rig))
+    extent = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
+    return bool(np.linalg.norm(extent) > STATIC_FRACTION * rest_size(rig))
 
 
 def _rotates(motion: Motion, joint: int) -> bool:
     values = motion.rotations.gather(np.array([joint]))
-    return bool(so3.angle_between(values, values[:1]).max() > STATIC)
+    return bool(so3.angle_between(values, values[:1]).max() > STATIC_FRACTION)
 
 
 def _weight(rig: Rig, joint: int) -> int:
-    inside = {joint}
-    for j, one in enumerate(rig.joints):
-        if one.parent in inside:
-            inside.add(j)
-    return len(inside)
+    subtree = {joint}
+    for j, rig_joint in enumerate(rig.joints):
+        if rig_joint.parent in subtree:
+            subtree.add(j)
+    return len(subtree)

@@ -40,52 +40,56 @@ def joints_matching(
     >>> joints_matching(arm, ["a"], children=True)
     [0, 1]
     """
-    chosen = [False] * len(rig.joints)
+    is_selected = [False] * len(rig.joints)
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = [fnmatchcase(name, pattern) for name in rig.names]
         if not any(matches):
             raise _unknown(rig, pattern, "joints")
-        chosen = [a or b for a, b in zip(chosen, matches, strict=True)]
+        is_selected = [a or b for a, b in zip(is_selected, matches, strict=True)]
     if children:
         for i, joint in enumerate(rig.joints):
-            chosen[i] = chosen[i] or (joint.parent >= 0 and chosen[joint.parent])
-    return [i for i, one in enumerate(chosen) if one]
+            is_selected[i] = is_selected[i] or (
+                joint.parent >= 0 and is_selected[joint.parent]
+            )
+    return [i for i, selected in enumerate(is_selected) if selected]
 
 
 def _unknown(rig: Rig, name: str, option: str) -> OptionError:
-    near = similar(name, rig.names)
+    suggestions = similar(name, rig.names)
     message = (
         f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
     )
-    hint = f"did you mean {near}?" if near else None
+    hint = f"did you mean {suggestions}?" if suggestions else None
     return OptionError(Fault("SCN012", message, hint=hint))
 
 
-# Scales, and angles [rad], that differ by less are equal: they come from files
-# in float32 at best, half at worst, and 1e-9 is invisible.
-EQUAL = 1e-9
+# Scales, and angles [rad], that differ by less are equal: files have float32 or half
+# precision, and 1e-9 is invisible.
+EQUAL_VALUES = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Placing:
+class LocalPlacement:
     """The local transform of one joint: ``(F, 3)`` [m] and ``(F, 4)``, or one frame."""
 
     translations: FloatArray
     rotations: FloatArray
 
 
-def set_joint(take: Take, joint: int, placing: Placing) -> Take:
+def set_joint(take: Take, joint: int, placing: LocalPlacement) -> Take:
     """Return the take with a joint moved, its children left in place."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
     translations = motion.translations.gather(family)
     rotations = motion.rotations.gather(family)
-    back = so3.conjugate(placing.rotations)
-    rotation = so3.multiply(back, rotations[:, 0])[:, None]
-    rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL
+    inverse_rotations = so3.conjugate(placing.rotations)
+    rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
+    rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL_VALUES
     scale = _scale(take, joint, rotates)[:, None]
-    shift = so3.rotate(back, translations[:, 0] - placing.translations)[:, None]
+    shift = so3.rotate(inverse_rotations, translations[:, 0] - placing.translations)[
+        :, None
+    ]
     translations[:, 1:] = (
         so3.rotate(rotation, scale * translations[:, 1:]) + shift
     ) / scale
@@ -101,14 +105,14 @@ def set_joint(take: Take, joint: int, placing: Placing) -> Take:
     )
 
 
-def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
+def _scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     """Return the scale of a joint ``(F, 3)``, uniform where the joint rotates."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
     values = scales.gather(np.array([joint]))[:, 0]
-    spread = np.ptp(values, axis=-1) > EQUAL * np.abs(values).max(axis=-1)
-    if (values == 0).any() or (spread & turned).any():
+    is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUES * np.abs(values).max(axis=-1)
+    if (values == 0).any() or (is_uneven & is_rotated).any():
         name = take.rig.names[joint]
         raise OptionError(
             Fault(
@@ -121,22 +125,22 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
     return values
 
 
-def inserted(take: Take, name: str, above: int) -> Take:
+def inserted(take: Take, name: str, below: int) -> Take:
     """Return the take with a new static joint right above another.
 
     The new joint takes the other's index, and the other the next one.
     """
     joints = [
-        replace(j, parent=j.parent + (j.parent >= above)) for j in take.rig.joints
+        replace(j, parent=j.parent + (j.parent >= below)) for j in take.rig.joints
     ]
-    parent = joints[above].parent
-    joints[above] = replace(joints[above], parent=above)
-    joints.insert(above, Joint(name, parent))
+    parent = joints[below].parent
+    joints[below] = replace(joints[below], parent=below)
+    joints.insert(below, Joint(name, parent))
 
     def grown(channel: Channel, neutral: FloatArray) -> Channel:
         return Channel(
-            np.insert(channel.rest, above, neutral, axis=0),
-            channel.animated + (channel.animated >= above),
+            np.insert(channel.rest, below, neutral, axis=0),
+            channel.animated + (channel.animated >= below),
             channel.values,
         )
 
@@ -155,31 +159,31 @@ def removed(take: Take, joint: int) -> Take:
         message = f"the rig's skins, chains or controls refer to {name!r}"
         raise OptionError(Fault("SCN020", message, hint="keep the joint"))
     joints = []
-    for i, one in enumerate(rig.joints):
-        if one.parent == joint:
-            pose = _below(_rest(rig.joints[joint]), _rest(one))
-            one = replace(  # noqa: PLW2901
-                one,
+    for i, rig_joint in enumerate(rig.joints):
+        if rig_joint.parent == joint:
+            pose = _below(_rest(rig.joints[joint]), _rest(rig_joint))
+            rig_joint = replace(  # noqa: PLW2901
+                rig_joint,
                 parent=parent,
                 translation=pose.translation,
                 rotation=pose.rotation,
             )
-        elif one.parent > joint:
-            one = replace(one, parent=one.parent - 1)  # noqa: PLW2901
+        elif rig_joint.parent > joint:
+            rig_joint = replace(rig_joint, parent=rig_joint.parent - 1)  # noqa: PLW2901
         if i != joint:
-            joints.append(one)
+            joints.append(rig_joint)
 
     def shrunk(channel: Channel, _: FloatArray) -> Channel:
-        kept = channel.animated != joint
-        animated = channel.animated[kept]
+        is_kept = channel.animated != joint
+        animated_rows = channel.animated[is_kept]
         return Channel(
             np.delete(channel.rest, joint, axis=0),
-            animated - (animated > joint),
-            channel.values[:, kept],
+            animated_rows - (animated_rows > joint),
+            channel.values[:, is_kept],
         )
 
-    smaller = replace(rig, joints=tuple(joints), bind=_bind(rig, joint))
-    return _on(take, smaller, shrunk)
+    smaller_rig = replace(rig, joints=tuple(joints), bind=_bind(rig, joint))
+    return _on(take, smaller_rig, shrunk)
 
 
 def _unscaled(take: Take, joint: int) -> Take:
@@ -219,22 +223,28 @@ def _rest(joint: Joint) -> Pose:
     return Pose(joint.translation, joint.rotation)
 
 
-def _below(above: Pose, pose: Pose) -> Pose:
-    """Return a pose below another, in the frame of that other's parent."""
-    translation = so3.rotate(above.rotation, pose.translation) + above.translation
+def _below(parent_pose: Pose, pose: Pose) -> Pose:
+    """Return a pose relative to another, in the frame of that pose's parent."""
+    translation = (
+        so3.rotate(parent_pose.rotation, pose.translation) + parent_pose.translation
+    )
     x, y, z = translation.tolist()
-    a, b, c, w = so3.multiply(above.rotation, pose.rotation).tolist()
+    a, b, c, w = so3.multiply(parent_pose.rotation, pose.rotation).tolist()
     return Pose((x, y, z), (a, b, c, w))
 
 
 def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig without a joint."""
-    gone = rig.joints[joint]
-    bind = {name: pose for name, pose in rig.bind.items() if name != gone.name}
-    for one in rig.joints:
-        if one.parent == joint and {one.name, gone.name} & set(rig.bind):
-            above = rig.bind.get(gone.name, _rest(gone))
-            bind[one.name] = _below(above, rig.bind.get(one.name, _rest(one)))
+    removed_joint = rig.joints[joint]
+    bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
+    for rig_joint in rig.joints:
+        if rig_joint.parent == joint and {rig_joint.name, removed_joint.name} & set(
+            rig.bind
+        ):
+            parent_pose = rig.bind.get(removed_joint.name, _rest(removed_joint))
+            bind[rig_joint.name] = _below(
+                parent_pose, rig.bind.get(rig_joint.name, _rest(rig_joint))
+            )
     return bind
 
 
@@ -242,9 +252,9 @@ def _referred(rig: Rig) -> set[str]:
     """Return the joints that other parts of a rig refer to."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
     chains = [(chain.root, chain.tip) for chain in rig.chains]
-    groups = [*skins, *chains, *(one.joints for one in rig.attach)]
+    groups = [*skins, *chains, *(entry.joints for entry in rig.attach)]
     drives = [drive.target for control in rig.controls for drive in control.drives]
-    driven = [
+    driven_joints = [
         t.removeprefix("joint/").split(".")[0] for t in drives if t[:6] == "joint/"
     ]
     drivers = [
@@ -256,11 +266,13 @@ def _referred(rig: Rig) -> set[str]:
         tuple(split_coordinate(name)[0] for name in driver.names)
         for driver in filter(None, drivers)
     ]
-    groups.append(tuple(one.name for one in rig.joints if one.driven is not None))
+    groups.append(tuple(entry.name for entry in rig.joints if entry.driven is not None))
     mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
     colliders = [collider.joint for collider in rig.colliders]
     colliders += [mass.joint for mass in rig.masses]
-    return {name for group in groups for name in group}.union(driven, mimics, colliders)
+    return {name for group in groups for name in group}.union(
+        driven_joints, mimics, colliders
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,12 +280,12 @@ class HangOptions:
     """The joint, and the rope particle that carries it.
 
     Attributes:
-        joint: A free joint of the rig; what is below it goes along.
+        joint: A free joint of the rig; its descendants move with it.
         system: Name of a rope or of strands of the scene's ``systems``.
-        particle: Of it, by the name of its place or by its number.
-        axis: Of the joint, in its own frame, that lies along the last segment, away
-            from the rope; None is what points down at rest, and zeros leave the
-            joint's rotation as it is.
+        particle: Particle of the system, by its location name or number.
+        axis: Axis of the joint, in its own frame, that is aligned with the last
+            segment, away from the rope; None uses the axis that points down at rest,
+            and zeros keep the joint's rotation.
     """
 
     joint: str = ""
@@ -290,17 +302,18 @@ def hang(
 ) -> Take:
     """Return a take whose joint follows the last segment of a rope.
 
-    The joint's origin is at the end of the segment. It keeps the rotation that the take
-    has, turned the shortest way until its axis lies along the segment.
+    The joint's origin is at the end of the segment. Its rotation is that of the take,
+    rotated along the shortest arc until its axis is aligned with the segment.
 
-    Limits: where the axis points against the segment, which way it turns is arbitrary.
+    Limits: if the axis is opposite to the segment, the direction of rotation is
+    arbitrary.
 
     Args:
-        take: F frames.
+        take: A take of F frames.
         joint: Name of a free joint.
-        ends: The particle before the last and the last ``(F, 2, 3)`` [m], in the
-            space of the take.
-        axis: As `HangOptions` has it.
+        ends: Positions of the last two particles ``(F, 2, 3)`` [m], in the space of the
+            take.
+        axis: As in `HangOptions`.
 
     Raises:
         OptionError: The joint is unknown, not free or below one that is scaled to 0,
@@ -315,34 +328,40 @@ def hang(
     if rig.joints[j].type is not JointType.FREE:
         message = f"joint {joint!r} is of type {rig.joints[j].type}, and cannot leave "
         raise _refusal(f"{message}its parent", "joint", "make it `type: free`")
-    at, world = np.array([j]), take.world()
+    frame_and_world, world = np.array([j]), take.world()
     _check_scales(take, world, j)
     rotation = world.rotations[:, j]
-    down = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
-    if down.any():
-        along = ends[:, 1] - ends[:, 0]
-        rotation = so3.multiply(_shortest(so3.rotate(rotation, down), along), rotation)
+    local_axis = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
+    if local_axis.any():
+        segment = ends[:, 1] - ends[:, 0]
+        rotation = so3.multiply(
+            _shortest(so3.rotate(rotation, local_axis), segment), rotation
+        )
     positions, rotations = _local(world, rig.joints[j].parent, ends[:, 1], rotation)
     rotations = so3.align_signs(rotations)
     return replace(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(at, positions[:, None]).compact(),
-            rotations=motion.rotations.put(at, rotations[:, None]).compact(),
+            translations=motion.translations.put(
+                frame_and_world, positions[:, None]
+            ).compact(),
+            rotations=motion.rotations.put(
+                frame_and_world, rotations[:, None]
+            ).compact(),
         ),
     )
 
 
 def _axis(take: Take, joint: int) -> FloatArray:
     """Return the axis that points down at rest, in a joint's frame."""
-    down = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
-    rest = rest_world(take.rig).rotations[0, joint]
-    return np.asarray(so3.rotate(so3.conjugate(rest), down))
+    down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
+    rest_rotation = rest_world(take.rig).rotations[0, joint]
+    return np.asarray(so3.rotate(so3.conjugate(rest_rotation), down_vector))
 
 
 def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations ``(F, 4)`` of directions to others ``(F, 3)``."""
+    """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
     sizes = [np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after)]
     # A segment without length has no direction.
     no_length = (sizes[0] == 0) | (sizes[1] == 0)
@@ -350,14 +369,14 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
         np.divide(v, size, out=np.zeros_like(v), where=size > 0)
         for v, size in zip((before, after), sizes, strict=True)
     )
-    across = np.cross(a, b)
+    cross = np.cross(a, b)
     angle = np.arctan2(
-        np.linalg.norm(across, axis=1, keepdims=True), (a * b).sum(1, keepdims=True)
+        np.linalg.norm(cross, axis=1, keepdims=True), (a * b).sum(1, keepdims=True)
     )
-    # Half a turn goes about anything across.
-    other = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=1)])
-    parallel = np.linalg.norm(across, axis=1, keepdims=True) < 1e-12
-    axis = np.where(parallel, other, across)
+    # Half a revolution may be about any perpendicular axis.
+    perpendicular = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=1)])
+    parallel = np.linalg.norm(cross, axis=1, keepdims=True) < 1e-12
+    axis = np.where(parallel, perpendicular, cross)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     return so3.exp(np.where(no_length, 0.0, axis * angle))
 
@@ -379,11 +398,11 @@ def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
     parent = take.rig.joints[joint].parent
     if parent < 0:
         return
-    gone = np.flatnonzero(np.linalg.det(world.linear[:, parent]) == 0.0)
-    if len(gone):
+    singular_frames = np.flatnonzero(np.linalg.det(world.linear[:, parent]) == 0.0)
+    if len(singular_frames):
         message = (
             f"joint {take.rig.names[joint]!r} cannot be attached: a joint above it "
-            f"has a scale of 0 at frame {take.clock.times[gone[0]]:g}"
+            f"has a scale of 0 at frame {take.clock.times[singular_frames[0]]:g}"
         )
         raise _refusal(message, "joint", "set another scale there")
 

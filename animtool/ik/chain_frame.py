@@ -41,9 +41,8 @@ class SolveSpan:
     rig: Rig  # its rest pose contains motion outside the joint coordinates
     frames: slice  # of the take
     coordinates: FloatArray  # of the source poses ``(N, Q)``
-    carrier_positions: (
-        FloatArray  # of the frames that carry the chains ``(N, E, 3)`` [m]
-    )
+    # Of the frames that carry the chains ``(N, E, 3)`` [m].
+    carrier_positions: FloatArray
     carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:

@@ -188,9 +188,8 @@ class SoftReach:
 
     reachable: FloatArray  # packed targets within reach of the limbs ``(B, E, W)``
     scales: FloatArray  # bone length scales ``(B, E)``
-    softened: (
-        BoolArray  # where only soft extension keeps a limb from its target ``(B, E)``
-    )
+    # Where only soft extension keeps a limb from its target ``(B, E)``.
+    softened: BoolArray
 
     def __getitem__(self, rows: IntArray) -> SoftReach:
         """Return the rows of some of the problems."""

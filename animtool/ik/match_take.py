@@ -51,6 +51,10 @@ _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """Return the chains of a rig that match names or patterns; no pattern is all.
 
+    Raises:
+        OptionError: The rig has no chains (TGT019), or none matches a pattern (TGT001),
+            with a fault for each such pattern.
+
     >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
     >>> [chain.name for chain in chains_of(rig, ["a*"])]
     ['arm']

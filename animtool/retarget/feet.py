@@ -65,9 +65,8 @@ class Foot:
     length: float  # largest distance of ankle and hip [m]
     shortest: float  # smallest distance of ankle and hip [m]
     lift_above: FloatArray  # source ankle above its planted height, scaled (F,) [m]
-    straightness: (
-        FloatArray  # hip-ankle distance of the source over its leg length (F,)
-    )
+    # Hip-ankle distance of the source over its leg length (F,).
+    straightness: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
-from animtool.core.names import LONGEST, similar
+from animtool.core.names import MAX_LENGTH, similar
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.skeleton import WIDTHS, JointType, Rig
@@ -167,7 +167,7 @@ def part_hint(
     'the part is .angle'
     """
     fitting = [part for part, kinds in parts.items() if kind is None or kind in kinds]
-    words = text[-LONGEST:].split(".")
+    words = text[-MAX_LENGTH:].split(".")
     tails = [".".join(words[i:]) for i in range(1, len(words))]
     for tail in tails:
         plain = re.sub("[._]", "", tail.lower())

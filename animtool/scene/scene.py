@@ -41,25 +41,25 @@ class Scene:
     """A scene file."""
 
     path: Path
-    # What is read, at least one; the first has the rig and the frames.
+    # Sources, at least one; the first has the rig and the frames.
     sources: tuple[SceneSource, ...]
     passes: tuple[ScenePass, ...]  # passes in order
     outputs: tuple[SceneOutput, ...]  # outputs, at least one
-    rig: Path | None = None  # the rig of all sources; None is that of the first
+    rig: Path | None = None  # rig of all sources; None is that of the first
     props: tuple[SceneProp, ...] = ()  # props
     # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None
-    # How early passes with a state of their own begin; None is with the take.
+    # Number of frames before the take at which passes with a state begin; None is none.
     preroll: Preroll | None = None
     # Names of the variables that it uses or sets.
     variables: frozenset[str] = frozenset()
     idle_variables: frozenset[str] = frozenset()  # variables that no text uses
-    # Those of them that decide more than the outputs.
+    # Variables that affect more than the outputs.
     effective_variables: frozenset[str] = frozenset()
     notices: tuple[Fault, ...] = ()  # warnings of the file itself
-    # Measures the stages each time that it is opened.
+    # Measures the stages whenever it is opened.
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
-    # What is simulated, beside the source or in its place.
+    # Systems, simulated with the source or without one.
     systems: tuple[SceneSystem, ...] = ()
 
     @property
@@ -76,25 +76,30 @@ class Scene:
     def inputs(self) -> list[Path]:
         """Every input file that it names, the scene file included."""
         folder = self.path.resolve().parent
-        named = [self.path, *(source.path for source in self.sources)]
-        named += [self.rig] if self.rig is not None else []
+        paths = [self.path, *(source.path for source in self.sources)]
+        paths += [self.rig] if self.rig is not None else []
         for prop in self.props:
-            named += [prop.file, *filter(None, [prop.reference])]
+            paths += [prop.file, *filter(None, [prop.reference])]
         for system in self.systems:
-            named += system.setup.files
+            paths += system.setup.files
         for entry in self.passes:
-            values = [getattr(entry.options, f.name) for f in fields(entry.options)]
-            named += [folder / path for path in values if isinstance(path, Path)]
-            named += entry.files
-        return named
+            values = [
+                getattr(entry.options, option_field.name)
+                for option_field in fields(entry.options)
+            ]
+            paths += [folder / path for path in values if isinstance(path, Path)]
+            paths += entry.files
+        return paths
 
     @property
     def kept(self) -> list[Path]:
         """Every file that its passes and systems write besides its outputs."""
         folder = self.path.resolve().parent
-        named = [getattr(entry.options, "writes", ()) for entry in self.passes]
-        named += [getattr(system.setup, "writes", ()) for system in self.systems]
-        return [folder / name for names in named for name in names]
+        written_names = [getattr(entry.options, "writes", ()) for entry in self.passes]
+        written_names += [
+            getattr(system.setup, "writes", ()) for system in self.systems
+        ]
+        return [folder / name for names in written_names for name in names]
 
     def writing(self, output: SceneOutput) -> Scene:
         """Return the scene of one output with its systems and those they need."""
@@ -134,13 +139,13 @@ class Scene:
     def of_shot(self, shot: Shot) -> Scene:
         """Return the scene with its take at the times of a timeline's shot.
 
-        Time codes of the take are then shot frames. The scene may write another cut,
-        other handles or a range of the shot.
+        Time codes of the take are then frames of the shot. The scene may write another
+        cut, other handles or a range of the shot.
         """
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
         for output in self.outputs:
-            bake, recut = output.bake, shot
+            bake, with_cut = output.bake, shot
             if bake.start is not None:
                 message = "the timeline already places the start of the take"
                 hint = "remove start; start_frame in metadata.animtool of the clip "
@@ -150,53 +155,58 @@ class Scene:
                 message = f"fps is {bake.fps}, but the shot has {shot.fps}"
                 faults.append(output.location.fault("SCN073", message, "write ${fps}"))
             if bake.shot is not None:
-                cut = bake.shot
-                recut = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
-            bake = replace(bake, shot=recut, fps=shot.fps)
+                shot_cut = bake.shot
+                with_cut = shot.recut(
+                    shot_cut.cut_in, shot_cut.cut_out, shot_cut.head, shot_cut.tail
+                )
+            bake = replace(bake, shot=with_cut, fps=shot.fps)
             outputs.append(replace(output, bake=bake))
         if faults:
             raise OptionError(list(dict.fromkeys(faults)))
-        early = self.preroll
-        if early is not None:
-            early = replace(early, start=None, fps=shot.fps)
-        return replace(self, outputs=tuple(outputs), preroll=early)
+        shot_preroll = self.preroll
+        if shot_preroll is not None:
+            shot_preroll = replace(shot_preroll, start=None, fps=shot.fps)
+        return replace(self, outputs=tuple(outputs), preroll=shot_preroll)
 
     def open(self, *, keeps: bool = True, progress: Progress = None) -> TakeStream:
         """Return the source with all passes applied.
 
         Args:
             keeps: Whether passes write files of their own, as in a bake.
-            progress: Called with the share done, 0 to 1, until the blocks are read.
+            progress: Called with the fraction done, 0 to 1, until the blocks are read.
 
         Raises:
             FormatError: A source is malformed, or a pass cannot be applied to it,
                 with the pass's place; the blocks may raise it too.
             OptionError: An option does not apply to the source.
         """
-        slow = sum(entry.pass_.tells for entry in self.passes)
-        shown = None if progress is None else BlockProgress(progress, slow)
-        stream = self._source(None if shown is None else shown.read)
+        slow_passes = sum(entry.pass_.tells for entry in self.passes)
+        block_progress = (
+            None if progress is None else BlockProgress(progress, slow_passes)
+        )
+        stream = self._source(None if block_progress is None else block_progress.read)
         context = self._context(keeps=keeps)
         props = self._open_props(stream)
         dropped = stream.dropped
         stream = self._with_props(stream, props, dropped, retimed=True)
-        telling = 0
+        pass_index = 0
         for entry in self.passes:
             pass_context = context
-            if shown is not None and entry.pass_.tells:
-                pass_context = replace(context, progress=shown.of_pass(telling))
-                telling += 1
+            if block_progress is not None and entry.pass_.tells:
+                pass_context = replace(
+                    context, progress=block_progress.of_pass(pass_index)
+                )
+                pass_index += 1
             stream = self._passed(stream, entry, pass_context)
         stream = self._with_props(stream, props, dropped, retimed=False)
-        if shown is not None:
-            stream.blocks = shown.blocks(stream.blocks)
+        if block_progress is not None:
+            stream.blocks = block_progress.blocks(stream.blocks)
         return stream
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and the result of each pass, as takes and as streams.
 
-        Things beside the character that no pass retimes are not among them. Passes
-        write no file.
+        Props that no pass retimes are not included. Passes write no file.
 
         Raises:
             FormatError: As `open`, at the step that raises it.
@@ -236,22 +246,22 @@ class Scene:
     def _around(
         self, stream: TakeStream, options: object, lead: float
     ) -> tuple[TakeStream, object]:
-        # Loaded by name, as systems are.
-        around = load_object("animtool.scene.systems.attached:with_colliders")
-        built = cast("Callable[..., tuple[TakeStream, object]]", around)
+        # Loaded by name, like all systems.
+        with_colliders = load_object("animtool.scene.systems.attached:with_colliders")
+        built = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
         return built(self.systems, self.path, stream, options, lead)
 
     def _segments(
         self, take: Take, system: str, particle: str, progress: Progress
     ) -> FloatArray:
-        # Loaded by name: systems open scenes themselves.
+        # Loaded by name, since systems open scenes themselves.
         segments = load_object("animtool.scene.systems.segments:segments_of")
         array = cast("Callable[..., FloatArray]", segments)
         shot, lead = self.bake.shot, 0.0
         if shot is not None and shot.places_media:
-            # Where a shot begins before its take, the take's first pose is held.
-            early = take.clock.start - shot.start
-            lead = max(0.0, float(early / take.clock.fps))
+            # If a shot begins before its take, the take's first pose is held.
+            lead_time = take.clock.start - shot.start
+            lead = max(0.0, float(lead_time / take.clock.fps))
         return array(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
@@ -287,12 +297,12 @@ class Scene:
         retimed: bool,
     ) -> TakeStream:
         """Return a take with the props that passes retime, or with the others."""
-        chosen = [prop for prop in props if prop.entry.retimed is retimed]
-        if not chosen:
+        matching = [prop for prop in props if prop.entry.retimed is retimed]
+        if not matching:
             return stream
         from animtool.scene.sources.props import with_props
 
-        return with_props(stream, chosen, self.first, self.bake.fps, dropped)
+        return with_props(stream, matching, self.first, self.bake.fps, dropped)
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
@@ -329,7 +339,7 @@ class Scene:
             )
             pass_notices.clear()
             name, where = entry.pass_.name, entry.location.where
-            scores.extend(one.of_pass(name, where) for one in context.scores)
+            scores.extend(score.of_pass(name, where) for score in context.scores)
             context.scores.clear()
 
         tell()
@@ -342,8 +352,7 @@ class Scene:
         """Return the scene with the passes up to one.
 
         Args:
-            stop: The last pass to run, by its name or its number, 1 being the first
-                and 0 none.
+            stop: Last pass to run, by name or number; the first is 1, and 0 runs none.
 
         Raises:
             OptionError: There is none of that name or number, or there are several of
@@ -355,26 +364,30 @@ class Scene:
             numbers = [int(stop)]
         if len(numbers) == 1:
             return replace(self, passes=self.passes[: numbers[0]])
-        listed = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
+        pass_list = (
+            ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
+        )
         message = f"unknown pass of the scene {stop!r}"
         if numbers:
             message = f"several passes of the scene are called {stop!r}: use its number"
         path = str(self.path)
-        raise OptionError(Fault("SCN043", message, path, (), f"the passes: {listed}"))
+        raise OptionError(
+            Fault("SCN043", message, path, (), f"the passes: {pass_list}")
+        )
 
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
         """Return a take with a pass applied, after the preroll it needs."""
-        early = 0
+        lead_frames = 0
         if entry.pass_.settles and self.preroll is not None:
-            early = self.preroll.frames(stream)
-        if not early:
+            lead_frames = self.preroll.frames(stream)
+        if not lead_frames:
             return apply_pass(stream, entry.pass_, entry.options, context)
-        led = with_preroll(stream, early)
-        sooner = replace(context, prepended_frames=early)
-        done = apply_pass(led, entry.pass_, entry.options, sooner)
-        return drop_first(done, early, stream.start)
+        with_lead = with_preroll(stream, lead_frames)
+        pass_context = replace(context, prepended_frames=lead_frames)
+        passed_stream = apply_pass(with_lead, entry.pass_, entry.options, pass_context)
+        return drop_first(passed_stream, lead_frames, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
         """Return the sources joined to one stream."""
@@ -389,7 +402,7 @@ class Scene:
             return stream
         from animtool.scene.sources.joining import SourcePart, joined
 
-        parts: list[SourcePart] = []
+        source_parts: list[SourcePart] = []
         faults: list[Fault] = []
         for source in self.sources:
             try:
@@ -397,7 +410,7 @@ class Scene:
             except AnimtoolError as error:
                 faults += map(source.location.locate, error.faults)
                 continue
-            parts.append(
+            source_parts.append(
                 SourcePart(
                     stream,
                     source.tracks,
@@ -410,7 +423,9 @@ class Scene:
             raise FormatError(faults)
         first = self.sources[0]
         with first.location.located():
-            stream = driven_stream(joined(parts[0], parts[1:]), report_replaced=True)
+            stream = driven_stream(
+                joined(source_parts[0], source_parts[1:]), report_replaced=True
+            )
         return replace(stream, blocks=_read(first.location, stream.blocks))
 
     def _take(self, path: Path) -> Take:

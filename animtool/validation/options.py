@@ -20,10 +20,11 @@ from animtool.validation.profiles import PROFILES, load_profile
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:
-    """Which codes to report. Codes may be prefixes: ``RIG``, ``RIG2``.
+    """Selection and severities of codes, which may be prefixes: ``RIG``, ``RIG2``.
 
     Attributes:
-        levels: Severities of the profile, below all others; None leaves a code out.
+        levels: Severities of the profile, with the lowest precedence; None disables a
+            code.
     """
 
     select: tuple[str, ...] = option(
@@ -64,22 +65,22 @@ class ValidateOptions:
         >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
         False
         """
-        chosen = _longest(code, self.select) if self.select else 0
-        if chosen < 0 or chosen <= _longest(code, self.ignore):
+        selected = _prefix_length(code, self.select) if self.select else 0
+        if selected < 0 or selected <= _prefix_length(code, self.ignore):
             return False
-        level = _best(code, self.levels)
+        level = _longest_prefix(code, self.levels)
         if level is None or self.levels[level] is not None:
             return True
-        # What a profile leaves out, a more exact wish brings back.
-        return max(chosen, _longest(code, self.severity)) >= _length(level)
+        # A more specific selection overrides the profile.
+        return max(selected, _prefix_length(code, self.severity)) >= _length(level)
 
     def of(self, fault: Fault) -> Fault:
         """Return a finding with its configured severity."""
-        best = _best(fault.code, self.severity)
-        if best is not None:
-            return replace(fault, severity=self.severity[best])
-        best = _best(fault.code, self.levels)
-        level = None if best is None else self.levels[best]
+        longest_prefix = _longest_prefix(fault.code, self.severity)
+        if longest_prefix is not None:
+            return replace(fault, severity=self.severity[longest_prefix])
+        longest_prefix = _longest_prefix(fault.code, self.levels)
+        level = None if longest_prefix is None else self.levels[longest_prefix]
         return fault if level is None else replace(fault, severity=level)
 
     def resolved(self) -> ValidateOptions:
@@ -99,7 +100,7 @@ class ValidateOptions:
         return replace(self, levels=PROFILES[profile].levels)
 
     def within(self, project: ValidateOptions) -> ValidateOptions:
-        """Return these options merged with a project's; these win."""
+        """Return these options merged with a project's; these take precedence."""
         return replace(
             self,
             select=self.select or project.select,
@@ -173,9 +174,13 @@ class ReportOptions:
     )
 
 
-def _best(code: str, beginnings: Iterable[str]) -> str | None:
+def _longest_prefix(code: str, beginnings: Iterable[str]) -> str | None:
     """Return the longest matching prefix of a code, in current or old spelling."""
-    matching = [b for b in beginnings if code.startswith(current_codes(b))]
+    matching = [
+        beginning
+        for beginning in beginnings
+        if code.startswith(current_codes(beginning))
+    ]
     return max(matching, key=_length, default=None)
 
 
@@ -184,9 +189,9 @@ def _length(beginning: str) -> int:
     return len(current_codes(beginning)[0])
 
 
-def _longest(code: str, beginnings: Iterable[str]) -> int:
+def _prefix_length(code: str, beginnings: Iterable[str]) -> int:
     """Return the length of the longest matching prefix of a code, -1 for none."""
-    best = _best(code, beginnings)
+    best = _longest_prefix(code, beginnings)
     return -1 if best is None else _length(best)
 
 
@@ -210,9 +215,11 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         raise OptionError(faults)
 
 
-_LISTS = ("select", "ignore")
-# What a project may set, in the order of its faults.
-_SETTINGS = tuple(name for name in options_of(ValidateOptions) if name != "jobs")
+_LIST_SETTINGS = ("select", "ignore")
+# Settings that a project may have, in the order of their faults.
+_PROJECT_SETTINGS = tuple(
+    name for name in options_of(ValidateOptions) if name != "jobs"
+)
 
 
 def settings_of(path: Path) -> ValidateOptions:
@@ -224,13 +231,15 @@ def settings_of(path: Path) -> ValidateOptions:
 def _options(table: Any, path: str) -> ValidateOptions:
     lists: dict[str, tuple[str, ...]] = {}
     for name in table:
-        if name not in _SETTINGS:
+        if name not in _PROJECT_SETTINGS:
             message = f"unknown setting validate.{name}"
-            hint = f"allowed: {', '.join(_SETTINGS)}"
+            hint = f"allowed: {', '.join(_PROJECT_SETTINGS)}"
             raise OptionError(Fault("CFG002", message, path, (), hint))
-    for name in _LISTS:
+    for name in _LIST_SETTINGS:
         codes = table.get(name, [])
-        if not isinstance(codes, list) or not all(isinstance(c, str) for c in codes):
+        if not isinstance(codes, list) or not all(
+            isinstance(code_text, str) for code_text in codes
+        ):
             message = f"validate.{name} is {codes!r}, not a list of codes"
             raise OptionError(Fault("CFG003", message, path))
         lists[name] = tuple(codes)

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
 from animtool.documents.document import read_document
 
-# By code or its beginning; None leaves a code out.
+# Severity by code or prefix; None disables a code.
 Levels = Mapping[str, Severity | None]
 
 OFF = "off"
@@ -27,7 +27,7 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 class SeverityProfile:
     """Severities of codes."""
 
-    about: str  # what it is for, a line
+    about: str  # one-line description of its purpose
     levels: Levels  # severities that replace those of the rules
 
 
@@ -78,7 +78,7 @@ PROFILES: dict[str, SeverityProfile] = {
         "a file delivered by others: losses are warnings, the rest are notes",
         {
             "USD2": _NOTE,
-            # UsdSkel ignores or misreads what has these.
+            # UsdSkel ignores or misreads files with these findings.
             **dict.fromkeys(
                 (
                     *("USD200", "USD201", "USD202", "USD203", "USD206", "USD207"),
@@ -100,7 +100,7 @@ PROFILES: dict[str, SeverityProfile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile, by name or of a file."""
+    """Return the levels of a profile, by its name or file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
@@ -158,13 +158,15 @@ def _levels(table: Mapping[str, Any], path: str) -> Levels:
         for code, value in severities.items()
     }
     _check_codes(levels, path)
-    # A beginning of the file's own replaces all of the base that it covers.
-    kept = {
+    # A prefix in the file replaces all codes of the base that it covers.
+    base_levels = {
         code: level
         for code, level in PROFILES[base].levels.items()
-        if not any(code.startswith(current_codes(mine)) for mine in levels)
+        if not any(
+            code.startswith(current_codes(file_levels)) for file_levels in levels
+        )
     }
-    return {**kept, **levels}
+    return {**base_levels, **levels}
 
 
 def _level(code: object, value: object, path: str) -> Severity | None:
@@ -179,8 +181,8 @@ def _level(code: object, value: object, path: str) -> Severity | None:
 def _check_codes(levels: Levels, path: str) -> None:
     rules, _ = all_rules()
     for code in levels:
-        known = code and any(rule.startswith(current_codes(code)) for rule in rules)
-        if not known:
+        is_known = code and any(rule.startswith(current_codes(code)) for rule in rules)
+        if not is_known:
             message = f"no code matches {code!r}"
             raise OptionError(
                 Fault("VAL005", message, path, (), nearest(code, [*rules]))

@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths match, each once, in path order.
 
-    See `animtool.core.files.reading.files_meant`; folders are searched for all files
-    that animtool knows by name.
+    See `animtool.core.files.reading.files_meant`; folders are searched for all file
+    names that animtool knows.
     """
     return match_files(paths)[0]
 
 
 def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
-    """Return the files of `find_files`, and a warning for each path without any."""
-    # Of a variable of a shell that is not set; the folder that it is run in is ".".
+    """Return the files of `find_files`, and a warning for each path without a match."""
+    # An empty text is an unset shell variable; the current folder is ".".
     texts = [text for path in paths if (text := str(path))]
     for text in texts:
         if "\0" in text:
@@ -53,23 +53,23 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     files: dict[Path, None] = {}
     unmatched = []
     for text in texts:
-        meant = [file.path for file in matching_files(text, SUFFIXES)]
-        files.update(dict.fromkeys(meant))
-        if not meant:
+        matched = [file.path for file in matching_files(text, SUFFIXES)]
+        files.update(dict.fromkeys(matched))
+        if not matched:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched.append(fault)
     if not files:
-        shown = ", ".join(texts) or "nothing"
-        message = f"no file to check in {shown}"
+        shown_paths = ", ".join(texts) or "nothing"
+        message = f"no file to check in {shown_paths}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched
 
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
-# What an entry of a list is known by.
-_NAMES = ("name", "target", "joint", "effector")
+# Keys that identify an entry of a list.
+_NAME_KEYS = ("name", "target", "joint", "effector")
 
 
 @dataclass(slots=True)
@@ -77,7 +77,7 @@ class Ignores:
     """The ``ignore`` entries of a file, and how often each matched."""
 
     document: Document  # the file
-    used: list[int]  # how many findings each entry hid
+    used: list[int]  # number of findings hidden by each entry
 
     @classmethod
     def of(cls, document: Document) -> Ignores:
@@ -100,8 +100,8 @@ class Ignores:
                     "VAL002", ("ignore", i, "code"), message, hint
                 )
             elif not self.used[i]:
-                where = f" at {entry['where']}" if entry.get("where") else ""
-                message = f"nothing here has {code}{where}"
+                location_text = f" at {entry['where']}" if entry.get("where") else ""
+                message = f"nothing here has {code}{location_text}"
                 hint = "remove it"
                 fault = self.document.fault("VAL001", ("ignore", i), message, hint)
                 yield replace(fault, severity=Severity.WARNING)
@@ -127,7 +127,9 @@ class Ignores:
         for key, index in _STEP.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
-                names = [node[n] for n in _NAMES if n in node] if _is_map(node) else []
+                names = (
+                    [node[n] for n in _NAME_KEYS if n in node] if _is_map(node) else []
+                )
                 text += f"[{names[0] if names else index}]"
             else:
                 text += f".{key}" if key else f"[{index}]"
@@ -136,8 +138,8 @@ class Ignores:
 
 
 def _entries(document: Document) -> list[dict[str, Any]]:
-    listed = document.value.get("ignore")
-    entries = listed if isinstance(listed, list) else []
+    value = document.value.get("ignore")
+    entries = value if isinstance(value, list) else []
     return [e for e in entries if _is_map(e) and isinstance(e.get("code"), str)]
 
 
@@ -157,10 +159,10 @@ def _covers(pattern: str, location: str) -> bool:
 
 Finding = Fault
 
-# Fewer files are done before another process has started.
-MIN_EACH = 40
-# Files that a process takes at a time.
-CHUNK = 10
+# With fewer files, a single process is faster than starting others.
+MIN_FILES_PER_PROCESS = 40
+# Number of files that a process takes at a time.
+CHUNK_FILES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,20 +170,20 @@ class Entry:
     """A finding as listed in reports."""
 
     fault: Fault
-    fixable: bool = False  # whether `--fix` can mend it
-    done: str = ""  # how it was mended
+    fixable: bool = False  # whether `--fix` can fix it
+    done: str = ""  # how it was fixed
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
     """Result of validation."""
 
-    files: tuple[Path, ...]  # that were looked at, in order
-    findings: tuple[Fault, ...]  # by file, line and column
+    files: tuple[Path, ...]  # the validated files, in order
+    findings: tuple[Fault, ...]  # findings by file, line and column
     broken: tuple[Fault, ...] = ()  # plug-in rules that could not be loaded
-    # Findings that `--fix` can mend, where that was looked for.
+    # Findings that `--fix` can fix, if that was checked.
     fixable: frozenset[Fault] = frozenset()
-    # Findings that were mended before, and what was done.
+    # Findings that were fixed before, and how.
     mended: tuple[tuple[Fault, str], ...] = ()
     json_keys: ClassVar[str] = (
         "'validate' files findings=entries{*fault fixable} "
@@ -218,20 +220,20 @@ class Report:
 
     def unreadable(self) -> frozenset[str]:
         """Return the files whose bytes could not be read."""
-        named = {str(path) for path in self.files}
+        file_names = {str(path) for path in self.files}
         return frozenset(
             fault.path
             for fault in self.findings
-            if fault.path in named and _unreadable(fault, fault.path)
+            if fault.path in file_names and _unreadable(fault, fault.path)
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
-        """Return the process exit code: strict counts warnings, exit_zero gives 0."""
+        """Return the process exit code: strict counts warnings, exit_zero returns 0."""
         if self.unreadable():
             return ExitCode.MALFORMED
-        wrong = self.count(Severity.ERROR)
-        wrong += self.count(Severity.WARNING) if strict else 0
-        return ExitCode.FINDINGS if wrong and not exit_zero else ExitCode.OK
+        failures = self.count(Severity.ERROR)
+        failures += self.count(Severity.WARNING) if strict else 0
+        return ExitCode.FINDINGS if failures and not exit_zero else ExitCode.OK
 
 
 def validate(
@@ -240,14 +242,14 @@ def validate(
     """Return the findings in rigs, clips, scenes, BVH and USD files.
 
     Args:
-        paths: Files, folders, and globs in which ``**`` is any folders.
-        options: Which codes count, and how much.
+        paths: Files, folders, and globs in which ``**`` matches any folders.
+        options: Selection and severities of codes.
 
     Raises:
         FormatError: A path has a null byte (IO001).
         NothingFoundError: No file to check (VAL006).
-        OptionError: A code that there is none of (VAL005), a file of a kind that is
-            not checked (IO002), or settings of a project that are malformed.
+        OptionError: Unknown code (VAL005), unsupported file type (IO002), or malformed
+            project settings.
     """
     requested = [paths] if isinstance(paths, Path | str) else list(paths)
     return list(validate_files(find_files(requested), options).findings)
@@ -258,7 +260,7 @@ def validate_files(
 ) -> Report:
     """Return the findings in files; see `validate`.
 
-    The same whatever the number of processes.
+    The result does not depend on the number of processes.
     """
     options = (options or ValidateOptions()).resolved()
     check_codes(options)
@@ -266,7 +268,7 @@ def validate_files(
     folders = {path.parent: path for path in files}
     projects = {folder: settings_of(path) for folder, path in folders.items()}
     settings = [options.within(projects[path.parent]) for path in files]
-    _, broken = all_rules()
+    _, failed_rules = all_rules()
     by_scene = values_of_batches(files)
     values = (
         [by_scene.get(path.resolve()) for path in files]
@@ -276,13 +278,13 @@ def validate_files(
     by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
     findings = {_named(fault, names) for faults in by_file for fault in faults}
-    return Report(files, tuple(sorted(findings, key=_order)), broken)
+    return Report(files, tuple(sorted(findings, key=_order)), failed_rules)
 
 
 def _processes(jobs: int | None, files: int) -> int:
     if jobs is not None:
         return max(1, min(jobs, files))
-    return max(1, min(os.cpu_count() or 1, files // MIN_EACH))
+    return max(1, min(os.cpu_count() or 1, files // MIN_FILES_PER_PROCESS))
 
 
 def _all(
@@ -292,7 +294,7 @@ def _all(
     processes: int,
 ) -> Iterator[list[Fault]]:
     faults = None
-    # What crashed before is known in this process alone.
+    # Which file crashed before is known only in this process.
     if processes > 1 and not has_crashed():
         faults = _shared(files, settings, values, processes)
     yield from map(_check, files, settings, values) if faults is None else faults
@@ -306,17 +308,20 @@ def _shared(
 ) -> list[list[Fault]] | None:
     """Return the reported findings of each file, from several processes.
 
-    None where one of them ended: done again here, it is known over which file.
+    None if one of them crashed: repeated in this process, the file that causes it is
+    found.
     """
     from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
     from multiprocessing import get_context
 
-    # Fresh processes: a fork of one with threads may stop for ever.
+    # Fresh processes: forking a process with threads may deadlock.
     context = get_context("spawn")
     try:
         with ProcessPoolExecutor(processes, context, follow_parent) as pool:
             with without_interrupts(), without_main():
-                results = pool.map(_check, files, settings, values, chunksize=CHUNK)
+                results = pool.map(
+                    _check, files, settings, values, chunksize=CHUNK_FILES
+                )
             return list(results)
     except BrokenExecutor:
         return None
@@ -327,14 +332,14 @@ def _check(
 ) -> list[Fault]:
     """Return the reported findings of one file, with values of scene variables."""
     try:
-        checked = open_file(path, values)
+        checked_file = open_file(path, values)
     except AnimtoolError as error:
         if error.exit_code is ExitCode.USAGE:
             raise
         faults = list(error.faults)
     else:
-        faults = findings_in(checked)
-        options = options.with_profile(checked.profile)
+        faults = findings_in(checked_file)
+        options = options.with_profile(checked_file.profile)
     return [
         options.of(fault)
         for fault in faults
@@ -348,7 +353,7 @@ def _unreadable(fault: Fault, path: str) -> bool:
 
 
 def findings_in(checked: CheckedFile) -> list[Fault]:
-    """Return all findings in a checked file, whatever counts."""
+    """Return all findings in a checked file, whether selected or not."""
     faults = list(checked.faults)
     rules, _ = all_rules()
     for rule in rules.values():
@@ -358,20 +363,20 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
         return faults
     ignores = Ignores.of(checked.document)
     faults = ignores.hide(faults)
-    # What the reader refused hides findings that an entry may be for.
+    # Refused parts may hide findings that an entry is meant for.
     return [*faults, *(ignores.remarks() if checked.subject is not None else ())]
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     """Return the findings of one rule in a file; its errors are raised."""
-    checked = open_file(path)
-    if checked.kind not in rule.kinds:
-        kinds = ", ".join(sorted(rule.kinds))
-        message = f"is a {checked.kind} file, but {rule.code} checks {kinds}"
+    checked_file = open_file(path)
+    if checked_file.kind not in rule.kinds:
+        kinds_text = ", ".join(sorted(rule.kinds))
+        message = f"is a {checked_file.kind} file, but {rule.code} checks {kinds_text}"
         raise FormatError(Fault("DOC009", message, str(path)))
-    subjects = _subjects(rule, checked)
+    subjects = _subjects(rule, checked_file)
     if not subjects:
-        raise FormatError(checked.faults)
+        raise FormatError(checked_file.faults)
     return [fault for subject in subjects for fault in _faults_of(rule, subject)]
 
 
@@ -409,9 +414,13 @@ def _named(fault: Fault, names: dict[Path, str]) -> Fault:
         path = Path(fault.path).resolve()
     except (OSError, ValueError):
         return fault
-    here = Path.cwd()
-    shown = path.relative_to(here) if path.is_relative_to(here) else path
-    return replace(fault, path=names.get(path, str(shown)))
+    working_folder = Path.cwd()
+    shown_path = (
+        path.relative_to(working_folder)
+        if path.is_relative_to(working_folder)
+        else path
+    )
+    return replace(fault, path=names.get(path, str(shown_path)))
 
 
 def _order(fault: Fault) -> tuple[object, ...]:

@@ -12,16 +12,16 @@ def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding
     """Check that a rule finds a fault in one file, and none in another.
 
     Args:
-        rule: To be tested.
+        rule: The rule to test.
         wrong: A file with the fault.
-        right: One that nearly has it, and has not.
+        right: A similar file without the fault.
 
     Returns:
-        What it finds in the wrong file.
+        The findings in the wrong file.
 
     Raises:
-        AssertionError: The rule does otherwise, or what it says is of no use: a file,
-            line or prim is missing, the code is another, the message is empty.
+        AssertionError: The rule fails the test, or a finding is incomplete: without
+            file, line or prim, with a wrong code, or with an empty message.
     """
     findings = findings_of_rule(rule, Path(wrong))
     if not findings:
@@ -33,7 +33,9 @@ def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding
             raise AssertionError(f"{rule.code} reports nothing, or no file: {finding}")
         if not finding.lines and not finding.where:
             raise AssertionError(f"{rule.code} reports no location: {finding}")
-    others = findings_of_rule(rule, Path(right))
-    if others:
-        raise AssertionError(f"{rule.code} is a false alarm in {right}: {others[0]}")
+    false_findings = findings_of_rule(rule, Path(right))
+    if false_findings:
+        raise AssertionError(
+            f"{rule.code} is a false alarm in {right}: {false_findings[0]}"
+        )
     return findings

@@ -124,7 +124,7 @@ def test_a_cluster_that_is_lost_ends_the_run(
 
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
-        monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
+        monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS", 0.2)
         monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
         monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
         if whole:
@@ -270,7 +270,7 @@ def test_a_cluster_without_workers_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 1.0)
+    monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS", 1.0)
     monkeypatch.setattr("animtool.batch.cluster.POLL_INTERVAL", 0.1)
     with small_cluster(workers=0) as empty:
         outcomes = dask(work(tmp_path, empty.scheduler_address))

@@ -124,7 +124,7 @@ def test_processes_that_do_not_begin_end_the_run(
 ) -> None:
     monkeypatch.setattr(pool, "serve", serve)
     limit = 0.2 if serve is serve_nothing else 60.0
-    monkeypatch.setattr(pool, "LONGEST_START", limit)
+    monkeypatch.setattr(pool, "MAX_START", limit)
     with raises(OutputError, "BAT071", match=said):
         list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
 
@@ -133,7 +133,7 @@ def test_answers_that_make_no_sense_cost_their_items(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool, "serve", serve_garbage)
-    monkeypatch.setattr(pool, "TIMEOUT", 0.1)
+    monkeypatch.setattr(pool, "JOIN_TIMEOUT", 0.1)
     outcomes = list(find_executor("processes").load()(work(tmp_path, 2, jobs=1)))
     assert [o.number for o in outcomes] == [1, 2]
     assert [o.faults[0].code for o in outcomes] == ["BAT020", "BAT020"]

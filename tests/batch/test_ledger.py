@@ -19,7 +19,7 @@ from batch.test_manifest import item
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "TIMEOUT", 0.0)
+    monkeypatch.setattr(ledger, "LOCK_TIMEOUT", 0.0)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_few_files_are_open_at_a_time(
         closing(self, number)
 
     monkeypatch.setattr(chunks.Chunks, "_close", close)
-    monkeypatch.setattr("animtool.scene.bake.deformed_character.PIECE", 3)
+    monkeypatch.setattr("animtool.scene.bake.deformed_character.PIECE_FRAMES", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2
 

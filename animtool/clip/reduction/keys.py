@@ -39,9 +39,7 @@ class ReducedChannel:
     kind: ChannelKind  # kind of its target
     index: int  # index of the joint in its rig, of the weight, or of the control
     joint: str | None  # name of the joint; None for a weight or a control
-    order: (
-        str | None
-    )  # order of the Euler angles, left to right; None for other channels
+    order: str | None  # of the Euler angles, left to right; else None
     # Frames from 0, not time codes. Translations are in [m], rotations in [deg],
     # continuous over revolutions, and others in [1]. Handles lie at thirds of the
     # segments next to a key.

@@ -1,9 +1,9 @@
 """Leftovers of killed processes in output folders: rolled back and removed.
 
-A file that is written has a temporary name in its folder, which says whose it is. A set
-of files also has a journal in each of its folders while they get their names. What a
-kill leaves of it is taken back by the next process that writes there: files that were
-replaced are as they were, and new ones are gone.
+A file being written has a temporary name in its folder, which identifies its process. A
+set of files also has a journal in each of its folders while the files are renamed.
+After a kill, the next process that writes there rolls back: replaced files are
+restored, and new ones are removed.
 """
 
 from __future__ import annotations
@@ -26,49 +26,49 @@ from animtool.core.files.reading import open_input, read_input
 from animtool.core.record import dataclass
 
 _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
-# A name that `new_temporary` gives.
+# Names created by `new_temporary`.
 TEMPORARY = re.compile(rf"{_OWNER.pattern}[0-9a-f]{{12}}(\.\w+)?")
 _JOURNAL = ".set"
-# A longer suffix is no file type, and would make the temporary name too long.
-_LONGEST_SUFFIX = 16
-# A journal is a few hundred bytes for each file.
+# Longer suffixes are no file type, and would make the temporary name too long.
+_MAX_SUFFIX = 16
+# A journal has a few hundred bytes per file.
 _MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
-    """Return the prefix of a process's temporary files; None is this one."""
+    """Return the prefix of a process's temporary files; None for this process."""
     return f".animtool-{_host()}-{process or os.getpid()}-"
 
 
 def new_temporary(final: Path) -> Path:
-    """Return an unused name beside a file that it will replace."""
-    suffix = final.suffix if len(os.fsencode(final.suffix)) <= _LONGEST_SUFFIX else ""
+    """Return an unused temporary name next to a file."""
+    suffix = final.suffix if len(os.fsencode(final.suffix)) <= _MAX_SUFFIX else ""
     # Unique over threads, processes and hosts that share a folder.
     return final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{suffix}")
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedFile:
-    """A file of a set while the set is committed."""
+    """A file of a set that is being committed."""
 
-    final: Path  # its name
-    temporary: Path  # its temporary name
+    final: Path  # its final path
+    temporary: Path  # its temporary path
     # Inode, size [byte] and time of change [ns] of the written file.
     state: tuple[int, int, int]
-    old: Path  # backup of the replaced file; unused without one
+    old: Path  # backup of the replaced file; unused if there was none
 
     def take_back(self) -> None:
-        """Roll back: restore the replaced file, and remove a new one.
+        """Roll back sets of dead processes in a folder, once per process and folder.
 
-        Nothing happens where another process has replaced the file since. It may be
-        called again.
+        Does nothing if another process has replaced the file since. May be called
+        again.
         """
         current = _status(self.final)
-        kept = _status(self.old)
-        if kept is not None and (current is None or self._is_mine(current)):
+        backup = _status(self.old)
+        if backup is not None and (current is None or self._is_mine(current)):
             self.old.replace(self.final)
-        elif kept is not None:
-            # The final name still has the old file, or a later one.
+        elif backup is not None:
+            # The final path still has the old file, or a later one.
             self.old.unlink()
         elif current is not None and self._is_mine(current):
             self.final.unlink()
@@ -82,12 +82,12 @@ class PlacedFile:
 class Journal:
     """Journal of a set that is being committed: a file in each of its folders.
 
-    The set is complete as soon as one of them is gone. Each names files of its own
-    folder only, so that one that came with other people's files reaches no others.
+    The set is complete as soon as one of these files is gone. Each names only files of
+    its own folder, so that a foreign journal cannot affect other folders.
     """
 
-    name: str  # of the file in each folder
-    folders: tuple[Path, ...]  # of the set
+    name: str  # of the journal file in each folder
+    folders: tuple[Path, ...]  # folders of the set
     _handles: list[int] = field(default_factory=list, compare=False, repr=False)
 
     @classmethod
@@ -113,7 +113,7 @@ class Journal:
     def _write(self, folder: Path, content: bytes) -> None:
         flags = os.O_CREAT | os.O_EXCL | os.O_RDWR
         handle = os.open(folder / self.name, flags, 0o666)
-        # Its lock says that the process lives, to other containers too.
+        # Its lock shows that the process is alive, to other containers too.
         self._handles.append(handle)
         _locked(handle)
         with os.fdopen(os.dup(handle), "wb") as file:
@@ -122,7 +122,7 @@ class Journal:
             os.fsync(handle)
 
     def end(self) -> None:
-        """Remove the journal: the set is complete or rolled back."""
+        """Remove the journal, when the set is complete or rolled back."""
         while self._handles:
             with contextlib.suppress(OSError):
                 os.close(self._handles.pop())
@@ -131,7 +131,7 @@ class Journal:
                 (folder / self.name).unlink()
 
     def take_back(self) -> None:
-        """Roll back a set whose process died before it was complete."""
+        """Roll back a set whose process died before completing it."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._files(folder)):
@@ -144,13 +144,13 @@ class Journal:
             entries = json.loads(content)["files"]
             return [_placed(folder, entry) for entry in entries]
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-            # It was not complete, so that no file had its name.
+            # It was incomplete, so that no file had been renamed.
             return []
 
 
 def _placed(folder: Path, entry: Mapping[str, Any]) -> PlacedFile:
     names = [entry[key] for key in ("final", "temporary", "old")]
-    # What a journal names must not lead out of its folder.
+    # Names in a journal must not lead out of its folder.
     final, temporary, old = (folder / Path(name).name for name in names)
     if not (_OWNER.match(temporary.name) and _OWNER.match(old.name)):
         raise ValueError(f"{temporary.name!r} is not a temporary name")
@@ -189,21 +189,21 @@ def _taken_back(folder: str, process: int) -> None:
 
 
 def _undo(path: Path) -> bool:
-    """Roll back the set of a journal; return whether nothing is left of it."""
+    """Roll back the set of a journal; return whether nothing of it remains."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
         with open_input(path, _MAX_BYTES, recorded=False) as file:
             if not _locked(file.fileno()):
                 return False
-            # Complete now: whoever wrote it is dead.
+            # Complete now: its writer is dead.
             content = read_input(path, _MAX_BYTES, recorded=False)
             folders = _folders(content)
             Journal(path.name, (*folders, path.parent)).take_back()
     except (OSError, FormatError):
         return not path.exists()
     except ValueError:
-        # A name with a NUL: no process of animtool wrote it.
+        # A name with a NUL was not written by animtool.
         return True
     return True
 
@@ -231,21 +231,22 @@ def _locked(handle: int) -> bool:
 def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
     """Remove temporary files of dead processes of this host; return them.
 
-    Sets that were not complete are undone first. Folders that are not there are passed
-    over; ``process`` is one that is dead, None all that are.
+    Incomplete sets are rolled back first. Missing folders are skipped; ``process`` is a
+    dead process, None for all dead ones.
     """
-    removed = []
+    removed_files = []
     for folder in dict.fromkeys(folders):
         dead = [path for path in _temporary(folder) if _owner_of(path, process)]
         sets = [path for path in dead if path.name.endswith(_JOURNAL)]
-        # What cannot be undone now can be later, if its files are kept.
+        # If it cannot be rolled back now, it can be later, as long as its files are
+        # kept.
         if not all([_undo(path) for path in sets]):
             continue
         for path in dead:
             with contextlib.suppress(OSError):
                 path.unlink()
-                removed.append(path)
-    return removed
+                removed_files.append(path)
+    return removed_files
 
 
 def _owner_of(path: Path, process: int | None) -> bool:
@@ -264,9 +265,9 @@ def _temporary(folder: Path) -> list[Path]:
 
 
 def is_running(process: int) -> bool:
-    """Return whether a process of this host runs; true where unknown."""
+    """Return whether a process of this host runs; true if unknown."""
     if os.name == "nt":
-        # There, a signal of 0 would end the process.
+        # On Windows, signal 0 would end the process.
         return True
     try:
         os.kill(process, 0)
@@ -274,12 +275,13 @@ def is_running(process: int) -> bool:
         return False
     except OSError:
         return True
-    # One that ended stays in the table until its parent asks; some containers never do.
+    # An ended process stays in the table until its parent waits for it; in some
+    # containers it never does.
     return _state(process) != "Z"
 
 
 def _state(process: int) -> str:
-    """Return the state of a process as Linux names it; empty where unknown."""
+    """Return Linux's state letter of a process; empty if unknown."""
     try:
         status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
     except OSError:

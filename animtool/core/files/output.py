@@ -30,30 +30,30 @@ from animtool.core.record import dataclass
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-# Of a name in a folder, on nearly every disk [byte].
-LONGEST_NAME = 255
+# Maximum length of a name in a folder, on nearly every disk [byte].
+MAX_NAME_BYTES = 255
 # The output that is no file, as commands name it.
 STDOUT = Path("-")
-# Windows gives these to devices, whatever the suffix.
+# Windows reserves these names for devices, whatever the suffix.
 _DEVICES = frozenset(
     {"con", "prn", "aux", "nul", "conin$", "conout$"}
     | {f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³"}
 )
-# How names begin of records and of files that are being written.
+# Prefix of records and of files that are being written.
 _RECORDS_FOLDER = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
     r"""Return the fault of a file or folder name; None without one.
 
-    What is allowed is a name on every system, so that outputs can be moved.
+    Names must be valid on every system, so that outputs can be moved.
 
     >>> name_problem("sh010"), name_problem(".."), name_problem("a/b")
     (None, 'means a folder', 'has the separator /')
     >>> name_problem("aux.usdc"), name_problem("walk.")
     ('is the name of a device on Windows', 'ends with a dot or a space')
     """
-    return next((text for wrong, text in _problems(name) if wrong), None)
+    return next((text for problem, text in _problems(name) if problem), None)
 
 
 def _problems(name: str) -> Iterator[tuple[bool, str]]:
@@ -65,7 +65,7 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
     yield bool(separators), f"has the separator {' and '.join(separators)}"
     yield bool(controls), f"has the control character {''.join(controls[:1])!r}"
     yield name[-1:] in {".", " "}, "ends with a dot or a space"
-    yield size > LONGEST_NAME, f"has more than {LONGEST_NAME} bytes"
+    yield size > MAX_NAME_BYTES, f"has more than {MAX_NAME_BYTES} bytes"
     yield not is_text(name), "contains bytes that are not UTF-8"
     device = name.partition(".")[0].rstrip().casefold() in _DEVICES
     yield device, "is the name of a device on Windows"
@@ -76,7 +76,7 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
 
 
 def is_text(name: str) -> bool:
-    r"""Return whether a name is UTF-8 text; file names may be other bytes.
+    r"""Return whether a name is UTF-8 text; file names may contain other bytes.
 
     >>> is_text("walk"), is_text("walk\udcff")
     (True, False)
@@ -87,8 +87,7 @@ def is_text(name: str) -> bool:
 def name_key(path: PurePath | str) -> str:
     """Return a key that is equal for paths that some disks treat as one file.
 
-    Some disks take names for one that differ in capitals, or in how accents are
-    encoded.
+    Some disks do not distinguish names by case or by the encoding of accents.
 
     >>> name_key("Ä.usda") == name_key("a\N{COMBINING DIAERESIS}.USDA")
     True
@@ -96,12 +95,12 @@ def name_key(path: PurePath | str) -> str:
     text = os.fspath(path)
     if text.isascii():
         return text.lower()
-    folded = unicodedata.normalize("NFD", text).casefold()
-    return unicodedata.normalize("NFC", folded)
+    normalised = unicodedata.normalize("NFD", text).casefold()
+    return unicodedata.normalize("NFC", normalised)
 
 
 def inside(path: Path, folder: Path) -> bool:
-    """Return whether a path is in a folder, links followed.
+    """Return whether a path is in a folder, following links.
 
     Raises:
         OSError: A link cannot be followed.
@@ -112,13 +111,13 @@ def inside(path: Path, folder: Path) -> bool:
         raise OSError(f"{path} is a link to itself") from error
 
 
-# Final paths that were free when they were checked, and may not be replaced: who else
-# writes one meanwhile wins.
+# Final paths that were free when checked, and must not be replaced: another process
+# that writes one meanwhile wins.
 _free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())
 
 
-# Of more outputs that exist, the first is named, with the number of the others.
-MAX_NAMED = 3
+# If more outputs exist, the first are listed, with the number of the others.
+MAX_LISTED_OUTPUTS = 3
 
 
 def check_outputs(
@@ -129,10 +128,10 @@ def check_outputs(
 ) -> None:
     """Refuse outputs that cannot or must not be written.
 
-    One exists and overwrite is off (OUT001), or is also an input (OUT003), or two are
-    one file (OUT007); its folder does not exist or may not be written to (OUT002), or
-    it leads to something else than a file (OUT005). All of a kind are faults of one
-    error.
+    An output exists and overwrite is off (OUT001), or is also an input (OUT003); two
+    are the same file (OUT007); its folder is missing or not writable (OUT002); or it
+    leads to something other than a file (OUT005). All faults of one kind are raised
+    together.
     """
     targets: list[OutputTarget] = []
     for path in outputs:
@@ -140,27 +139,35 @@ def check_outputs(
         targets.append(target(path))
     _refuse_inputs(targets, inputs)
     _refuse_twice(targets)
-    there: list[Path] = []
+    existing: list[Path] = []
     for output in targets:
         take_back(output.final.parent)
         if output.path.exists():
             if not overwrite:
-                there.append(output.path)
+                existing.append(output.path)
             elif not os.access(output.path, os.W_OK):
                 message = "cannot be written: it is read-only"
                 raise OutputError(Fault("OUT002", message, str(output.path)))
-    if there:
+    if existing:
         hint = f"{argument('overwrite', True)} replaces it"
-        if len(there) == len(outputs):
+        if len(existing) == len(outputs):
             hint += clause(f", {argument('command.skip_existing', True)} leaves it")
-        message, named = "already exists", there
-        if len(there) > MAX_NAMED:
-            others = counted(len(there) - 1, "other output")
-            message, named = f"already exists, and so do {others}", there[:1]
+        message, phrase_and_paths = "already exists", existing
+        if len(existing) > MAX_LISTED_OUTPUTS:
+            other_text = counted(len(existing) - 1, "other output")
+            message, phrase_and_paths = (
+                f"already exists, and so do {other_text}",
+                existing[:1],
+            )
             hint = hint.replace("s it", "s them")
-        raise OptionError([Fault("OUT001", message, str(p), (), hint) for p in named])
-    finals = {output.final for output in targets}
-    _free.set(_free.get() - finals if overwrite else _free.get() | finals)
+        raise OptionError(
+            [
+                Fault("OUT001", message, str(existing_path), (), hint)
+                for existing_path in phrase_and_paths
+            ]
+        )
+    final_paths = {output.final for output in targets}
+    _free.set(_free.get() - final_paths if overwrite else _free.get() | final_paths)
 
 
 def _check_folder(folder: Path, path: Path) -> None:
@@ -186,8 +193,8 @@ def _check_folder(folder: Path, path: Path) -> None:
 def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     """Refuse outputs that the block has read as inputs (OUT003).
 
-    A layer that a USD file brings in may be an output: a shot is read to bake one of
-    its layers again.
+    A layer that is included by a USD file may be an output, since a shot is read to
+    bake one of its layers again.
     """
     with recorded_inputs() as inputs:
         yield
@@ -195,32 +202,32 @@ def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
 
 
 def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
-    taken: dict[str, Path] = {}
+    input_by_key: dict[str, Path] = {}
     for path in inputs:
         # Broken links are reported when they are read.
         with contextlib.suppress(OSError, RuntimeError, ValueError):
-            taken[name_key(path.resolve())] = path
+            input_by_key[name_key(path.resolve())] = path
     for output in targets:
-        other = taken.get(name_key(output.final))
-        if other is not None and same_file(output.final, other):
+        input_path = input_by_key.get(name_key(output.final))
+        if input_path is not None and same_file(output.final, input_path):
             message = "is an input of this command"
             hint = f"choose another {argument('output')}"
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 
 def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
-    """Refuse two outputs that are one file on this or another disk."""
+    """Refuse two outputs that are the same file on this or another disk."""
     names: dict[str, Path] = {}
     for output in targets:
-        first = names.setdefault(name_key(output.final), output.path)
-        if first is not output.path:
-            message = f"and {str(first)!r} would be the same file"
+        first_path = names.setdefault(name_key(output.final), output.path)
+        if first_path is not output.path:
+            message = f"and {str(first_path)!r} would be the same file"
             fault = Fault("OUT007", message, str(output.path), (), "rename one")
             raise OptionError(fault)
 
 
 def same_file(path: Path, other: Path) -> bool:
-    """Return whether two paths lead to one file."""
+    """Return whether two paths lead to the same file."""
     try:
         return path == other.resolve() or path.samefile(other)
     except OSError:
@@ -231,11 +238,11 @@ def same_file(path: Path, other: Path) -> bool:
 class _OutputSet:
     """Files that are committed together."""
 
-    # Those that are whole, and wait for their names.
+    # Complete files that wait to be renamed.
     files: list[WrittenFile] = field(default_factory=list)
-    # What is to be done when they have them.
+    # Actions after the files are renamed.
     after: list[Callable[[], object]] = field(default_factory=list)
-    # New files that have theirs already.
+    # New files that are already renamed.
     early: list[Path] = field(default_factory=list)
 
 
@@ -259,7 +266,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 @contextlib.contextmanager
 def _replaced(output: Path) -> Iterator[BinaryIO]:
-    """Give an open file that becomes an output at the end."""
+    """Provide an open file that becomes an output at the end."""
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -270,12 +277,12 @@ def _replaced(output: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the same folder that is renamed to ``path``.
+    """Provide a temporary path in the same folder that is renamed to ``path``.
 
-    The file is flushed to the disk and renamed when the block ends well, and removed
-    when it does not, so that ``path`` is at all times absent, as it was, or whole.
-    Inside of `atomic_outputs` it is renamed at the end of that. No recorded input may
-    have changed since it was read (IO004).
+    The file is flushed and renamed when the block succeeds, and removed when it fails,
+    so that ``path`` is always absent, unchanged, or complete. Inside `atomic_outputs`,
+    it is renamed at the end of that block. Recorded inputs must not have changed since
+    they were read (IO004).
     """
     # Links stay: their target is replaced.
     final = target(path).final
@@ -322,10 +329,10 @@ def size_of(path: Path) -> int:
 def atomic_outputs() -> Iterator[None]:
     """Commit the files that the block writes together at its end.
 
-    They get them in the order made, or none does where the block does not end well. A
-    block within another leaves them to that. What the block reads must not change in it
-    (IO004), nor may another process write one meanwhile (OUT001), nor two be one file
-    (OUT007).
+    They are renamed in the order of writing; if the block fails, none is. A nested
+    block leaves this to the outer one. Inputs of the block must not change meanwhile
+    (IO004), no other process may write one of the outputs (OUT001), and no two outputs
+    may be the same file (OUT007).
     """
     if _waiting.get() is not None:
         yield
@@ -336,7 +343,7 @@ def atomic_outputs() -> Iterator[None]:
         with recorded_inputs():
             yield
             check_inputs()
-        # A signal between the names would leave some without the others.
+        # A signal between renames would leave an incomplete set.
         with deferred_signals():
             _commit(waiting.files)
             for action in waiting.after:
@@ -354,8 +361,8 @@ def atomic_outputs() -> Iterator[None]:
 def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     """Commit new files of the block before the others.
 
-    That is for files that are read again before those that name them are written. They
-    are removed where the block does not end well, or `atomic_outputs` around it.
+    For files that are read again before the files that refer to them are written. They
+    are removed if the block, or an enclosing `atomic_outputs`, fails.
     """
     waiting = _waiting.get()
     token = _waiting.set(None)
@@ -379,7 +386,7 @@ def _remove(paths: Iterable[Path]) -> None:
 def after_commit(action: Callable[[], object]) -> None:
     """Call a function when the files of the block are committed.
 
-    That is now, or inside of `atomic_outputs` at the end of that, if it ends well.
+    It is called now, or inside `atomic_outputs` at its end, if that succeeds.
     """
     waiting = _waiting.get()
     if waiting is None:

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError, OutputError
 from animtool.core.files.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
 from animtool.core.record import dataclass
 
-# What systems say of a disk without hard links.
+# Error codes of disks without hard links.
 _NO_LINKS = frozenset(
     {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL}
     | {errno.EMLINK}
@@ -37,16 +37,16 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 class OutputTarget:
     """The resolved path of an output."""
 
-    path: Path  # the path as the user wrote it
-    final: Path  # the file, links followed
+    path: Path  # the path as spelled by the user
+    final: Path  # the file, with links followed
 
 
 def target(path: Path) -> OutputTarget:
-    """Return the resolved path of an output, links followed.
+    """Return the resolved path of an output, following links.
 
     Raises:
-        OutputError: To something else than a file (OUT005), or it cannot be looked at
-            (OUT002).
+        OutputError: It leads to something other than a file (OUT005), or is
+            inaccessible (OUT002).
     """
     try:
         status = path.stat()
@@ -95,14 +95,14 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 class WrittenFile:
     """A written temporary file."""
 
-    path: Path  # the path as the user wrote it
-    final: Path  # where it belongs
-    temporary: Path  # where it is
-    # Inode, size [byte] and time of change [ns], once it is sealed.
+    path: Path  # the path as spelled by the user
+    final: Path  # its final path
+    temporary: Path  # its temporary path
+    # Inode, size [byte] and time of change [ns], after sealing.
     state: tuple[int, int, int] = (0, 0, 0)
 
     def seal(self) -> None:
-        """Flush it to disk with the mode and owner of the replaced file."""
+        """Flush the file to disk, with the mode and owner of the replaced file."""
         status = None
         with contextlib.suppress(FileNotFoundError):
             status = self.final.lstat()
@@ -125,13 +125,13 @@ class WrittenFile:
         )
 
     def commit(self, *, new: bool) -> None:
-        """Rename it to its final name.
+        """Rename the file to its final name.
 
         Args:
-            new: Nothing may have that name.
+            new: Whether the final name must be unused.
 
         Raises:
-            OptionError: Something has (OUT001).
+            OptionError: The name is in use (OUT001).
             OutputError: It cannot be renamed.
         """
         try:
@@ -148,25 +148,25 @@ class WrittenFile:
             raise output_error(self.path, error) from error
 
     def remove(self) -> None:
-        """Remove it if it is not committed."""
+        """Remove the file if it is not committed."""
         with contextlib.suppress(OSError):
             self.temporary.unlink(missing_ok=True)
 
 
 def _inherit(handle: int, status: os.stat_result) -> None:
     """Give an open file the mode of another, and its owner if permitted."""
-    current = os.fstat(handle)
-    if (current.st_uid, current.st_gid) != (status.st_uid, status.st_gid):
+    current_status = os.fstat(handle)
+    if (current_status.st_uid, current_status.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
             os.fchown(handle, status.st_uid, status.st_gid)
-    # Running a setuid file runs its owner's code: never inherit that bit.
+    # A setuid file runs with its owner's rights; never inherit that bit.
     mode = stat.S_IMODE(status.st_mode) & 0o777
-    if stat.S_IMODE(current.st_mode) != mode:
+    if stat.S_IMODE(current_status.st_mode) != mode:
         os.fchmod(handle, mode)
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
-    """Rename a file to an unused name; of several processes one succeeds."""
+    """Rename a file to an unused name; of several processes, one succeeds."""
     if os.name == "nt":
         temporary.rename(final)
         return
@@ -175,7 +175,8 @@ def _rename_new(temporary: Path, final: Path) -> None:
     except OSError as error:
         if isinstance(error, FileExistsError) or error.errno not in _NO_LINKS:
             raise
-        # Without hard links the name is taken first. A kill right now leaves it empty.
+        # Without hard links, the name is reserved first. A kill at this moment leaves
+        # it empty.
         handle = os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         try:
             os.close(handle)
@@ -191,8 +192,8 @@ def _rename_new(temporary: Path, final: Path) -> None:
 def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     """Commit sealed files in any folders, in order: all of them or none.
 
-    Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
-    was there before is there again.
+    If one of the ``new`` names is in use (OUT001), or a file cannot be renamed, the
+    previous state is restored.
     """
     if len(files) > 1:
         _commit_set(files, new)
@@ -203,59 +204,59 @@ def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
 
 
 def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
-    parts = [
+    placed_files = [
         PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
         for file in files
     ]
     try:
-        journal = Journal.begin(parts)
+        journal = Journal.begin(placed_files)
     except OSError as error:
         raise output_error(files[0].path, error) from error
     try:
-        for file, part in zip(files, parts, strict=True):
+        for file, placed_file in zip(files, placed_files, strict=True):
             if file.final not in new:
-                _keep(file, part)
+                _keep(file, placed_file)
             file.commit(new=file.final in new)
     except BaseException:
-        if all([_taken_back(part) for part in reversed(parts)]):
+        if all([_taken_back(placed_file) for placed_file in reversed(placed_files)]):
             journal.end()
         raise
     for folder in journal.folders:
         _flush(folder)
     journal.end()
-    for part in parts:
+    for placed_file in placed_files:
         with contextlib.suppress(OSError):
-            part.old.unlink(missing_ok=True)
+            placed_file.old.unlink(missing_ok=True)
 
 
-def _taken_back(part: PlacedFile) -> bool:
+def _taken_back(placed_file: PlacedFile) -> bool:
     try:
-        part.take_back()
+        placed_file.take_back()
     except OSError:
-        # The journal stays, so that a later process can undo it.
+        # The journal stays, so that a later process can roll it back.
         return False
     return True
 
 
-def _keep(file: WrittenFile, part: PlacedFile) -> None:
-    """Keep a replaced file under another name."""
+def _keep(file: WrittenFile, placed_file: PlacedFile) -> None:
+    """Keep a replaced file under its backup name."""
     try:
-        os.link(part.final, part.old)
+        os.link(placed_file.final, placed_file.old)
     except FileNotFoundError:
         return
     except OSError as error:
         if error.errno not in _NO_LINKS:
             raise output_error(file.path, error) from error
         try:
-            part.final.replace(part.old)
+            placed_file.final.replace(placed_file.old)
         except OSError as failed:
             raise output_error(file.path, failed) from failed
 
 
 def _flush(folder: Path) -> None:
-    """Flush the names in a folder to disk where possible."""
+    """Flush the names in a folder to disk, if possible."""
     if os.name == "nt":
-        return  # Windows has no handle on a folder to flush.
+        return  # Windows cannot flush a folder.
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

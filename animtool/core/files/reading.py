@@ -1,7 +1,7 @@
 """Opening of input files, with a record of files and their states.
 
-Nothing is noted unless somebody records. What was looked for and is not there counts
-too: that it comes may change what the work makes.
+Files are recorded only inside `recorded_inputs`. Missing files that were looked for are
+recorded too, since creating one may change the result.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class FileState:
     """State of a file that shows changes without reading it."""
 
     size: int  # in bytes
-    changed: int  # when its content last changed, by the clock of its disk [ns]
-    inode: int  # which file of its disk it is
+    changed: int  # time of the last change of its content [ns], by the disk's clock
+    inode: int  # inode on its disk
 
     @classmethod
     def of(cls, path: Path) -> FileState | None:
@@ -48,26 +48,28 @@ class FileState:
 
 @dataclass(slots=True)
 class Inputs:
-    """Files that a task has looked at."""
+    """Files that a task has accessed."""
 
     # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
-    # Those of them that were not only brought in by a USD layer.
+    # Files of these that were not only included by a USD layer.
     opened: set[Path] = field(default_factory=set)
-    # Those of them that were another file when they were looked at again.
+    # Files of these that had been replaced at a later access.
     replaced: set[Path] = field(default_factory=set)
 
     def note(
         self, path: Path, state: FileState | None = None, *, composed: bool = False
     ) -> None:
         """Record a file that is about to be read; see `note_input`."""
-        where = path.absolute()
+        absolute_path = path.absolute()
         if not composed:
-            self.opened.add(where)
-        if where not in self.states:
-            self.states[where] = FileState.of(where) if state is None else state
-        elif state is not None and state != self.states[where]:
-            self.replaced.add(where)
+            self.opened.add(absolute_path)
+        if absolute_path not in self.states:
+            self.states[absolute_path] = (
+                FileState.of(absolute_path) if state is None else state
+            )
+        elif state is not None and state != self.states[absolute_path]:
+            self.replaced.add(absolute_path)
 
     def changed(self) -> list[Path]:
         """Return the files that have changed."""
@@ -79,9 +81,9 @@ class Inputs:
 
     def check(self) -> None:
         """Raise `FormatError` if files changed since they were recorded (IO004)."""
-        changed = self.changed()
-        if changed:
-            raise changed_error(*changed)
+        changed_paths = self.changed()
+        if changed_paths:
+            raise changed_error(*changed_paths)
 
 
 def changed_error(*paths: Path) -> FormatError:
@@ -96,9 +98,9 @@ _RECORDED: ContextVar[tuple[Inputs, ...]] = ContextVar("recorded_inputs", defaul
 
 @contextmanager
 def recorded_inputs() -> Iterator[Inputs]:
-    """Give a record of the files that the block looks at.
+    """Provide a record of the files that the block accesses.
 
-    Records of blocks around it have them too.
+    Records of enclosing blocks include them too.
 
     >>> with recorded_inputs() as inputs:
     ...     note_input(Path("walk.bvh"))
@@ -118,8 +120,8 @@ def note_input(
 ) -> None:
     """Record a file that is about to be read, or was looked for.
 
-    Its state is that of the descriptor where it is open; None looks at the path. A
-    composed file is one that a USD layer brings in; nobody named it.
+    The state is that of the descriptor if the file is open; None queries the path. A
+    composed file is one that a USD layer includes; the user did not name it.
     """
     for inputs in _RECORDED.get():
         inputs.note(path, state, composed=composed)
@@ -131,17 +133,17 @@ def check_inputs() -> None:
         inputs.check()
 
 
-# More names than a person sees in a folder are not looked at.
+# Largest number of names in a folder that are searched for a hint.
 MAX_NAMES = 10_000
 
-_WILD = frozenset("*?[")
+_WILDCARDS = frozenset("*?[")
 
-# No file is read into memory as a whole that is larger.
+# Largest file that is read into memory as a whole.
 MAX_INPUT_BYTES = 1_000_000_000
-# Text that a person writes: a rig of thousands of joints has a few MB.
+# Largest text file; a rig of thousands of joints has a few MB.
 MAX_TEXT_BYTES = 32_000_000
-# A FIFO that nobody writes to must not stop whoever opens it, and no terminal may
-# become the process's own.
+# Opening a FIFO without a writer must not block, and no terminal may become the
+# process's own.
 _FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY")
 )
@@ -156,21 +158,21 @@ _KINDS = {
 class MatchedFile:
     """A file that a name or pattern matched."""
 
-    path: Path  # the file, spelled as its folder was
-    base: Path  # the folder that was searched; of a named file its own
+    path: Path  # the file, spelled like its folder
+    base: Path  # the searched folder; of a named file its own
 
 
 class PathResolver:
     """Resolves links of folders in paths, but not those of files.
 
-    Each folder is looked up once.
+    Each folder is resolved only once.
     """
 
     def __init__(self) -> None:
         self._folders: dict[Path, Path] = {}
 
     def __call__(self, path: Path) -> Path:
-        """Return one path for all spellings of it."""
+        """Return one path for all its spellings."""
         folder = path.parent
         if folder not in self._folders:
             self._folders[folder] = folder.resolve()
@@ -178,7 +180,7 @@ class PathResolver:
 
 
 def unreadable(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error of an unreadable file, named as the user did (IO001)."""
+    """Return the error of an unreadable file, spelled as by the user (IO001)."""
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         message = "does not exist"
     elif isinstance(reason, PermissionError):
@@ -223,11 +225,11 @@ def _folder_hint(path: Path) -> str | None:
 
 
 class InputFile(io.FileIO):
-    """An open input whose length is fixed at opening.
+    """An open input file whose length is fixed at opening.
 
     Attributes:
-        path: As the user named it.
-        state: What it was when it was opened.
+        path: Path as spelled by the user.
+        state: State of the file when it was opened.
     """
 
     def __init__(self, path: Path, handle: int, state: FileState) -> None:
@@ -237,16 +239,16 @@ class InputFile(io.FileIO):
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Return at most ``size`` bytes; none at the end."""
-        left = max(0, self.state.size - self.tell())
-        size = left if size is None or size < 0 else min(size, left)
+        remaining = max(0, self.state.size - self.tell())
+        size = remaining if size is None or size < 0 else min(size, remaining)
         return super().read(size) or b""
 
     def readall(self) -> bytes:
         """Return all remaining bytes."""
-        parts = []
-        while part := self.read():
-            parts.append(part)
-        return b"".join(parts)
+        chunks = []
+        while chunk := self.read():
+            chunks.append(chunk)
+        return b"".join(chunks)
 
     def readinto(self, buffer: Any, /) -> int:
         """Read into a buffer; return the number of bytes."""
@@ -279,13 +281,13 @@ def open_input(
 ) -> InputFile:
     """Open a file that a user or another file names.
 
-    What is looked at is what is read: the descriptor, once it is open. What is not
-    there, may not be read or is no file is IO001, what is too large IO010; without
-    ``max_bytes`` any size is read, piece by piece. ``noted`` makes it an input of the
-    work (`note_input`).
+    The checked file is the one that is read: the open descriptor. A missing,
+    inaccessible or irregular file is IO001, a too large one IO010; without
+    ``max_bytes`` any size is read, chunk by chunk. With ``recorded`` it becomes an
+    input of the task (`note_input`).
     """
     try:
-        # To open a device may already do something.
+        # Opening a device may already have effects.
         _check_regular(path, path.stat())
         handle = os.open(path, _FLAGS)
     except (OSError, ValueError) as error:
@@ -354,12 +356,18 @@ def exists(path: Path) -> bool:
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint at the nearest existing file name.
 
-    It names the nearest name in the same folder, or the nearest of the folder that is
-    missing; a relative path starts in ``folder``. None where the file exists, or no
-    name is near.
+    It is the nearest name in the same folder, or for the first missing folder; relative
+    paths start in ``folder``. None if the file exists, or no name is similar.
     """
-    around = [path, *path.parents]
-    missing = next((p for p in reversed(around) if not exists(folder / p)), None)
+    self_and_parents = [path, *path.parents]
+    missing = next(
+        (
+            parent
+            for parent in reversed(self_and_parents)
+            if not exists(folder / parent)
+        ),
+        None,
+    )
     if missing is None or not missing.name:
         return None
     try:
@@ -367,41 +375,43 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
             names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
     except OSError:
         return None
-    folded = {name.casefold(): name for name in reversed(names)}
-    near = similar(missing.name.casefold(), sorted(folded), 0.7)
-    if not near:
+    name_by_folded = {name.casefold(): name for name in reversed(names)}
+    similar_name = similar(missing.name.casefold(), sorted(name_by_folded), 0.7)
+    if not similar_name:
         return None
-    meant = missing.with_name(folded[near]).as_posix()
-    return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
+    suggested_path = missing.with_name(name_by_folded[similar_name]).as_posix()
+    return f"did you mean {'' if missing is path else 'the folder '}{suggested_path!r}?"
 
 
 def is_pattern(text: str) -> bool:
     """Return whether a path has the wildcards of a glob."""
-    return not _WILD.isdisjoint(text)
+    return not _WILDCARDS.isdisjoint(text)
 
 
 def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """Yield the files that a name, folder or glob matches, in order.
 
-    Of a folder all files with one of the suffixes, lower case, those of folders in it
-    too. Of a glob the files that it matches; ``**`` is any number of folders. Names
-    that begin with a dot are left out where the glob has none. A name that is there is
-    meant as it is, and so is one that is nowhere.
+    For a folder, all files with one of the suffixes (lower case), including subfolders.
+    For a glob, the files it matches; ``**`` is any number of folders. Names that begin
+    with a dot are skipped unless the glob has one. A name that exists is taken
+    literally, and so is one that matches nothing.
     """
     path = Path(text)
     if path.is_dir():
-        known = tuple(suffixes)
+        suffix_tuple = tuple(suffixes)
         for file in sorted(path.rglob("*")):
-            if file.name.lower().endswith(known) and _is_shown(file, path):
+            if file.name.lower().endswith(suffix_tuple) and _is_shown(file, path):
                 yield MatchedFile(file, path)
     elif is_pattern(text) and not path.exists():
         # Folders without a wildcard stay as the user spells them.
         parts = path.parts
-        first = next(i for i, part in enumerate(parts) if _WILD & set(part))
-        base = Path(*parts[:first])
-        named = any(part.startswith(".") for part in parts[first:])
-        for file in sorted(base.glob("/".join(parts[first:]))):
-            if file.is_file() if named else _is_shown(file, base):
+        wildcard_index = next(
+            i for i, part in enumerate(parts) if _WILDCARDS & set(part)
+        )
+        base = Path(*parts[:wildcard_index])
+        shows_hidden = any(part.startswith(".") for part in parts[wildcard_index:])
+        for file in sorted(base.glob("/".join(parts[wildcard_index:]))):
+            if file.is_file() if shows_hidden else _is_shown(file, base):
                 yield MatchedFile(file, base)
     else:
         yield MatchedFile(path, path.parent)
@@ -413,16 +423,18 @@ def _is_shown(file: Path, folder: Path) -> bool:
 
 
 def path_from_folder(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, where there is one.
+    """Return a path relative to a folder, if there is one.
 
     >>> path_from_folder(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
     '../rigs/hero.usda'
     """
     path, folder = path.resolve(), folder.resolve()
     parents = (folder, *folder.parents)
-    above = next((up for up in parents if path.is_relative_to(up)), None)
-    if above is None:
-        # Another drive.
+    common_parent = next(
+        (parent for parent in parents if path.is_relative_to(parent)), None
+    )
+    if common_parent is None:
+        # On another drive.
         return path.as_posix()
-    steps = [".."] * len(folder.relative_to(above).parts)
-    return "/".join([*steps, *path.relative_to(above).parts])
+    steps = [".."] * len(folder.relative_to(common_parent).parts)
+    return "/".join([*steps, *path.relative_to(common_parent).parts])

@@ -1,4 +1,4 @@
-"""Which format the first bytes of a file are of, whatever its name says."""
+"""Detects the format of a file from its first bytes, whatever its name."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from animtool.core.files.reading import open_input
 from animtool.core.names import KINDS
 from animtool.core.record import dataclass
 
-# All of these formats show within their first bytes.
+# All of these formats are recognisable within their first bytes.
 HEAD_BYTES = 65_536
 _Read = TypeVar("_Read", bound=Callable[..., Any])
-# YAML or JSON that names its kind and version.
+# YAML or JSON that states its kind and version.
 DOCUMENT = "an animtool file (YAML or JSON)"
 _EXPORT = "export FBX, glTF or USD from {}, then use that file"
 
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """A format, and how its files begin.
+    """A format and the beginning of its files.
 
     Attributes:
         about: The format, with an article.
-        pattern: Matches the first bytes, without byte order mark and blanks.
-        suffixes: Of such files, the first the commonest; empty if not read.
-        hint: What to do instead, where the format is not read.
+        pattern: Matches the first bytes, after a byte order mark and blanks.
+        suffixes: Suffixes of such files, the most common first; empty if not readable.
+        hint: Alternative, if the format is not readable.
     """
 
     about: str
@@ -91,27 +91,34 @@ SIGNATURES = (
 
 
 def signature_of(head: bytes) -> Signature | None:
-    r"""Return the format of a file's first bytes; None if it is not a known one.
+    r"""Return the format of a file's first bytes; None if unknown.
 
     >>> signature_of(b"HIERARCHY\nROOT hips").suffixes
     ('.bvh',)
     """
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     flags = re.IGNORECASE | re.DOTALL
-    return next((one for one in SIGNATURES if re.match(one.pattern, text, flags)), None)
+    return next(
+        (
+            signature
+            for signature in SIGNATURES
+            if re.match(signature.pattern, text, flags)
+        ),
+        None,
+    )
 
 
 def other_format(
     code: str, path: Path | str, expected: str, hint: str = ""
 ) -> Fault | None:
-    """Return the fault of a file whose bytes are of another known format than expected.
+    """Return the fault of a file whose bytes have another known format than expected.
 
     Args:
-        code: Of the fault.
+        code: Code of the fault.
         path: The file.
-        expected: The format that it is read as, with an article: ``a GLB file``.
-        hint: What to do where the name of the file is right, so that another file is
-            meant; empty where such a file is read.
+        expected: The expected format, with an article: ``a GLB file``.
+        hint: Hint if the file's name is right, so that another file is meant; empty if
+            such files are read.
     """
     path = Path(path)
     try:
@@ -122,8 +129,8 @@ def other_format(
     if signature is None or signature.about == expected:
         return None
     if path.suffix.lower() not in signature.suffixes:
-        new = f"{path.stem}{signature.suffixes[0]}" if signature.suffixes else ""
-        hint = signature.hint or f"rename it to {new}"
+        new_name = f"{path.stem}{signature.suffixes[0]}" if signature.suffixes else ""
+        hint = signature.hint or f"rename it to {new_name}"
     elif "USD" in signature.about and "USD" in expected:
         return None
     message = f"is {signature.about}, not {expected}"
@@ -131,7 +138,7 @@ def other_format(
 
 
 def expects(code: str, expected: str, hint: str = "") -> Callable[[_Read], _Read]:
-    """Decorate a reader: its errors name another format where the bytes are of one.
+    """Decorate a reader, so that its errors name the format of the file's bytes.
 
     The arguments are those of `other_format`.
     """

@@ -13,20 +13,20 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OutputError
 
 # Maximum kept in memory; the rest goes to a temporary file [bytes].
-KEPT = 1 << 28
+MAX_MEMORY = 1 << 28
 
 
 class Spool:
     """A queue of lists of arrays.
 
     Args:
-        kept: What is kept in memory [bytes].
+        kept: Maximum kept in memory [bytes].
     """
 
-    def __init__(self, kept: int = KEPT) -> None:
+    def __init__(self, kept: int = MAX_MEMORY) -> None:
         self._room = kept
         self._buffered: deque[Sequence[FloatArray]] = deque()
-        self._lengths: deque[int] = deque()  # of the lists in the file
+        self._lengths: deque[int] = deque()  # lengths of the lists in the file
         self._file: IO[bytes] | None = None
 
     def append(self, arrays: Sequence[FloatArray]) -> None:
@@ -54,7 +54,7 @@ class Spool:
         self._lengths.append(len(arrays))
 
     def drain(self) -> Iterator[list[FloatArray]]:
-        """Yield the lists and release each; call it once."""
+        """Yield the lists and release each one; call it once."""
         while self._buffered:
             yield list(self._buffered.popleft())
         if self._file is None:

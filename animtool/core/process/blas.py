@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 
-# What OpenBLAS calls these functions in the wheels of numpy and scipy, and elsewhere.
+# Names of these functions in OpenBLAS, in the wheels of numpy and scipy, and elsewhere.
 _NAMES = (
     "scipy_openblas_{}_num_threads64_",
     "scipy_openblas_{}_num_threads",
@@ -24,18 +24,18 @@ _Threads = tuple[Callable[[], int], Callable[[int], None]]
 def one_thread() -> Iterator[None]:
     """Run linear algebra in one thread, where the library can be controlled.
 
-    The threads of OpenBLAS busily wait for each other: for matrices of some hundred
-    rows on a machine with other work that takes many times what one thread does, and
-    with another count of threads results may differ in their last bits.
+    The threads of OpenBLAS busy-wait for each other: for matrices of some hundred rows
+    on a busy machine that takes much longer than a single thread, and another number of
+    threads may change the last bits of results.
     """
     libraries = _libraries()
-    before = [count() for count, _ in libraries]
+    previous_counts = [count() for count, _ in libraries]
     try:
         for _, limit in libraries:
             limit(1)
         yield
     finally:
-        for (_, limit), threads in zip(libraries, before, strict=True):
+        for (_, limit), threads in zip(libraries, previous_counts, strict=True):
             limit(threads)
 
 

@@ -26,25 +26,25 @@ class TerminatedError(BaseException):
 
 
 @dataclass(slots=True)
-class _Obeyed:
+class _SignalState:
     """State of the process's end."""
 
-    number: int = 0  # the signal that is obeyed; 0 is none so far
-    late: bool = False  # whether all is written, so that signals come too late
-    installed: bool = False  # whether this module's handler is in place
+    number: int = 0  # the signal that is obeyed; 0 for none so far
+    late: bool = False  # whether all output is written, so that signals have no effect
+    installed: bool = False  # whether this module's handler is installed
 
 
-_obeyed = _Obeyed()
+_signal_state = _SignalState()
 
 
 def ending() -> int:
-    """Return the signal that ends the process; 0 for none."""
-    return _obeyed.number
+    """Return the signal that ends the process; 0 if there is none."""
+    return _signal_state.number
 
 
 def interrupt() -> NoReturn:
-    """Raise the exception of the obeyed signal again if it was swallowed."""
-    if _obeyed.number == signal.SIGINT:
+    """Raise the exception of the obeyed signal again, if it was swallowed."""
+    if _signal_state.number == signal.SIGINT:
         raise KeyboardInterrupt
     raise TerminatedError
 
@@ -52,22 +52,22 @@ def interrupt() -> NoReturn:
 def _obey(signum: int, frame: FrameType | None) -> None:
     """Raise at the first signal; later ones would interrupt the clean-up."""
     del frame
-    if _obeyed.late or _obeyed.number:
+    if _signal_state.late or _signal_state.number:
         return
-    _obeyed.number = signum
+    _signal_state.number = signum
     interrupt()
 
 
 def _obey_again(signum: int, frame: FrameType | None) -> None:
     del signum, frame
-    if _obeyed.number and not _obeyed.late:
+    if _signal_state.number and not _signal_state.late:
         interrupt()
 
 
 def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise again an end that Python ignored."""
-    ended = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
-    if not (ended and _obeyed.number):
+    """Raise an ending exception again that Python ignored."""
+    is_end = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
+    if not (is_end and _signal_state.number):
         sys.__unraisablehook__(unraisable)
     elif hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _obey_again)
@@ -77,21 +77,21 @@ def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
 def obey_signals() -> None:
     """Raise at the first SIGINT, SIGTERM or SIGHUP from now on, and only then.
 
-    What is raised is `KeyboardInterrupt` or `TerminatedError`. Signals that are ignored
-    stay so.
+    The exception is `KeyboardInterrupt` or `TerminatedError`. Ignored signals stay
+    ignored.
     """
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _obey)
     sys.unraisablehook = _swallowed
-    _obeyed.number, _obeyed.late, _obeyed.installed = 0, False, True
+    _signal_state.number, _signal_state.late, _signal_state.installed = 0, False, True
 
 
 @contextmanager
 def obeyed_signals() -> Iterator[None]:
     """Obey signals in the block like `obey_signals`, unless already done."""
     main_thread = threading.current_thread() is threading.main_thread()
-    if _obeyed.installed or not main_thread:
+    if _signal_state.installed or not main_thread:
         yield
         return
     handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
@@ -104,7 +104,11 @@ def obeyed_signals() -> Iterator[None]:
             if handler is not None:
                 signal.signal(number, handler)
         sys.unraisablehook = hook
-        _obeyed.number, _obeyed.late, _obeyed.installed = 0, False, False
+        _signal_state.number, _signal_state.late, _signal_state.installed = (
+            0,
+            False,
+            False,
+        )
 
 
 def receive_signals() -> None:
@@ -117,36 +121,36 @@ def receive_signals() -> None:
 def without_interrupts() -> Iterator[None]:
     """Block SIGINT in processes that start inside the block.
 
-    A terminal sends it to all of a command's processes; the one that started them
-    ends them.
+    A terminal sends it to all processes of a command; the parent process ends its
+    children.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker
 
-    # Where it does not run yet, its start would let interrupts through again.
+    # If it is not running yet, starting it would let interrupts through again.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 def outlast_signals() -> None:
     """Ignore signals from now on: all output is written."""
-    _obeyed.late = True
+    _signal_state.late = True
 
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
     """Defer SIGINT, SIGTERM and SIGHUP to the end of the block.
 
-    For steps of milliseconds that must not end halfway: the import of a library that
-    swallows exceptions, the renaming of files that belong together. Only the main
-    thread is interrupted by signals; in others nothing is to be held back, nor are
-    signals that are ignored.
+    For steps of milliseconds that must not be interrupted: importing a library that
+    swallows exceptions, or renaming files that belong together. Only the main thread is
+    interrupted by signals; in other threads, and for ignored signals, nothing is
+    deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -157,15 +161,17 @@ def deferred_signals() -> Iterator[None]:
         del frame
         pending.append(signum)
 
-    # None is a handler that Python did not set and cannot put back.
+    # None is a handler that was not set by Python and cannot be restored.
     handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
-    taken = {n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}}
-    for number in taken:
+    deferred_handlers = {
+        n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}
+    }
+    for number in deferred_handlers:
         signal.signal(number, note)
     try:
         yield
     finally:
-        for number, handler in taken.items():
+        for number, handler in deferred_handlers.items():
             signal.signal(number, handler)
         if pending:
             signal.raise_signal(pending[0])

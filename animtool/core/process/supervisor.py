@@ -1,11 +1,11 @@
 """A parent process that survives crashes of its child and restarts it.
 
 USD reads files in C++, which a hostile file can crash. The command line forks before it
-imports anything heavy: the child works, the parent waits, and after a crash begins
-again with the file that was read refused. A fork of a small process takes 1 to 2 ms and
-sees crashes of every kind and thread; a signal handler would run inside of the broken
-process, and a probe would parse each file twice. Windows has no fork: a crash ends the
-command there.
+imports anything heavy: the child works and the parent waits; after a crash, the parent
+starts again and refuses the file that was being read. Forking a small process takes 1
+to 2 ms and detects crashes of every kind and thread. A signal handler would run inside
+the broken process, and a probe would parse each file twice. Windows cannot fork: a
+crash ends the command there.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import NoReturn
 
-# What a child may note, and what it may read of stdin [bytes]. Pages that are not
-# written to take no memory.
+# Size of a child's notes, and of the recorded stdin [bytes]. Unwritten pages use no
+# memory.
 MAX_NOTES = 1 << 20
 MAX_STDIN = 1 << 26
-# The longest name of a file that systems take, folders included.
-MAX_NAME = 1 << 15
-# How long a child has to end after a signal, before it is killed [s].
-GRACE = 10.0
+# Longest path on any system.
+MAX_PATH_BYTES = 1 << 15
+# Time for a child to end after a signal, before it is killed [s].
+GRACE_SECONDS = 10.0
 _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGKILL")
 CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
 
@@ -46,8 +46,8 @@ CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
 class Crash:
     """How a child crashed."""
 
-    number: int  # the signal that ended it
-    path: str = ""  # the file that it read, as the user named it; empty for none
+    number: int  # signal that ended it
+    path: str = ""  # file that it was reading, as spelled by the user; empty for none
 
     @property
     def name(self) -> str:
@@ -68,20 +68,20 @@ def crash_fault(path: str, number: int) -> Fault:
 
 @dataclass(slots=True)
 class _Notes:
-    """Memory that a child shares with its parent."""
+    """Memory shared by a child and its parent."""
 
-    shared: mmap.mmap  # its length, then JSON
-    # Its length, then the bytes read of stdin; length 0 is nothing yet.
+    shared: mmap.mmap  # length of the notes, then JSON
+    # Length of the recorded stdin, then its bytes; length 0 for nothing yet.
     listed: mmap.mmap
-    path: str = ""  # the file that is being read; empty is none
-    folders: list[str] = field(default_factory=list)  # where outputs go
-    # Whether a result was printed or a file was named, which a second run would repeat.
+    path: str = ""  # file that is being read; empty for none
+    folders: list[str] = field(default_factory=list)  # output folders
+    # Whether a result was printed or a file was named, which a rerun would repeat.
     reported: bool = False
 
     def write(self) -> None:
         text = json.dumps([self.path, self.reported, self.folders]).encode()
         if len(text) < MAX_NOTES - _LENGTH:
-            _put(self.shared, text)
+            _store_data(self.shared, text)
 
     def write_path(self, path: str) -> None:
         self.path = path
@@ -90,22 +90,22 @@ class _Notes:
     def read(self) -> None:
         """Copy the notes of a child."""
         self.path, self.reported, self.folders = "", False, []
-        text = _got(self.shared)
+        text = _stored_data(self.shared)
         if text is not None:
             self.path, self.reported, self.folders = json.loads(text)
         self.shared[:_LENGTH] = bytes(_LENGTH)
 
 
-# The stored length is one more than that of the data: 0 is nothing.
+# The stored length is one more than that of the data, so that 0 means nothing.
 _LENGTH = 8
 
 
-def _put(memory: mmap.mmap, data: bytes) -> None:
+def _store_data(memory: mmap.mmap, data: bytes) -> None:
     memory[_LENGTH : _LENGTH + len(data)] = data
     memory[:_LENGTH] = (len(data) + 1).to_bytes(_LENGTH, "little")
 
 
-def _got(memory: mmap.mmap) -> bytes | None:
+def _stored_data(memory: mmap.mmap) -> bytes | None:
     length = int.from_bytes(memory[:_LENGTH], "little")
     return memory[_LENGTH : _LENGTH + length - 1] if length else None
 
@@ -114,15 +114,17 @@ def _got(memory: mmap.mmap) -> bytes | None:
 class _SupervisionState:
     """State of supervision in this process."""
 
-    notes: _Notes | None = None  # where it notes; None is nowhere: nobody supervises it
-    # Files that crashed a child, and the signals that ended it.
+    notes: _Notes | None = (
+        None  # where notes are stored; None if the process is not supervised
+    )
+    # Files that crashed a child, with the signals that ended it.
     crashed: dict[str, int] = field(default_factory=dict)
     # Files that are being read, the latest last.
     read: list[str] = field(default_factory=list)
-    # Told of the file that is being read; None: nobody wants to know.
+    # Called with the file that is being read; None for no listener.
     listener: Callable[[str], object] | None = None
-    starting: int = 0  # how many threads start processes `without_main`
-    main: ModuleType | None = None  # the script's module meanwhile
+    starting: int = 0  # number of threads that are starting processes in `without_main`
+    main: ModuleType | None = None  # the script's module in the meantime
 
 
 _state = _SupervisionState()
@@ -136,23 +138,23 @@ def reading(path: Path) -> Iterator[None]:
     if listener is None:
         yield
         return
-    named = str(path)
-    number = _state.crashed.get(str(path.absolute()))
-    if number is not None:
-        raise FormatError(crash_fault(named, number))
+    path_text = str(path)
+    crash_signal = _state.crashed.get(str(path.absolute()))
+    if crash_signal is not None:
+        raise FormatError(crash_fault(path_text, crash_signal))
     with _lock:
-        _state.read.append(named)
-        listener(named)
+        _state.read.append(path_text)
+        listener(path_text)
     try:
         yield
     finally:
         with _lock:
-            _state.read.remove(named)
+            _state.read.remove(path_text)
             listener(_state.read[-1] if _state.read else "")
 
 
 def report_reading(listener: Callable[[str], object]) -> None:
-    """Call a function with the file that is read; empty after reading."""
+    """Call a function with the file that is being read; empty after reading."""
     _state.listener = listener
 
 
@@ -162,10 +164,10 @@ def has_crashed() -> bool:
 
 
 def note_said() -> None:
-    """Record that a result was printed or a file named: a rerun repeats it."""
+    """Record that a result was printed or a file named, which a rerun repeats."""
     notes = _state.notes
     if notes is not None:
-        # What stays in a buffer is lost in a crash.
+        # Buffered output is lost in a crash.
         sys.stdout.flush()
         if not notes.reported:
             with _lock:
@@ -183,20 +185,20 @@ def note_folder(folder: Path) -> None:
 
 
 def stdin_lines() -> list[str]:
-    """Return the lines on stdin, which a rerun gets too."""
+    """Return the lines on stdin; a rerun gets the same lines."""
     notes = _state.notes
-    noted = None if notes is None else _got(notes.listed)
-    if noted is None:
+    recorded_bytes = None if notes is None else _stored_data(notes.listed)
+    if recorded_bytes is None:
         text = sys.stdin.read()
-        noted = text.encode("utf-8", "surrogateescape")
-        if notes is not None and len(noted) < MAX_STDIN - _LENGTH:
-            _put(notes.listed, noted)
+        recorded_bytes = text.encode("utf-8", "surrogateescape")
+        if notes is not None and len(recorded_bytes) < MAX_STDIN - _LENGTH:
+            _store_data(notes.listed, recorded_bytes)
         else:
             note_said()
-    text = noted.decode("utf-8", "surrogateescape")
+    text = recorded_bytes.decode("utf-8", "surrogateescape")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     for number, line in enumerate(lines, 1):
-        if len(line) > MAX_NAME:
+        if len(line) > MAX_PATH_BYTES:
             from pathlib import Path
 
             from animtool.core.files.reading import unreadable
@@ -211,7 +213,7 @@ def stdin_lines() -> list[str]:
 def follow_parent() -> None:
     """End this process when its parent process ends.
 
-    What an interrupt from the keyboard means, the other one says.
+    Keyboard interrupts are left to the parent process.
     """
     from multiprocessing import parent_process
     from multiprocessing.connection import wait
@@ -232,21 +234,21 @@ def follow_parent() -> None:
 def without_main() -> Iterator[None]:
     """Keep child processes from running this process's script again.
 
-    What they do is in modules, and a script may start them without a guard. Its own
-    module gives place to one with the same names, which threads may look up, but
-    without a file. Threads may be in the block at the same time.
+    Their tasks are in modules, and a script may start them without a guard. The
+    script's module is replaced by one with the same names, which threads may look up,
+    but without a file. Several threads may be in the block at the same time.
     """
     with _lock:
         if not _state.starting:
             _state.main = main = sys.modules["__main__"]
-            unnamed = ModuleType("__main__")
-            replaced = {"__spec__", "__file__", "__loader__"}
-            unnamed.__dict__.update(
+            replacement = ModuleType("__main__")
+            file_attributes = {"__spec__", "__file__", "__loader__"}
+            replacement.__dict__.update(
                 (name, value)
                 for name, value in vars(main).items()
-                if name not in replaced
+                if name not in file_attributes
             )
-            sys.modules["__main__"] = unnamed
+            sys.modules["__main__"] = replacement
         _state.starting += 1
     try:
         yield
@@ -258,7 +260,7 @@ def without_main() -> Iterator[None]:
 
 
 def can_supervise() -> bool:
-    """Return whether this system can fork, and wait for signals."""
+    """Return whether this system can fork and wait for signals."""
     return hasattr(os, "fork") and hasattr(signal, "sigwait")
 
 
@@ -269,24 +271,26 @@ def supervise(
 ) -> int:
     """Run work in a child, rerun without a file that crashed it; return its exit code.
 
-    Signals that ask this process to end, or to stop for a while, go on to the child. A
-    crash that a second run does not mend is given to ``refuse``, which returns the exit
-    code; ``clean`` removes from folders what a dead child began to write there.
+    Signals that ask this process to end or to pause are forwarded to the child. If a
+    second run crashes too, ``refuse`` gets the crash and returns the exit code;
+    ``clean`` removes the unfinished files of a dead child from folders.
     """
     notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
-    waited = _waited()
-    signal.pthread_sigmask(signal.SIG_BLOCK, waited)
+    signals_to_wait = _waited()
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals_to_wait)
     while True:
-        child, alive = _fork(work, notes, waited)
-        code, asked = _wait(child, waited)
+        child, alive = _fork(work, notes, signals_to_wait)
+        code, end_signal = _wait(child, signals_to_wait)
         os.close(alive)
         if code >= 0:
             return code
         notes.read()
         clean(notes.folders, child)
-        if asked:
+        if end_signal:
             return int(
-                ExitCode.INTERRUPTED if asked == signal.SIGINT else ExitCode.TERMINATED
+                ExitCode.INTERRUPTED
+                if end_signal == signal.SIGINT
+                else ExitCode.TERMINATED
             )
         if -code not in CRASHES:
             return 128 - code
@@ -300,7 +304,7 @@ def supervise(
 
 def _waited() -> set[int]:
     """Return the signals to wait for; ignored ones stay ignored."""
-    # Where it is ignored by default, some systems do not let it be waited for.
+    # If it is ignored by default, some systems cannot wait for it.
     signal.signal(signal.SIGCHLD, lambda *_: None)
     return {
         signal.SIGCHLD,
@@ -313,29 +317,31 @@ def _waited() -> set[int]:
     }
 
 
-def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int, int]:
+def _fork(
+    work: Callable[[], int], notes: _Notes, signals_to_wait: set[int]
+) -> tuple[int, int]:
     """Return the child, and a descriptor that closes when this process ends."""
     sys.stdout.flush()
     sys.stderr.flush()
-    here, there = os.pipe()
+    read_end, write_end = os.pipe()
     child = os.fork()
     if not child:
-        os.close(there)
+        os.close(write_end)
         _state.notes, _state.listener = notes, notes.write_path
-        _be_child(work, here, waited - {*TERMINATION_SIGNALS})
-    os.close(here)
-    return child, there
+        _be_child(work, read_end, signals_to_wait - {*TERMINATION_SIGNALS})
+    os.close(read_end)
+    return child, write_end
 
 
 def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoReturn:
     """Do the work in the child, and exit.
 
-    ``alive`` is closed when the parent ends; ``held`` are the other signals that it
-    waits for.
+    ``alive`` is closed when the parent ends; ``blocked`` are the other signals that the
+    parent waits for.
     """
     import resource
 
-    # A crash that is expected leaves no core behind.
+    # An expected crash leaves no core dump.
     with suppress(OSError, ValueError):
         limit = resource.getrlimit(resource.RLIMIT_CORE)[1]
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
@@ -354,8 +360,7 @@ def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoRetur
 def leave(code: int) -> NoReturn:
     """Exit immediately after flushing the output, whatever signals arrive.
 
-    Without looking once more at all that it holds, and without the destructors of
-    libraries.
+    Skips garbage collection and the destructors of libraries.
     """
     import atexit
 
@@ -371,30 +376,30 @@ def _end_with_parent(alive: int) -> None:
     """Exit when the parent is gone, after clean-up if possible."""
     os.read(alive, 1)
     os.kill(os.getpid(), signal.SIGTERM)
-    threading.Event().wait(GRACE)
+    threading.Event().wait(GRACE_SECONDS)
     os._exit(128 + signal.SIGTERM)
 
 
-def _wait(child: int, waited: set[int]) -> tuple[int, int]:
+def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
     """Wait for a child; return its exit code and the first signal received.
 
-    One that does not obey in time is killed: it may be deep inside of a library.
+    If the child does not end in time, it is killed: it may be deep inside a library.
     """
-    asked = 0
+    received_signal = 0
     while True:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
+        wait_result, status = os.waitpid(child, os.WNOHANG)
+        if wait_result:
             signal.setitimer(signal.ITIMER_REAL, 0)
-            return os.waitstatus_to_exitcode(status), asked
-        number = signal.sigwait(waited)
+            return os.waitstatus_to_exitcode(status), received_signal
+        number = signal.sigwait(signals_to_wait)
         if number == signal.SIGTSTP:
             _stop(child)
         elif number == signal.SIGALRM:
             os.kill(child, signal.SIGKILL)
         elif number != signal.SIGCHLD:
-            if not asked:
-                asked = number
-                signal.setitimer(signal.ITIMER_REAL, GRACE)
+            if not received_signal:
+                received_signal = number
+                signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS)
             os.kill(child, number)
 
 

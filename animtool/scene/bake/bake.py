@@ -20,7 +20,7 @@ from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source
 
-# What became of one output.
+# Report of one output.
 OutputReport: TypeAlias = BakeReport | ConvertReport
 
 
@@ -34,18 +34,18 @@ def bake(
     """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
 
     Args:
-        source: The file to read, a scene that is loaded already, or a take that is open
-            (`animtool.OpenTake`); or several, each to be a take of a clip library.
-        output: The file to write, ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``; ``-``
-            writes usda to stdout. None writes what a scene names, of which the report
-            is that of the first USD file, and stdout where there is no such name.
-        options: How.
-        progress: Called with the share done, 0 to 1.
+        source: File to read, a loaded scene or an open take (`animtool.OpenTake`); or
+            several, each of which becomes a take of a clip library.
+        output: File to write: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``; ``-`` writes
+            usda to stdout. None writes the outputs that a scene names and returns the
+            report of the first USD file; without a name it is stdout.
+        options: Bake options.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A source is malformed, or the takes of a library have other
             joints.
-        OptionError: An option makes no sense, or the output exists or is no USD file.
+        OptionError: An option is invalid, or the output exists or is no USD file.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
         ToleranceError: A system stopped before the last frame. With ``keep_stopped``
@@ -63,7 +63,7 @@ def bake(
             raise OptionError(entry.location.locate(fault))
         raise OptionError(Fault("OUT004", message, str(entry.path), (), hint))
     reports = bake_outline(outline, progress=progress)
-    return next(one for one in reports if isinstance(one, BakeReport))
+    return next(report for report in reports if isinstance(report, BakeReport))
 
 
 def bake_outputs(
@@ -82,14 +82,14 @@ def bake_outputs(
 
     Args:
         source: As `animtool.bake` takes it.
-        output: The file, of any format that is written; ``-`` is usda on stdout; None
-            is what a scene names, else stdout.
-        options: They come before those of a scene, for every output.
-        base: Of an additive take that becomes a clip, what it is put on: keys are
-            fitted so that the sum is within the tolerance.
-        rig_file: Of a clip, a file with the take's rig, which is then named; None
+        output: File to write, in any supported format; ``-`` is usda on stdout; None is
+            what a scene names, else stdout.
+        options: Take precedence over the options of a scene, for every output.
+        base: For an additive take that becomes a clip: its base take. Keys are fitted
+            so that the sum is within the tolerance.
+        rig_file: For a clip: a file with the take's rig, to which the clip refers; None
             writes one.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         AnimtoolError: As `animtool.bake` does; OUT007 where two outputs are one file.
@@ -100,7 +100,7 @@ def bake_outputs(
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
     """Plan and run an outline; see `bake_outputs`."""
-    # Passes may keep states as soon as a source is opened.
+    # Passes may save states as soon as a source is opened.
     with atomic_outputs():
         return run_outputs(plan_outputs(outline, progress=progress), progress)
 
@@ -111,9 +111,10 @@ def bake_take(
     """Write an open take to the single output of an outline.
 
     Args:
-        stream: The take, read once; its blocks may be made while they are.
-        outline: Of the file that messages and reports name as its source.
-        progress: Called with the share done, 0 to 1.
+        stream: The take, which can be read once; its blocks may be computed while they
+            are read.
+        outline: For the file that messages and reports name as its source.
+        progress: Called with the fraction done, 0 to 1.
     """
     first = outline.reading.files[:1]
     reading = replace(
@@ -131,21 +132,21 @@ def run_outputs(
     reports: list[OutputReport] = []
     with atomic_outputs():
         for i, plan in enumerate(plans):
-            opened = not isinstance(plan, BakePlan) or bool(plan.takes)
-            shown = part_progress(progress, 1, 2) if opened else progress
-            shown = part_progress(shown, i, len(plans))
+            reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
+            output_progress = part_progress(progress, 1, 2) if reads_takes else progress
+            output_progress = part_progress(output_progress, i, len(plans))
             if isinstance(plan, BakePlan):
-                reports.append(run_stage(plan, progress=shown))
+                reports.append(run_stage(plan, progress=output_progress))
             else:
-                reports.append(plan.run(shown))
-            if shown is not None:
-                shown(1.0)
+                reports.append(plan.run(output_progress))
+            if output_progress is not None:
+                output_progress(1.0)
     return reports
 
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
-    began = time.perf_counter()
+    started = time.perf_counter()
     draft = BakeState(
         plan, progress, [BakedTake(take, plan.watch) for take in plan.takes]
     )
@@ -156,10 +157,10 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     assert draft.report is not None
     authored = time.perf_counter()
     draft.write()
-    total = time.perf_counter() - began
+    total = time.perf_counter() - started
     read = sum(draft.read)
-    # Frames of systems alone are made while they are written.
-    author = authored - began if plan.takes else total - read
+    # Frames of an output with systems only are simulated while they are written.
+    author = authored - started if plan.takes else total - read
     draft.report.seconds |= {
         "read": read,
         "author": author,

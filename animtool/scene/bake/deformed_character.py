@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.
-PIECE = 256
+PIECE_FRAMES = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +148,6 @@ def pieces(
 
 def _cut(blocks: TimedBlocks) -> TimedBlocks:
     for codes, motion in blocks:
-        for begin in range(0, len(codes), PIECE):
-            part = slice(begin, begin + PIECE)
+        for begin in range(0, len(codes), PIECE_FRAMES):
+            part = slice(begin, begin + PIECE_FRAMES)
             yield codes[part], motion.select(part)

@@ -43,12 +43,12 @@ class ConvertReport:
     frames: int
     joints: int
     notices: list[Fault]  # warnings and notes
-    # The keys, where a clip was written, and how far they are off.
+    # Keys of a written clip and their errors; None for other formats.
     keyed: KeyedTake | None = None
     # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
-    shot: Shot | None = None  # the shot that was written; None is no shot
-    # How well the passes of the source did.
+    shot: Shot | None = None  # written shot; None without one
+    # Scores of the source's passes.
     scores: list[PassScores] = field(default_factory=list)
     command: str = "convert"  # kind of the report
     json_keys: ClassVar[str] = (
@@ -93,16 +93,16 @@ class FilePlan:
     path: Path
     base: Path | None = None  # base take of an additive take
     rig_file: Path | None = None  # rig file of a clip; None writes one
-    others: tuple[TakePlan, ...] = ()  # further takes that the file holds
-    names: tuple[str, ...] = ()  # of all of them; empty is the name of the file
+    others: tuple[TakePlan, ...] = ()  # further takes in the same file
+    names: tuple[str, ...] = ()  # names of all takes; empty uses the file name
 
     def run(self, progress: Progress = None) -> ConvertReport:
         """Write the take on the output's own clock."""
         del progress  # the source's clock
         plan = self.take
-        stream = in_frames(plan)
-        stream.notices = [*stream.notices, *plan.notices]
-        report = self._written(stream)
+        resampled_stream = in_frames(plan)
+        resampled_stream.notices = [*resampled_stream.notices, *plan.notices]
+        report = self._written(resampled_stream)
         scores = list(plan.stream.scores)
         return replace(report, shot=plan.options.shot, scores=scores)
 
@@ -110,24 +110,28 @@ class FilePlan:
         path, plan = self.path, self.take
         options, base = plan.options, self.base
         take = stream.collect()
-        below = None
+        base_take = None
         if base is not None:
             same_suffix = base.suffix.lower() == plan.source.suffix.lower()
-            below = _below(take, base, options.source if same_suffix else None)
+            base_take = _below(take, base, options.source if same_suffix else None)
         write = WriteOptions(
-            options.reduce, dict(options.reduce_at), below, self.rig_file
+            options.reduce, dict(options.reduce_at), base_take, self.rig_file
         )
-        more = [in_frames(other) for other in self.others]
-        others = tuple(other.collect() for other in more)
-        write = replace(write, others=others, names=self.names)
+        other_streams = [in_frames(other) for other in self.others]
+        other_takes = tuple(other.collect() for other in other_streams)
+        write = replace(write, others=other_takes, names=self.names)
         writer = take_writer(path)
         if "meshes" in writer.holds:
             take = _with_meshes(take, plan)
         outputs = _files(writer, take, path, write)
-        noted = [notice for notice in take.notices if notice not in stream.notices]
-        further = [notice for other in more for notice in other.notices]
+        take_notices = [
+            notice for notice in take.notices if notice not in stream.notices
+        ]
+        other_notices = [notice for other in other_streams for notice in other.notices]
         notices = list(
-            dict.fromkeys([*stream.notices, *further, *noted, *outputs.notices])
+            dict.fromkeys(
+                [*stream.notices, *other_notices, *take_notices, *outputs.notices]
+            )
         )
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]
@@ -157,11 +161,11 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
     rig = replace(take.rig, meshes=full_rig.meshes, shapes=full_rig.shapes)
     weights = take.motion.weights
     if weights is not None and shape_names != names:
-        # The animation may hold some of the shapes alone.
+        # The animation may have only some of the shapes.
         indices = np.array([names.index(name) for name in shape_names], np.int64)
         order = np.argsort(indices)
-        rest = Channel.static(np.zeros((len(names), 1)), take.clock.count)
-        weights = rest.put(indices[order], weights.gather(order)).compact()
+        zero_weights = Channel.static(np.zeros((len(names), 1)), take.clock.count)
+        weights = zero_weights.put(indices[order], weights.gather(order)).compact()
     return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 
 
@@ -178,7 +182,7 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
     clock, start = take.clock, Fraction(1)
     if writer.numbered:
         start += (clock.start - 1) / clock.step
-    # Most of these files number no frames; whatever reads one begins with the first.
+    # Most of these formats do not number frames; readers start with the first.
     span = Clock(clock.rate, start, Fraction(1), clock.count).span
     joints = len(take.rig.joints)
     return TakeFiles({path: text.parts}, span, joints, text.notices)
@@ -188,7 +192,7 @@ def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return the base take of an additive take, at the frames of that take."""
     from animtool.edit.combine import check_same_rig, other_frames
 
-    base = open_source(path, options).collect()
-    check_same_rig(take.rig, base.rig)
-    motion = other_frames(base, take.clock.rate, 0, take.clock.count)
+    base_take = open_source(path, options).collect()
+    check_same_rig(take.rig, base_take.rig)
+    motion = other_frames(base_take, take.clock.rate, 0, take.clock.count)
     return replace(take, motion=motion)

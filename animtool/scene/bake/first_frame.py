@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.rates import rate_label
 from animtool.core.shot import FrameRange
 
-# So near to a frame a start is that frame: rates of metadata have few digits [frame].
+# A start that is this close to a frame is on it: rates in metadata are rounded [frame].
 START_ROUNDING = Fraction(1, 100)
 
 
@@ -45,7 +45,7 @@ def frame_start(
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
-    """Return the integer frames of a take whose first sample is at a time code.
+    """Return integer frames that cover a take, from its first sample's time code.
 
     They reach to its end, and a part of a frame beyond. None where that time code is
     whole already, or where the samples are one a frame.
@@ -56,9 +56,9 @@ def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange |
     """
     if start.denominator == 1 or clock.step == 1:
         return None
-    end = start + (clock.count - 1) * fps / clock.rate
+    last_time = start + (clock.count - 1) * fps / clock.rate
     first = math.ceil(start)
-    return FrameRange(first, math.ceil(end)) if first <= end else None
+    return FrameRange(first, math.ceil(last_time)) if first <= last_time else None
 
 
 def start_notice(
@@ -80,13 +80,13 @@ def start_notice(
     if source_start is None or source_start.denominator == 1 or first.denominator != 1:
         return []
     if start != frame_start(source_start, source_fps, fps):
-        # The first frame has another cause, such as a rig layer's start.
+        # The first frame was set otherwise, such as by a rig layer's start.
         return []
-    stated = f"{frame_label(source_start)} at {rate_label(source_fps)}"
-    message = f"the source starts at time code {stated}"
+    source_label = f"{frame_label(source_start)} at {rate_label(source_fps)}"
+    message = f"the source starts at time code {source_label}"
     if fps != source_fps:
-        converted = frame_label(source_start * fps / source_fps)
-        message += f", which is {converted} at {rate_label(fps)}"
+        converted_label = frame_label(source_start * fps / source_fps)
+        message += f", which is {converted_label} at {rate_label(fps)}"
     message += f"; it is written from frame {frame_label(first)}"
     hint = f"choose another first frame with {argument('start')}"
     return [Fault("TAKE008", message, None, (), hint, Severity.NOTE)]

@@ -50,13 +50,13 @@ class TakePlan:
     """One take of a bake."""
 
     source: Path
-    name: str  # of a library's take, legal and distinct; else empty
+    name: str  # legal, unique name of a library's take; else empty
     stream: TakeStream  # opened, with the joints in the order written
     mapping: RigJointMap | None  # maps the take's joints to those of a rig layer
     options: BakeOptions  # takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
-    notices: list[Fault]  # the plan's
+    notices: list[Fault]  # notices of the plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class TimedTake:
 
     blocks: TimedBlocks
     rig: Rig
-    # When the source is sampled; None where its own samples are written.
+    # Times at which the source is sampled; None if its own samples are written.
     times: SampleTimes | None = None
 
     @property
@@ -81,43 +81,43 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     output; otherwise the take is gathered and resampled.
     """
     options = plan.options
-    # A rate that is asked for puts a sample on each frame.
-    on_frames = options.fps is None or options.keep_samples or stream.step == 1
-    as_is = (
+    # A requested rate puts a sample on each frame.
+    keeps_samples = options.fps is None or options.keep_samples or stream.step == 1
+    unchanged = (
         plan.fps == stream.fps
-        and on_frames
+        and keeps_samples
         and not options.samples
         and options.frame_range is None
         and options.rest_frame is None
     )
-    if as_is:
+    if unchanged:
         return TimedTake(_streamed(plan, stream), stream.rig)
     curve = None if stream.altered else stream.curve
     if curve is not None and options.rest_frame is None:
         return _sampled(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
-    rig, between = take.rig, Between.of(take)
+    rig, interpolation = take.rig, Between.of(take)
     if options.rest_frame is not None:
-        rig = _with_rest(plan, between, options.rest_frame)
-    plan.notices.extend(_straight_notices(plan, between, times))
-    return TimedTake(sample(between, times), rig, times)
+        rig = _with_rest(plan, interpolation, options.rest_frame)
+    plan.notices.extend(_straight_notices(plan, interpolation, times))
+    return TimedTake(sample(interpolation, times), rig, times)
 
 
 def _straight_notices(
-    plan: TakePlan, between: Between, times: SampleTimes
+    plan: TakePlan, interpolation: Between, times: SampleTimes
 ) -> list[Fault]:
     """Report the error bound of linear interpolation, unless a pass reported it."""
-    said = {notice.code for notice in plan.stream.notices}
+    reported_codes = {notice.code for notice in plan.stream.notices}
     sample_times = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
         for notice in straight_notices(
-            between,
+            interpolation,
             sample_times,
             f"{argument('keep_samples', True)} keeps the frames as is",
         )
-        if notice.code not in said
+        if notice.code not in reported_codes
     ]
 
 
@@ -147,17 +147,17 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         notices = _range_notice(plan, times)
     else:
         notices = _missing_frames(plan, options.shot, clock)
-        # Also where samples are kept that are not on the first and the last frame.
+        # Also checked if samples are kept that are not on the first and last frame.
         first, last = Fraction(frame_range.first), Fraction(frame_range.last)
         if options.keep_samples:
             times = replace(times, first=first, last=last)
     if options.start is None and options.shot is None:
         source = plan.stream.start, plan.stream.fps
-        moved = start_notice(*source, plan.start, plan.fps, times.first)
-        notices += [replace(notice, path=str(plan.source)) for notice in moved]
+        start_warning = start_notice(*source, plan.start, plan.fps, times.first)
+        notices += [replace(notice, path=str(plan.source)) for notice in start_warning]
     if options.fps is not None:
-        wrong = rate_warning(options.fps)
-        notices += [replace(notice, path=str(plan.source)) for notice in wrong]
+        rate_fault = rate_warning(options.fps)
+        notices += [replace(notice, path=str(plan.source)) for notice in rate_fault]
     if frame_range is None or frame_range.first != frame_range.last:
         single = single_frame_warning(times, clock, plan.fps)
         notices += [replace(notice, path=str(plan.source)) for notice in single]
@@ -182,51 +182,55 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Name the frames of a shot that a take lacks; their nearest pose is repeated.
+    """Return notices of frames of a shot that the take lacks.
 
     The last frame of a take lasts until the next would begin.
     """
     frame_range, where = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
-    asked = range(frame_range.first, frame_range.last + 1, frame_range.step)
+    requested = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
-    # Played backwards, it lasts as long before.
-    before, behind = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
-    missing = [
+    # Played backwards, a frame lasts until the previous one.
+    lead_in, lead_out = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
+    missing_frames = [
         n
-        for n in asked
-        if not (plan.start - before < n < last + behind or n in {plan.start, last})
+        for n in requested
+        if not (plan.start - lead_in < n < last + lead_out or n in {plan.start, last})
     ]
-    if not missing:
+    if not missing_frames:
         return []
-    named = f"shot {shot.name}: " if shot.name else ""
+    prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing) == len(asked):
-        # Where passes have moved the take, its times say nothing of its media.
-        edge = last if shot.speed < 0 else plan.start
-        if shot.places_media and shot.frame_at(0) == edge:
+    if len(missing_frames) == len(requested):
+        # After passes that retime the take, its times do not correspond to the media.
+        nearest_end = last if shot.speed < 0 else plan.start
+        if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames(shot, asked[0], asked[-1], length, where)
-        message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
-        at = None if shot.places_media else "shot.cut"
-        raise OptionError(Fault("SCN042", message, where, (), hint, where=at))
-    cut = [n for n in missing if shot.cut_in <= n <= shot.cut_out]
-    handles = [n for n in missing if n not in cut]
+            raise no_frames(shot, requested[0], requested[-1], length, where)
+        message = (
+            f"{prefix}the take has no frame from {requested[0]} to {requested[-1]}"
+        )
+        cut_key = None if shot.places_media else "shot.cut"
+        raise OptionError(Fault("SCN042", message, where, (), hint, where=cut_key))
+    cut = [n for n in missing_frames if shot.cut_in <= n <= shot.cut_out]
+    handles = [n for n in missing_frames if n not in cut]
     notices = []
-    for code, what, key, frames in (
+    for code, description, key, frames in (
         ("SCN074", "frames of the cut", "shot.cut", cut),
         ("SCN106", "handle frames", "shot.handles", handles),
     ):
         if frames:
             message = (
-                f"{named}the take does not have {what} "
+                f"{prefix}the take does not have {description} "
                 f"{frame_spans(frames, frame_range.step)}"
             )
             message += "; the nearest pose is held"
             warning = Severity.WARNING
-            at = None if shot.places_media else key
-            notices.append(Fault(code, message, where, (), hint, warning, where=at))
+            cut_key = None if shot.places_media else key
+            notices.append(
+                Fault(code, message, where, (), hint, warning, where=cut_key)
+            )
     return notices
 
 
@@ -237,14 +241,14 @@ def _sampled(
     first = Fraction(1) if stream.start is None else stream.start
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
-    # Exact on the source's frames; samples before its first or after its last are
-    # not on its grid. In a shot they hold its ends.
+    # Samples on the source's frames are exact; those before its first or after its last
+    # frame are off its grid. In a shot they hold the pose of its first or last frame.
     samples = times.frames + times.fractions
     if plan.options.shot is None:
         ratio = float(clock.rate / plan.fps)
-        beyond = (times.codes - float(plan.start)) * ratio
-        outside = (beyond < 0) | (beyond > clock.count - 1)
-        samples = np.where(outside, beyond, samples)
+        source_frames = (times.codes - float(plan.start)) * ratio
+        is_outside = (source_frames < 0) | (source_frames > clock.count - 1)
+        samples = np.where(is_outside, source_frames, samples)
     at = float(first) + samples * float(stream.step)
     motions = curve.blocks(at) if isinstance(curve, KeyedCurve) else iter([curve(at)])
     return TimedTake(_with_codes(times.codes, motions), stream.rig, times)
@@ -258,11 +262,11 @@ def _with_codes(codes: FloatArray, motions: Iterator[Motion]) -> TimedBlocks:
 
 
 def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
-    done = 0
+    frames_read = 0
     for block in stream.blocks:
-        first = plan.start + done * stream.step
+        first = plan.start + frames_read * stream.step
         yield time_codes(first, stream.step, block.frames), block
-        done += block.frames
+        frames_read += block.frames
 
 
 def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
@@ -282,7 +286,7 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Name the part of a range after the last frame that is written."""
+    """Return notices of the end of a range that is not written."""
     where, frame_range = str(plan.source), plan.options.frame_range
     notices = []
     if times.dropped:
@@ -310,16 +314,16 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     return notices
 
 
-def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
+def _with_rest(plan: TakePlan, interpolation: Between, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
-    frames, take = FrameRange(frame, frame), between.take
+    frames, take = FrameRange(frame, frame), interpolation.take
     try:
         times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
     except OptionError as error:
         last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
         fault = outside_take(frames, plan.start, last, name="rest_frame")
         raise OptionError(replace(fault, path=str(plan.source))) from error
-    ((_, pose),) = sample(between, times)
+    ((_, pose),) = sample(interpolation, times)
     translations, rotations, _ = pose.dense()
     joints = tuple(
         replace(joint, translation=tuple(t), rotation=tuple(r))
@@ -336,21 +340,21 @@ def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
 def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     """Return a mask of the joints that leave the rest pose ``(J,)``."""
     moving = np.zeros(len(rig.joints), bool)
-    ones = np.ones((len(rig.joints), 3))
+    one_frame = np.ones((len(rig.joints), 3))
     if plan.mapping is not None:
-        ones = plan.mapping.rest_scales
+        one_frame = plan.mapping.rest_scales
     for motion in motions:
         channels = [
             (motion.translations, rig.rest_translations),
             (motion.rotations, rig.rest_rotations),
         ]
         if motion.scales is not None:
-            channels.append((motion.scales, ones))
-        for channel, rest in channels:
-            moving |= (channel.rest != rest).any(axis=-1)
-            moving[channel.animated] |= (channel.values != rest[channel.animated]).any(
-                axis=(0, 2)
-            )
+            channels.append((motion.scales, one_frame))
+        for channel, rest_value in channels:
+            moving |= (channel.rest != rest_value).any(axis=-1)
+            moving[channel.animated] |= (
+                channel.values != rest_value[channel.animated]
+            ).any(axis=(0, 2))
     if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
         moving[rig.roots[0]] = False
@@ -365,7 +369,8 @@ class BakedTake:
 
     def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
         self.plan = plan
-        self.frames = self.samples = 0  # read of the source, and made for the output
+        # Number of frames read from the source, and written to the output.
+        self.frames = self.samples = 0
         self.props: PropSamples | None = None
         self._watch = watch
         self._timed: TimedTake | None = None
@@ -378,12 +383,12 @@ class BakedTake:
         stream = replace(stream, blocks=self._counted(stream.blocks))
         if self._watch is not None:
             stream = self._watch.read(stream)
-        opened = timed_blocks(self.plan, stream)
+        timed_take = timed_blocks(self.plan, stream)
         if stream.tracks:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(opened, blocks=self._recorded(opened.blocks))
+        self._timed = replace(timed_take, blocks=self._recorded(timed_take.blocks))
         return self._timed
 
     @property
@@ -413,19 +418,19 @@ def in_frames(plan: TakePlan) -> TakeStream:
     added to.
     """
     options = plan.options
-    plain = BakeOptions(
+    frame_options = BakeOptions(
         fps=options.fps, frame_range=options.frame_range, shot=options.shot
     )
-    timed = timed_blocks(replace(plan, options=plain), plan.stream)
-    if timed.times is None:
+    timed_take = timed_blocks(replace(plan, options=frame_options), plan.stream)
+    if timed_take.times is None:
         return replace(plan.stream, start=plan.start)
     step = 1 if options.frame_range is None else options.frame_range.step
     return replace(
         plan.stream,
         fps=plan.fps,
-        start=timed.times.first,
+        start=timed_take.times.first,
         step=Fraction(step),
-        blocks=(motion for _, motion in timed.blocks),
+        blocks=(motion for _, motion in timed_take.blocks),
         curve=None,
         count=0,
         control_curves={},

@@ -75,7 +75,7 @@ class JointFiles:
     result: UsdResult
 
     def write(self, save: Save) -> None:
-        """Write the layers; the one that refers to the others last."""
+        """Write the layers; the layer that refers to the others is last."""
         write_usd(self.job, self.authored, self.result, save)
 
 
@@ -86,7 +86,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
     names, joints = _usd_names(plan, rig)
     form = plan.form
     if form is LayerForm.LIBRARY:
-        # A library that exists gets its takes from a layer over it.
+        # A layer over an existing library adds takes to it.
         form = LayerForm.STAGE if plan.target is None else LayerForm.LAYER
     return UsdJob(
         form=form,
@@ -116,7 +116,7 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
 
 
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
-    """Yield takes for the writer; each is prepared when it is asked for."""
+    """Yield takes for the writer; each is prepared on demand."""
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
@@ -128,11 +128,11 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
             root_motion=root_motion,
             size=1.0 if mapping is None else mapping.size,
         )
-        rounded = prefetch(timed(rounded_blocks, take.seconds, "read"))
+        prefetched = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:
-            yield replace(usd_take, blocks=rounded)
+            yield replace(usd_take, blocks=prefetched)
         finally:
-            rounded.close()
+            prefetched.close()
 
 
 class _JointTake:
@@ -140,28 +140,33 @@ class _JointTake:
 
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
-        self.seconds = {"read": 0.0}  # spent on making blocks [s]
+        self.seconds = {"read": 0.0}  # time to compute blocks [s]
         self._thinned: Thinned | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
         """Return the writer's description of the take, and its frames.
 
-        The rig is as it is written: of the rig layer, or of the first take.
+        ``rig`` is the rig as written: of the rig layer, or of the first take.
         """
-        opened = self._run.open()
-        blocks, frames = opened.blocks, opened.frames
+        timed_take = self._run.open()
+        blocks, frames = timed_take.blocks, timed_take.frames
         plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
-        chosen = None
+        mapped_joints = None
         if mapping is not None:
-            mapped = mapping
-            blocks = ((codes, mapped.at(codes, motion)) for codes, motion in blocks)
+            rig_mapping = mapping
+            blocks = (
+                (codes, rig_mapping.at(codes, motion)) for codes, motion in blocks
+            )
             if (mapping.source < 0).any():
-                chosen = mapping.source >= 0
+                mapped_joints = mapping.source >= 0
         if options.sparse:
-            buffered = list(blocks)
-            moving = moving_joints(plan, rig, [motion for _, motion in buffered])
-            kept = moving if chosen is None else moving & chosen
-            chosen, blocks = kept if kept.any() else chosen, iter(buffered)
+            all_blocks = list(blocks)
+            moving = moving_joints(plan, rig, [motion for _, motion in all_blocks])
+            written_joints = moving if mapped_joints is None else moving & mapped_joints
+            mapped_joints, blocks = (
+                written_joints if written_joints.any() else mapped_joints,
+                iter(all_blocks),
+            )
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
             blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
@@ -170,7 +175,7 @@ class _JointTake:
             plan.start,
             step,
             frames=frames,
-            written_joints=chosen,
+            written_joints=mapped_joints,
             shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
@@ -204,20 +209,24 @@ def _thinned(
     """Return the samples to keep, their errors, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
-    buffered = list(blocks)
-    codes = np.concatenate([codes for codes, _ in buffered])
-    motion = Motion.concatenate([motion for _, motion in buffered])
+    all_blocks = list(blocks)
+    codes = np.concatenate([codes for codes, _ in all_blocks])
+    motion = Motion.concatenate([motion for _, motion in all_blocks])
     tolerance = plan.options.reduce
     assert tolerance is not None
-    # A rig that its stage scales moves by so much less there than in its own numbers.
+    # Tolerances are converted to the rig's numbers, which its stage may scale.
     size = 1.0 if plan.mapping is None else plan.mapping.size
-    other = {name: most / size for name, most in plan.options.reduce_at}
-    thinned = thin_samples(rig, codes, motion, tolerance / size, joint_tolerances=other)
+    distances_by_name = {
+        name: max_distance / size for name, max_distance in plan.options.reduce_at
+    }
+    thinned = thin_samples(
+        rig, codes, motion, tolerance / size, joint_tolerances=distances_by_name
+    )
     thinned = replace(thinned, error=thinned.error * size)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept = iter([(codes[thinned.kept], motion.select(thinned.kept))])
-    return kept, thinned, frames
+    kept_blocks = iter([(codes[thinned.kept], motion.select(thinned.kept))])
+    return kept_blocks, thinned, frames
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:
@@ -238,9 +247,9 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
         plan.notices.append(
             Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
         )
-    start = float(Fraction(1) if stream.start is None else stream.start)
+    first_code = float(Fraction(1) if stream.start is None else stream.start)
     ratio = float(plan.fps / stream.fps)
     return {
-        name: curves.retimed(start, ratio, float(plan.start))
+        name: curves.retimed(first_code, ratio, float(plan.start))
         for name, curves in stream.control_curves.items()
     }

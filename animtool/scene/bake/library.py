@@ -20,9 +20,9 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.names import distinct_names, joint_names, legal_name
 
-# Of the rest pose: apart by less is the same, written with other digits.
-REST_LENGTHS = 1e-5
-REST_RADIANS = 1e-5
+# Rest poses that differ by less are equal, written with other digits.
+REST_LENGTH_TOLERANCE = 1e-5
+REST_ANGLE_TOLERANCE = 1e-5
 
 
 def take_names(
@@ -34,14 +34,14 @@ def take_names(
     """
     stems = list(stated_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
-    renamed = [
+    renamed_sources = [
         path
         for path, stem, name in zip(sources, stems, names.names, strict=True)
         if name != legal_name(stem)
     ]
     notices += [
         replace(notice, path=str(path))
-        for notice, path in zip(names.notices, renamed, strict=True)
+        for notice, path in zip(names.notices, renamed_sources, strict=True)
     ]
     return names.names
 
@@ -53,10 +53,10 @@ def rate_notice(
     rates = [stream.fps / stream.step for stream in streams]
     if len(set(rates)) < 2:
         return []
-    each = ", ".join(
+    rate_text = ", ".join(
         f"{name} {rate_label(rate)}" for name, rate in zip(names, rates, strict=True)
     )
-    message = f"the takes have different rates: {each}"
+    message = f"the takes have different rates: {rate_text}"
     hint = f"all are written at {rate_label(fps)}"
     return [Fault("USD131", message, None, (), hint, Severity.NOTE)]
 
@@ -68,25 +68,25 @@ def in_joint_order(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return the takes with their joints in the order of the first take's."""
-    first, *others = [_named(stream.rig, options) for stream in streams]
+    first_joints, *other_joints = [_named(stream.rig, options) for stream in streams]
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
-        for path, other in zip(sources[1:], others, strict=True)
-        if (difference := _difference(first, other, str(sources[0])))
+        for path, other in zip(sources[1:], other_joints, strict=True)
+        if (difference := _difference(first_joints, other, str(sources[0])))
     ]
     if faults:
         raise FormatError(faults)
-    ordered = [streams[0]]
-    ordered += [
-        _ordered(stream, list(other), list(first), streams[0].rig)
-        for stream, other in zip(streams[1:], others, strict=True)
+    reordered = [streams[0]]
+    reordered += [
+        _ordered(stream, list(other), list(first_joints), streams[0].rig)
+        for stream, other in zip(streams[1:], other_joints, strict=True)
     ]
     if options.rest_frame is None:
-        for path, stream in zip(sources[1:], ordered[1:], strict=True):
+        for path, stream in zip(sources[1:], reordered[1:], strict=True):
             notices += _rest_notice(
                 streams[0].rig, stream.rig, str(path), str(sources[0])
             )
-    return ordered
+    return reordered
 
 
 def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
@@ -118,7 +118,7 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
 def _ordered(
     stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
-    """Return a take with its joints reordered as those of a first rig."""
+    """Return a take with its joints in the order of a first rig."""
     if names == order:
         return stream
     from animtool.usd.rigs.joint_map import RigJointMap
@@ -129,18 +129,18 @@ def _ordered(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source.tolist(), first.joints, strict=True)
     )
-    ordered = replace(rig, joints=joints)
-    mapping = RigJointMap(ordered, source, np.ones((len(joints), 3)), [])
+    reordered_rig = replace(rig, joints=joints)
+    mapping = RigJointMap(reordered_rig, source, np.ones((len(joints), 3)), [])
     curve, source_blocks = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
         for block in source_blocks:
             yield mapping.apply(block)
 
-    turned = replace(stream, rig=ordered, blocks=blocks())
+    reordered = replace(stream, rig=reordered_rig, blocks=blocks())
     if curve is not None:
-        turned.curve = lambda times: mapping.apply(curve(times))
-    return turned
+        reordered.curve = lambda times: mapping.apply(curve(times))
+    return reordered
 
 
 def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
@@ -149,14 +149,16 @@ def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
         first.rest_translations - other.rest_translations, axis=1
     )
     size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
-    turned = so3.angle_between(first.rest_rotations, other.rest_rotations)
-    worse = np.maximum(distances / (REST_LENGTHS * size), turned / REST_RADIANS)
-    if worse.max(initial=0.0) <= 1.0:
+    angles = so3.angle_between(first.rest_rotations, other.rest_rotations)
+    relative_errors = np.maximum(
+        distances / (REST_LENGTH_TOLERANCE * size), angles / REST_ANGLE_TOLERANCE
+    )
+    if relative_errors.max(initial=0.0) <= 1.0:
         return []
-    i = int(worse.argmax())
+    i = int(relative_errors.argmax())
     message = (
         f"the rest pose differs from that of {source}: joint {first.names[i]!r} by "
-        f"{length_text(distances[i])} and {np.degrees(turned[i]):.3g} degrees"
+        f"{length_text(distances[i])} and {np.degrees(angles[i]):.3g} degrees"
     )
     hint = f"the library uses the rest pose of {source}"
     return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

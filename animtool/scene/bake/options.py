@@ -30,10 +30,10 @@ class BakeOptions:
     """Options of a bake.
 
     Attributes:
-        source: What the source is, where its file does not say.
-        shot: The shot that is written: its frames, where there is no range, at its
-            rate. The pose of frames that the take lacks is held.
-        root_motion: Let the SkelRoot carry the first root joint's motion.
+        source: Properties of the source that its file does not state.
+        shot: The shot to write: it determines the frames, unless there is a range, and
+            the rate. Frames that the take lacks hold its nearest pose.
+        root_motion: Whether the SkelRoot carries the motion of the first root joint.
 
     Raises:
         OptionError: fps is no rate (SCN022), or start no frame (SCN033).
@@ -383,11 +383,11 @@ def _frame_option(start: FractionLike) -> Fraction:
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
-    """Return options whose default values are replaced by those of others."""
+    """Return options with defaults replaced by those of other options."""
     defaults = BakeOptions()
-    taken = {
+    overrides = {
         field.name: getattr(others, field.name)
         for field in fields(BakeOptions)
         if getattr(options, field.name) == getattr(defaults, field.name)
     }
-    return replace(options, **taken)
+    return replace(options, **overrides)

@@ -40,12 +40,13 @@ class OutputEntry:
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
-    # The scene that names it, with the systems of this output alone; None is no scene.
+    # The scene that names it, with only the systems of this output; None without a
+    # scene.
     scene: Scene | None = None
     location: EntryLocation | None = (
         None  # of the entry, where the scene names the file
     )
-    # Of a clip: the base take of an additive take, and the rig file.
+    # For a clip: the base take of an additive take, and the rig file.
     base: Path | None = None
     rig_file: Path | None = None
 
@@ -83,10 +84,10 @@ class OutputEntry:
             return []
         if self.is_stage:
             return output_files(self.path, self.options, simulated=self.simulated)
-        writer = writer_of(self.path)
-        if writer is None or self.rig_file is not None:
+        format_writer = writer_of(self.path)
+        if format_writer is None or self.rig_file is not None:
             return [self.path]
-        return writer.files(self.path)
+        return format_writer.files(self.path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +136,9 @@ def outlined(
         base: Of a clip: what an additive take is put on.
         rig_file: Of a clip: the file of its rig, which is named; None writes one.
     """
-    alone = isinstance(sources, str) or not isinstance(sources, Sequence)
-    listed = cast("Sequence[Source]", [sources] if alone else sources)
-    reading = source_set(listed)
+    is_single = isinstance(sources, str) or not isinstance(sources, Sequence)
+    source_list = cast("Sequence[Source]", [sources] if is_single else sources)
+    reading = source_set(source_list)
     options = options or BakeOptions()
     scenes = list(reading.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
@@ -149,7 +150,7 @@ def outlined(
             and form_of(options) is LayerForm.LIBRARY
             and not path.exists()
         ):
-            # Several takes make a library by themselves.
+            # Several takes make a library by default.
             options = replace(options, form=None)
     if len(reading.files) != 1 or not scenes:
         entry = OutputEntry(path, options, base=base, rig_file=rig_file)
@@ -183,20 +184,20 @@ def is_several(scene: Scene) -> bool:
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse faults that show before anything is read, of all outputs at once.
+    """Refuse invalid outputs before anything is read, with the faults of all at once.
 
     Raises:
         OptionError: Options exclude each other, an output exists, is read too, or two
             are one file (OUT007).
         OutputError: An output cannot be written.
     """
-    reading, several = outline.reading, len(outline.outputs) > 1
+    reading, has_several = outline.reading, len(outline.outputs) > 1
     _check_count(len(reading.files), outline.outputs[0].options)
     faults = duplicate_outputs(outline)
-    # Errors are not kept: their frames hold layers open.
-    kinds: list[type[AnimtoolError]] = []
+    # Errors are not stored, since their tracebacks would keep layers open.
+    error_types: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
-        if several and entry.path == STDOUT:
+        if has_several and entry.path == STDOUT:
             message = "an output has no file"
             fault = Fault("DOC021", message)
             raise OptionError(entry.location.locate(fault) if entry.location else fault)
@@ -204,17 +205,19 @@ def check_outline(outline: Outline) -> None:
             check_entry(entry, reading.inputs, reading.files[0])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
-            kinds.append(type(error))
+            error_types.append(type(error))
     try:
-        kept = [path for scene in reading.scenes.values() for path in scene.kept]
+        saved_states = [
+            path for scene in reading.scenes.values() for path in scene.kept
+        ]
         inputs = [*reading.inputs, *outline.files]
         overwrite = outline.outputs[0].options.overwrite
-        check_outputs(kept, inputs, overwrite=overwrite)
+        check_outputs(saved_states, inputs, overwrite=overwrite)
     except AnimtoolError as error:
         faults += error.faults
-        kinds.append(type(error))
+        error_types.append(type(error))
     if faults:
-        raise (kinds or [OptionError])[0](faults)
+        raise (error_types or [OptionError])[0](faults)
     _check_systems(outline)
 
 
@@ -224,9 +227,11 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
     faults = []
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
-            first = owners.setdefault(name_key(target(path).final), entry)
-            if first is not entry and entry.location and first.location:
-                message = f"{str(path)!r} is also written by {first.location.where}"
+            first_entry = owners.setdefault(name_key(target(path).final), entry)
+            if first_entry is not entry and entry.location and first_entry.location:
+                message = (
+                    f"{str(path)!r} is also written by {first_entry.location.where}"
+                )
                 faults.append(entry.location.fault("OUT007", message, "name another"))
                 break
     return faults
@@ -238,7 +243,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
     Args:
         entry: The output.
         inputs: Files that are read.
-        source: The first of them, which hints name.
+        source: First of the inputs, for hints.
     """
     check_settings(entry)
     path, options = entry.path, entry.options
@@ -251,7 +256,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         return
     layer = [options.rig_layer] if options.rig_layer else []
     library = form_of(options) is LayerForm.LIBRARY
-    # A library is extended; one of its takes may be replaced.
+    # Baking extends an existing library, or replaces one of its takes.
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
     if library and path.exists():

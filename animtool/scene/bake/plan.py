@@ -78,29 +78,32 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
         return [_planned_systems(entry, outline.notices) for entry in entries]
     options = entries[0].options
     if len(entries) > 1:
-        forced = any(entry.options.force_fit for entry in entries)
-        options = BakeOptions(force_fit=forced)
-    # Systems come after the take that they go along with.
+        any_forced = any(entry.options.force_fit for entry in entries)
+        options = BakeOptions(force_fit=any_forced)
+    # Systems are planned after the take that they accompany.
     simulated = any(entry.simulated for entry in entries)
-    later = simulated or len(entries) > 1
-    shown = part_progress(progress, 0, 2) if later else progress
+    work_follows = simulated or len(entries) > 1
+    source_progress = part_progress(progress, 0, 2) if work_follows else progress
     with protect_inputs(outline.files):
-        streams = reading.open(options, shown)
+        streams = reading.open(options, source_progress)
     notices = [*outline.notices, *reading.unused]
     if len(entries) == 1:
         names = reading.names
         return [_planned(reading.files, streams, entries[0], notices, names)]
     (stream,) = streams
     return [
-        _planned(reading.files, [one], entry, list(notices))
-        for entry, one in zip(entries, _shared(stream, len(entries)), strict=True)
+        _planned(reading.files, [entry_stream], entry, list(notices))
+        for entry, entry_stream in zip(
+            entries, _shared(stream, len(entries)), strict=True
+        )
     ]
 
 
 def refusals(outline: Outline, take: Take | None) -> list[Fault]:
-    """Return the faults that keep the outputs of a scene from being planned.
+    """Return the faults that prevent a scene's outputs from being planned.
 
-    take: of its sources, all passes done; None is of a scene that has none.
+    ``take`` is the result of its sources after all passes; None for a scene without
+    sources.
     """
     faults = duplicate_outputs(outline)
     inputs = {path.resolve() for path in outline.reading.inputs}
@@ -122,13 +125,13 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
     """Return several streams of one take, which is read only once."""
-    gathered: list[Motion] = []
+    motions: list[Motion] = []
 
     def blocks() -> Iterator[Motion]:
-        if not gathered:
+        if not motions:
             motion = Motion.concatenate(list(stream.blocks))
-            gathered.append(motion.map(Channel.compact))
-        yield gathered[0]
+            motions.append(motion.map(Channel.compact))
+        yield motions[0]
 
     return [replace(stream, blocks=blocks()) for _ in range(count)]
 
@@ -148,9 +151,9 @@ def _planned(
         if len(streams) == 1:
             return file
         return _with_others(file, sources, streams, entry, notices, names)
-    with ExitStack() as located:
+    with ExitStack() as location_context:
         if scene is not None:
-            located.enter_context(scene.located_props())
+            location_context.enter_context(scene.located_props())
         plan = plan_takes(sources, streams, entry.path, entry.options, notices, names)
     return plan if scene is None else _with_systems(plan, scene)
 
@@ -180,8 +183,8 @@ def _planned_file(
     start = start_of(options, None, stream, source)
     take = TakePlan(source, "", stream, None, options, fps, start, notices)
     stated_name = stream.details.get("take") or stream.details.get("name")
-    called: tuple[str, ...] = (str(stated_name),) if stated_name else ()
-    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=called)
+    stated_names: tuple[str, ...] = (str(stated_name),) if stated_name else ()
+    return FilePlan(take, entry.path, entry.base, entry.rig_file, names=stated_names)
 
 
 def _with_others(
@@ -205,12 +208,14 @@ def _with_others(
         _planned_file(source, stream, entry, writer, notices)
         for source, stream in zip(sources[1:], streams[1:], strict=True)
     ]
-    called = [
-        one.names[0] if one.names else source_stem(source)
-        for source, one in zip(sources, (plan, *others), strict=True)
+    default_names = [
+        file_plan.names[0] if file_plan.names else source_stem(source)
+        for source, file_plan in zip(sources, (plan, *others), strict=True)
     ]
-    take_names = names or tuple(distinct(called))
-    return replace(plan, others=tuple(one.take for one in others), names=take_names)
+    take_names = names or tuple(distinct(default_names))
+    return replace(
+        plan, others=tuple(file_plan.take for file_plan in others), names=take_names
+    )
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
@@ -337,8 +342,8 @@ def _check_props(plan: BakePlan) -> None:
     from animtool.usd.props.writer import check_props
 
     stage = None if plan.target is None else plan.target.stage
-    for some in tracks:
-        check_props(some, plan.paths, stage, library=bool(plan.takes[0].name))
+    for take_tracks in tracks:
+        check_props(take_tracks, plan.paths, stage, library=bool(plan.takes[0].name))
 
 
 def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
@@ -408,11 +413,11 @@ def _mapped(
 
 
 def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Name the simulated points that the output leaves out."""
-    names = sorted({name for stream in streams for name in stream.points})
-    if not names or options.deform:
+    """Warn of simulated points that the output leaves out."""
+    point_names = sorted({name for stream in streams for name in stream.points})
+    if not point_names or options.deform:
         return []
-    message = f"points of {listed(names)} are simulated, but not written"
+    message = f"points of {listed(point_names)} are simulated, but not written"
     hint = "an output with deform: true includes them"
     return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
 
@@ -420,8 +425,8 @@ def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]
 def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     if target is None or fps == target.fps:
         return []
-    theirs = rate_label(target.fps)
-    message = f"the output has {rate_label(fps)}, but the rig layer {theirs}"
+    rig_layer_rate = rate_label(target.fps)
+    message = f"the output has {rate_label(fps)}, but the rig layer {rig_layer_rate}"
     hint = "USD scales time if a sublayer's rate differs from its stage's"
     return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
 

@@ -64,25 +64,27 @@ class PointStream:
     meters_per_unit: float  # unit of the output [m]
     rate: float  # time codes a second
     spaces: Sequence[PointSpace]  # where the points of each mesh are written
-    velocities: bool = False  # find how fast points move
-    # Spent on each mesh so far, joints left out [s].
+    velocities: bool = False  # whether to compute velocities
+    # Time spent on each mesh so far, without joints [s].
     seconds: list[float] = field(default_factory=list)
 
     def blocks(self, timed: TimedBlocks) -> Iterator[Block]:
         """Yield the frames of each mesh in order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, counted in pieces(timed, neighbours=self.velocities):
-            mapped = motion
+        for codes, motion, counted_frames in pieces(timed, neighbours=self.velocities):
+            mapped_motion = motion
             if character.mapping is not None:
-                mapped = character.mapping.at(codes, motion)
-            world = mapped.world(character.rig)
+                mapped_motion = character.mapping.at(codes, motion)
+            world = mapped_motion.world(character.rig)
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
-                if mesh.name in mapped.points:
-                    frames = self._moved(i, frames, codes, mapped.points[mesh.name])
-                yield from self._rounded(i, codes, frames, counted)
+                if mesh.name in mapped_motion.points:
+                    frames = self._moved(
+                        i, frames, codes, mapped_motion.points[mesh.name]
+                    )
+                yield from self._rounded(i, codes, frames, counted_frames)
 
     def _moved(
         self,
@@ -95,31 +97,38 @@ class PointStream:
         surfaces = self.character.surfaces
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
-        done = 0
-        for part in deformed:
-            frames = slice(done, done + len(part.points))
-            yield displaced_points(part, points, frames, surface, times)
-            done = frames.stop
+        frames_done = 0
+        for deformed_block in deformed:
+            frames = slice(frames_done, frames_done + len(deformed_block.points))
+            yield displaced_points(deformed_block, points, frames, surface, times)
+            frames_done = frames.stop
 
     def _rounded(
         self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
         """Yield the counted frames of a piece in float32."""
-        done = 0
-        began = time.perf_counter()
-        for part in deformed:
-            first, last = max(counted.start - done, 0), max(counted.stop - done, 0)
-            kept = part.select(slice(first, last))
-            at = codes[done + first : done + first + len(kept.points)]
-            done += len(part.points)
-            if not len(at):
+        frames_done = 0
+        started = time.perf_counter()
+        for deformed_block in deformed:
+            first, last = (
+                max(counted.start - frames_done, 0),
+                max(counted.stop - frames_done, 0),
+            )
+            counted_block = deformed_block.select(slice(first, last))
+            block_codes = codes[
+                frames_done + first : frames_done + first + len(counted_block.points)
+            ]
+            frames_done += len(deformed_block.points)
+            if not len(block_codes):
                 continue
             space = self.spaces[mesh]
-            block = round_points(mesh, at, kept, self.meters_per_unit, space)
-            self.seconds[mesh] += time.perf_counter() - began
+            block = round_points(
+                mesh, block_codes, counted_block, self.meters_per_unit, space
+            )
+            self.seconds[mesh] += time.perf_counter() - started
             yield block
-            began = time.perf_counter()
-        self.seconds[mesh] += time.perf_counter() - began
+            started = time.perf_counter()
+        self.seconds[mesh] += time.perf_counter() - started
 
     def _frames(
         self,
@@ -131,12 +140,14 @@ class PointStream:
         record = mesh.mesh
         normals = record.normals is not None
         if _is_static(mesh, weights, world):
-            # One frame is as good as all of them, and no work.
+            # One frame represents all of them, at no further cost.
             weights = None if weights is None else weights[:1]
-            first = WorldTransforms(world.positions[:1], world.linear[:1])
+            first_world = WorldTransforms(world.positions[:1], world.linear[:1])
             times = codes[:1] if self.velocities else None
-            one = deform(record, weights, first, normals=normals, times=times)
-            return _repeated(one, len(codes))
+            one_frame = deform(
+                record, weights, first_world, normals=normals, times=times
+            )
+            return _repeated(one_frame, len(codes))
         times = codes / self.rate if self.velocities else None
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
@@ -156,8 +167,8 @@ def _is_static(
     )
 
 
-def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
-    size = block_frames(one.points.shape[1])
+def _repeated(frame_block: Deformed, frames: int) -> Iterator[Deformed]:
+    size = block_frames(frame_block.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
         return None if values is None else np.repeat(values, count, axis=0)
@@ -165,10 +176,10 @@ def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
     for begin in range(0, frames, size):
         count = min(size, frames - begin)
         yield Deformed(
-            repeat(one.points, count),
-            repeat(one.extents, count),
-            repeat(one.normals, count),
-            repeat(one.velocities, count),
+            repeat(frame_block.points, count),
+            repeat(frame_block.extents, count),
+            repeat(frame_block.normals, count),
+            repeat(frame_block.velocities, count),
         )
 
 
@@ -181,16 +192,16 @@ class PointPrims:
     def author(self, draft: BakeState) -> None:
         """Author the prims; chunks of points are already written."""
         plan, (run,) = draft.plan, draft.runs
-        stream, timed = run.plan.stream, run.open()
-        job, character, spaces = _job(plan, self.character, timed.frames)
-        points = PointStream(
+        stream, timed_take = run.plan.stream, run.open()
+        job, character, spaces = _job(plan, self.character, timed_take.frames)
+        point_stream = PointStream(
             character,
             job.meters_per_unit,
             float(plan.fps),
             spaces,
             plan.options.velocities,
         )
-        with closing(prefetch(points.blocks(timed.blocks))) as blocks:
+        with closing(prefetch(point_stream.blocks(timed_take.blocks))) as blocks:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
                 result = _result(layer, meshes, run)
@@ -206,15 +217,16 @@ class PointPrims:
             result.takes[0].props = _author_props(
                 layer, plan, job, run, character.rig.up
             )
-        draft.read += points.seconds
+        draft.read += point_stream.seconds
         surfaces = len(character.surfaces)
         kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
         reports = [
             MeshReport(
-                *(mesh.name, report, spent, run.samples, kind), of=character.origin
+                *(mesh.name, report, mesh_seconds, run.samples, kind),
+                of=character.origin,
             )
-            for mesh, report, spent, kind in zip(
-                character.meshes, meshes, points.seconds, kinds, strict=True
+            for mesh, report, mesh_seconds, kind in zip(
+                character.meshes, meshes, point_stream.seconds, kinds, strict=True
             )
         ]
         draft.report = plan.report(
@@ -291,7 +303,7 @@ def _layer_job(
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
-    # A mesh that follows nothing stays as the rig has it.
+    # A mesh without joints stays where the rig has it.
     paths = {
         surface.name: len(surface.points)
         for surface in character.surfaces
@@ -307,7 +319,7 @@ def _layer_job(
     job = CacheJob(
         plan.output,
         plan.target.paths,
-        tuple(part.path for part in target.prims),
+        tuple(mesh_prim.path for mesh_prim in target.prims),
         plan.fps,
         span,
         plan.meters_per_unit,
@@ -317,20 +329,21 @@ def _layer_job(
         shot=plan.options.shot,
     )
     character = character.only(
-        [mesh.name for mesh in target.meshes], [part.name for part in target.strands]
+        [mesh.name for mesh in target.meshes],
+        [mesh_prim.name for mesh_prim in target.strands],
     )
-    return job, character, [part.space for part in target.prims]
+    return job, character, [mesh_prim.space for mesh_prim in target.prims]
 
 
 def _result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
     span = layer_span(layer)
-    worst = max(meshes, key=lambda mesh: mesh.error)
-    sampled = [name for mesh in meshes for name in mesh.sampled]
+    worst_mesh = max(meshes, key=lambda mesh: mesh.error)
+    sampled_names = [name for mesh in meshes for name in mesh.sampled]
     take = WrittenTake(
         "",
         span,
         samples=run.samples,
-        sampled=list(dict.fromkeys(sampled)),
-        rounding=Rounding(worst.error, worst.error_code),
+        sampled=list(dict.fromkeys(sampled_names)),
+        rounding=Rounding(worst_mesh.error, worst_mesh.error_code),
     )
     return UsdResult(span, takes=[take])

@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 class MeshReport:
     """Result of one mesh, strand set or system."""
 
-    name: str  # as the rig names it
-    written: CachedMesh  # result
-    seconds: float  # spent on deforming and rounding it [s]
-    frames: int  # how many frames that was for
+    name: str  # name in the rig
+    written: CachedMesh  # its prim
+    seconds: float  # time spent on deforming and rounding it [s]
+    frames: int  # number of frames
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
-    simulated: bool = False  # whether it is a system, and not deformed
-    of: str = ""  # whose it is: of a character or a scene
+    simulated: bool = False  # whether it is a system rather than a deformed mesh
+    of: str = ""  # owner: name of a character or a scene
     json_keys: ClassVar[str] = (
         "mesh=name kind prim=written.path of vertices=written.vertices "
         "characters=written.characters? samples=written.samples "
@@ -70,23 +70,23 @@ class TakeReport:
     """Result of one source."""
 
     source: Path  # the file read
-    written: WrittenTake  # form of the output
+    written: WrittenTake  # the take as written
     source_frames: int  # frames of the source
     source_fps: Fraction  # its frame rate
-    error_joint: str  # name of the joint that rounding moved most
-    unit_assumed: bool = False  # whether nothing states the unit of the source
-    source_bytes: int = 0  # size of the source; 0 of a scene, which holds no motion
-    # What the source states of itself.
+    error_joint: str  # joint with the largest rounding displacement
+    unit_assumed: bool = False  # whether the source states no unit
+    source_bytes: int = 0  # size of the source; 0 for a scene, which contains no motion
+    # Properties that the source states.
     details: dict[str, object] = field(default_factory=dict)
-    # Which samples were left out, where that was asked for.
+    # Result of reducing samples, if requested.
     thinned: Thinned | None = None
-    thinned_joint: str = ""  # name of the joint that this moved most
-    # What was written of each mesh, where it was deformed.
+    thinned_joint: str = ""  # joint that reduction moved most
+    # Written meshes, if they were deformed.
     meshes: list[MeshReport] = field(default_factory=list)
-    # What became of each thing that was simulated, as plain values.
+    # Results of the simulations, as plain values.
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)  # of its passes
-    between: int = 0  # samples of the source that fall between the frames written
+    between: int = 0  # number of source samples between the written frames
     size: float = 0.0  # extent of the skeleton at rest [m]
     fps: Fraction = Fraction(0)  # time codes a second of the output
     json_keys: ClassVar[str] = (
@@ -156,18 +156,18 @@ def take_report(
 class BakeReport:
     """Report of a bake."""
 
-    takes: list[TakeReport]  # result of every source, at least one
-    result: UsdResult  # form of the output
-    form: str  # stage, split or layer, and why
+    takes: list[TakeReport]  # result of each source, at least one
+    result: UsdResult  # what USD holds
+    form: str  # form (stage, split or layer), and the reason
     joints: int  # joints of the first source
     meters_per_unit: float  # unit of the output [m]
     up: str  # its up axis
     size: float  # extent of the skeleton at rest [m]
     notices: list[Fault]  # warnings and notes
-    # Wall time by stage; ``read`` runs beside ``author``.
+    # Wall time by stage; ``read`` overlaps with ``author``.
     seconds: dict[str, float] = field(default_factory=dict)
-    shot: Shot | None = None  # the shot that was written; None is no shot
-    # Why a system ended before the last frame, where the frames before were to be kept.
+    shot: Shot | None = None  # written shot; None without one
+    # Why a system stopped before the last frame, if frames before it are kept.
     stopped: ToleranceError | None = None
     json_keys: ClassVar[str] = (
         "'bake' *only outputs=files form samples=result.samples start=span.first "
@@ -249,7 +249,7 @@ class BakeReport:
     @property
     def scores(self) -> list[PassScores]:
         """Scores of the passes of every source."""
-        return [one for take in self.takes for one in take.scores]
+        return [score for take in self.takes for score in take.scores]
 
     @property
     def files(self) -> list[Path]:
@@ -269,7 +269,7 @@ def raise_stopped(reports: Sequence[object]) -> None:
             raise report.stopped
 
 
-# Writes a layer to a file, or as text to stdout; returns the bytes.
+# Writes a layer to a file, or as text to stdout; returns the number of bytes.
 Save: TypeAlias = Callable[[Any, Path], int]
 
 
@@ -281,8 +281,8 @@ class BakePlan:
     output: Path  # the file to write, or `STDOUT`
     options: BakeOptions
     form: LayerForm
-    reason: str  # why that form
-    target: RigTarget | None  # the rig of a layer
+    reason: str  # reason for the form
+    target: RigTarget | None  # rig of a layer
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # warnings collected so far
@@ -309,8 +309,8 @@ class BakePlan:
         """Paths of the character's prims."""
         if self.target is not None:
             return self.target.paths
-        name, *others = {take.stream.rig.name: None for take in self.takes}
-        if others and self.output != STDOUT:
+        name, *other_names = {take.stream.rig.name: None for take in self.takes}
+        if other_names and self.output != STDOUT:
             name = self.output.stem
         return RigPaths.below(model_path(self.options.prim_path, name))
 
@@ -378,14 +378,14 @@ class BakeState:
     """State of a running bake: a layer in memory and its report so far."""
 
     plan: BakePlan
-    progress: Progress  # progress of the work after the takes
+    progress: Progress  # progress after the takes are read
     runs: list[BakedTake]
-    # None until the first prims have authored them.
+    # None until the first prims create it.
     layer: Any = None
     files: OutputFiles | None = None
     report: BakeReport | None = None
-    growth: Growth | None = None  # of systems
-    read: list[float] = field(default_factory=list)  # spent on making frames [s]
+    growth: Growth | None = None  # frames of systems
+    read: list[float] = field(default_factory=list)  # time to compute frames [s]
 
     def write(self) -> None:
         """Write all files and complete the report."""

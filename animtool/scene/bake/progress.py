@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
-# Told the share done, 0 to 1; None where nobody looks.
+# Called with the fraction done, 0 to 1; None if progress is not shown.
 Progress: TypeAlias = Callable[[float], None] | None
 
 
@@ -36,14 +36,14 @@ def with_progress(
     size: Callable[[Item], int] = _one,
 ) -> Iterator[Item]:
     """Yield items and report how many have been taken."""
-    done = 0
+    taken_size = 0
     if progress is not None:
         progress(0.0)
     for item in items:
         yield item
-        done += size(item)
+        taken_size += size(item)
         if progress is not None and count:
-            progress(min(done / count, 1.0))
+            progress(min(taken_size / count, 1.0))
 
 
 def timed(
@@ -51,9 +51,9 @@ def timed(
 ) -> Iterator[Item]:
     """Yield items and add the time they take to a stage."""
     while True:
-        began = time.perf_counter()
+        started = time.perf_counter()
         item = next(items, None)
-        seconds[stage] += time.perf_counter() - began
+        seconds[stage] += time.perf_counter() - started
         if item is None:
             return
         yield item
@@ -67,8 +67,8 @@ class _End:
 def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
     """Yield the items of an iterator, computing up to ``depth`` ahead in a thread.
 
-    It pays where the iterator spends its time in kernels, which release the GIL. An
-    error of the iterator is raised at its place. Closing the generator stops the
+    This pays off if the iterator spends its time in kernels that release the GIL. An
+    error of the iterator is raised at its position. Closing the generator stops the
     thread.
 
     >>> list(prefetch(iter("abc")))
@@ -76,20 +76,20 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
     """
     import queue
 
-    ready: queue.Queue[Item | _End] = queue.Queue(depth)
-    stopped = threading.Event()
+    item_queue: queue.Queue[Item | _End] = queue.Queue(depth)
+    stop_event = threading.Event()
 
     def put(item: Item | _End) -> None:
-        while not stopped.is_set():
+        while not stop_event.is_set():
             with contextlib.suppress(queue.Full):
-                ready.put(item, timeout=0.1)
+                item_queue.put(item, timeout=0.1)
                 return
 
     def work() -> None:
         try:
             for item in items:
                 put(item)
-                if stopped.is_set():
+                if stop_event.is_set():
                     return
             put(_End())
         except BaseException as error:
@@ -103,14 +103,14 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
     thread.start()
     try:
         while True:
-            item = ready.get()
+            item = item_queue.get()
             if isinstance(item, _End):
                 if item.error is not None:
                     raise item.error
                 return
             yield item
     finally:
-        stopped.set()
+        stop_event.set()
         thread.join()
 
 
@@ -118,15 +118,15 @@ def part_progress(progress: Progress, i: int, count: int) -> Progress:
     """Return the progress callback of one of several tasks."""
     if progress is None or count == 1:
         return progress
-    shown = progress
-    return lambda fraction: shown((i + fraction) / count)
+    progress_of_all = progress
+    return lambda fraction: progress_of_all((i + fraction) / count)
 
 
 class BlockProgress:
     """Progress of blocks that are read, passed through passes and consumed.
 
-    What a pass tells while it works on a block moves the share from where the last
-    block was handed on towards what the source has read.
+    While a pass works on a block, its progress counts from the fraction of the last
+    finished block up to the fraction that the source has read.
     """
 
     def __init__(self, show: Callable[[float], None], passes: int) -> None:
@@ -143,10 +143,10 @@ class BlockProgress:
         """Return the callback by which a pass reports its fraction done."""
 
         def tell(fraction: float) -> None:
-            # A source that does not tell is read whole.
-            end = self._read or 1.0
-            part = (index + fraction) / self._passes
-            self._to(self._begin + (end - self._begin) * part)
+            # A source that reports no progress is read as a whole.
+            read_fraction = self._read or 1.0
+            pass_fraction = (index + fraction) / self._passes
+            self._to(self._begin + (read_fraction - self._begin) * pass_fraction)
 
         return tell
 
@@ -167,7 +167,7 @@ class BlockProgress:
 class ProgressPhases:
     """Progress of work with an unknown number of phases.
 
-    Each phase gets half of what is left.
+    Each phase gets half of the remaining fraction.
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
@@ -184,14 +184,14 @@ class ProgressPhases:
         self._floor = self._shown
         return self._telling(1.0)
 
-    def _telling(self, part: float) -> Callable[[float], None]:
+    def _telling(self, phase_fraction: float) -> Callable[[float], None]:
         floor = self._floor
 
         def tell(fraction: float) -> None:
-            now = floor + (1.0 - floor) * part * min(fraction, 1.0)
-            if now > self._shown:
-                self._shown = now
-                self._show(now)
+            fraction_done = floor + (1.0 - floor) * phase_fraction * min(fraction, 1.0)
+            if fraction_done > self._shown:
+                self._shown = fraction_done
+                self._show(fraction_done)
 
         return tell
 
@@ -213,17 +213,17 @@ class TimeProgress:
         Args:
             begin: When it begins [s].
         """
-        index, span = len(self._shares), self._last - begin
+        index, duration = len(self._shares), self._last - begin
         self._shares.append(0.0)
 
         def tell(t: float) -> None:
-            self._shares[index] = (t - begin) / span if span > 0 else 1.0
+            self._shares[index] = (t - begin) / duration if duration > 0 else 1.0
             self._show(sum(self._shares) / len(self._shares))
 
         return tell
 
 
-# Writing to it resets the peak of Linux to the current level.
+# Writing this resets the peak that Linux counts to the current level.
 _RESET = ("/proc/self/clear_refs", b"5")
 _STATUS = "/proc/self/status"
 
@@ -232,12 +232,12 @@ _STATUS = "/proc/self/status"
 class PeakMemory:
     """Peak resident memory of this process above its level at the start.
 
-    On Linux the system counts the peak from any moment on. Elsewhere it knows one for
-    the life of the process: a later peak that is lower than an earlier one is not seen,
-    and the earlier one stands for it. Windows is not asked.
+    Linux counts the peak from any moment on. Other systems know only the peak since the
+    process started: a later, lower peak is not seen, and the earlier one is returned.
+    It is not supported on Windows.
     """
 
-    # What was held when it was begun [byte]; None where nothing says it.
+    # Level when measuring began [byte]; None if unknown.
     base: int | None = None
 
     def begin(self) -> None:
@@ -250,18 +250,18 @@ class PeakMemory:
         """Return the peak since the last call [byte]; None where unknown."""
         if self.base is None:
             return None
-        most = self._taken()
-        return None if most is None else max(0, most - self.base)
+        peak = self._taken()
+        return None if peak is None else max(0, peak - self.base)
 
     @staticmethod
     def _taken() -> int | None:
-        most = _status_peak()
-        if most is None:
+        peak = _status_peak()
+        if peak is None:
             return _life_peak()
         path, word = _RESET
         with contextlib.suppress(OSError), open(path, "wb", 0) as file:  # noqa: PTH123
             file.write(word)
-        return most
+        return peak
 
 
 def _status_peak() -> int | None:
@@ -282,23 +282,22 @@ def _life_peak() -> int | None:
         return None
     import resource
 
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # Macs count bytes, other systems blocks of 1024.
-    return most if sys.platform == "darwin" else most * 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, other systems blocks of 1024.
+    return peak if sys.platform == "darwin" else peak * 1024
 
 
 @dataclass(slots=True)
 class StageCost:
     """Cost of a stage."""
 
-    name: str  # of a source's file, or of a pass
+    name: str  # name of a source's file, or of a pass
     where: str  # its entry in the scene
-    seconds: float = 0.0  # spent in it, without the stages before it [s]
-    # Most memory that the process held while it ran, beyond what it held at the
-    # beginning [byte], as `PeakMemory` knows it; None where it does not.
+    seconds: float = 0.0  # time spent in it, without the stages before it [s]
+    # Peak memory of the process while it ran, above the level at the beginning [byte];
+    # None if `PeakMemory` does not know it.
     peak: int | None = None
-    # Largest distance in the world by which it missed what it was to reach [m]; None
-    # where it reports none.
+    # Largest distance from its targets in the world [m]; None if it reports none.
     error: float | None = None
     json_keys: ClassVar[str] = "stage=name where seconds~ peak_bytes=peak error"
 
@@ -308,8 +307,8 @@ class OutputCost:
     """Cost of an output."""
 
     name: str  # the file
-    seconds: float | None  # as `StageCost`; None is not known
-    error: float | None  # largest distance by which it is off [m]; likewise
+    seconds: float | None  # as in `StageCost`; None is unknown
+    error: float | None  # largest error [m]; None is unknown
     where: ClassVar[str] = ""
     peak: ClassVar[int | None] = None
     json_keys: ClassVar[str] = "output=name seconds error"
@@ -326,8 +325,8 @@ class BakeStats:
 class Meter:
     """Measures the cost of stages, which may nest.
 
-    Blocks are read late: each stage is counted while its own code runs, and stands
-    still while it waits for the stage before. Memory is looked at from `start` on.
+    Blocks are computed lazily: a stage is charged while its own code runs, not while it
+    waits for the stage before. Memory is measured after `start`.
     """
 
     stages: list[StageCost] = field(default_factory=list)
@@ -380,11 +379,11 @@ class Meter:
 
     def _charge(self) -> None:
         """Charge the time since the last call to the running stage."""
-        now = time.perf_counter()
+        current_time = time.perf_counter()
         peak = self._memory.taken()
         if self._stack:
             stage = self._stack[-1]
-            stage.seconds += now - self._since
+            stage.seconds += current_time - self._since
             if peak is not None:
                 stage.peak = max(stage.peak or 0, peak)
         self._since = time.perf_counter()

@@ -52,18 +52,18 @@ def source_file(source: Source) -> Path:
 class SourceSet:
     """The sources to read."""
 
-    files: list[Path]  # of the sources, in order
-    scenes: dict[Path, Scene]  # sources, scenes loaded
-    # Of each file the take, where that is open already.
+    files: list[Path]  # files of the sources, in order
+    scenes: dict[Path, Scene]  # loaded scenes that are sources, by file
+    # The take of each file, if it is open already.
     takes: tuple[TakeStream | None, ...] = ()
-    # Of each file the name of the take to read; empty where each is read as it is.
+    # Name of the take to read from each file; empty to read each file as a whole.
     names: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> list[Path]:
         """Every input file that is named."""
-        named = [path for scene in self.scenes.values() for path in scene.inputs]
-        return [*self.files, *named]
+        paths = [path for scene in self.scenes.values() for path in scene.inputs]
+        return [*self.files, *paths]
 
     @property
     def unused(self) -> list[Fault]:
@@ -76,40 +76,50 @@ class SourceSet:
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
-                shown = part_progress(progress, i, len(self.files))
+                source_progress = part_progress(progress, i, len(self.files))
                 local_options = options
                 if self.names:
                     read = replace(options.source, take=self.names[i])
                     local_options = replace(options, source=read)
-                streams.append(take or self._open_one(path, local_options, shown))
+                streams.append(
+                    take or self._open_one(path, local_options, source_progress)
+                )
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
             raise errors[0]
         if errors:
-            raise type(errors[0])([fault for e in errors for fault in e.faults])
+            raise type(errors[0])(
+                [fault for open_error in errors for fault in open_error.faults]
+            )
         return streams
 
     def _open_one(
-        self, path: Path, options: BakeOptions, shown: Progress
+        self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
         """Open a source; over a rig, without what joints cannot hold."""
         try:
-            return self._opened(path, options, shown)
+            return self._opened(path, options, source_progress)
         except FormatError as error:
-            uneven = any(fault.code == "USD035" for fault in error.faults)
-            if not uneven or options.rig_layer is None or options.placement is not None:
+            is_uneven = any(fault.code == "USD035" for fault in error.faults)
+            if (
+                not is_uneven
+                or options.rig_layer is None
+                or options.placement is not None
+            ):
                 raise
             # The rig may have the same transform: a layer then lacks nothing.
-            left = replace(options, placement="drop")
-            return self._opened(path, left, shown)
+            without_placement = replace(options, placement="drop")
+            return self._opened(path, without_placement, source_progress)
 
-    def _opened(self, path: Path, options: BakeOptions, shown: Progress) -> TakeStream:
+    def _opened(
+        self, path: Path, options: BakeOptions, source_progress: Progress
+    ) -> TakeStream:
         if path in self.scenes:
             scene = self.scenes[path].forced(
                 force_fit=options.force_fit, placement=options.placement
             )
-            return scene.open(progress=shown)
+            return scene.open(progress=source_progress)
         source_options = fitting_options(options.source, path, self.files)
         source_options = replace(
             source_options,
@@ -117,7 +127,7 @@ class SourceSet:
             shot=options.shot or source_options.shot,
             placement=options.placement,
         )
-        stream = open_source(path, source_options, progress=shown)
+        stream = open_source(path, source_options, progress=source_progress)
         from animtool.retarget.standing import with_source_warnings
 
         return with_source_warnings(
@@ -128,7 +138,7 @@ class SourceSet:
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
     """Return the sources with every take of a file that holds several.
 
-    That is a file alone, without a choice of one of its takes.
+    This applies to a single file if none of its takes is chosen.
     """
     if len(reading.files) != 1 or reading.scenes or reading.takes[0] is not None:
         return reading
@@ -139,15 +149,18 @@ def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
     names = reader.take_names(path)
     if len(names) < 2:
         return reading
-    many = len(names)
-    return SourceSet([path] * many, {}, (None,) * many, tuple(names))
+    take_count = len(names)
+    return SourceSet([path] * take_count, {}, (None,) * take_count, tuple(names))
 
 
 def source_set(sources: Sequence[Source]) -> SourceSet:
     """Return the sources and their files; scenes are loaded."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
-    takes = [one.stream if isinstance(one, OpenTake) else None for one in sources]
+    takes = [
+        source_or_take.stream if isinstance(source_or_take, OpenTake) else None
+        for source_or_take in sources
+    ]
     for path, source in zip(files, sources, strict=True):
         if not isinstance(source, Path | str | OpenTake):
             scenes[path] = source
@@ -172,39 +185,44 @@ def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
 def check_options(
     options: BakeOptions, *, to_stdout: bool, simulated: bool = False
 ) -> None:
-    """Raise `OptionError` where options exclude each other.
+    """Raise `OptionError` if options exclude each other.
 
     Args:
-        options: Of the bake.
-        to_stdout: Whether the output is no file.
+        options: Bake options.
+        to_stdout: Whether the output is stdout.
         simulated: Whether systems are written.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
-    wrong = _layer_clashes(options, form)
+    option_clashes = _layer_clashes(options, form)
     if form == "library":
-        wrong += _library_clashes(options, to_stdout=to_stdout)
-    wrong.append(
+        option_clashes += _library_clashes(options, to_stdout=to_stdout)
+    option_clashes.append(
         (
             form == "split" and to_stdout,
             f"{argument('form', 'split')} writes three files, not stdout",
         )
     )
-    wrong += [(True, message) for message in clashes(options)]
-    wrong += _shot_clashes(options, form)
-    wrong += _deform_clashes(options, form)
-    wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    lonely = options.keep_stopped and not simulated
-    wrong.append(
-        (lonely, f"{argument('keep_stopped', True)} needs a scene with systems")
+    option_clashes += [(True, message) for message in clashes(options)]
+    option_clashes += _shot_clashes(options, form)
+    option_clashes += _deform_clashes(options, form)
+    option_clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    keeps_without_systems = options.keep_stopped and not simulated
+    option_clashes.append(
+        (
+            keeps_without_systems,
+            f"{argument('keep_stopped', True)} needs a scene with systems",
+        )
     )
-    faults = [Fault("CLI002", message) for holds, message in wrong if holds]
+    faults = [
+        Fault("CLI002", message) for applies, message in option_clashes if applies
+    ]
     if faults:
         raise OptionError(faults)
 
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return the options that a rig layer excludes, and whether each is set."""
-    refused = (option.over_layer for option in chosen_options(options).values())
+    reasons = (option.over_layer for option in chosen_options(options).values())
     return [
         (
             form == "layer" and options.rig_layer is None,
@@ -214,7 +232,7 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
             form != "layer" and options.rig_layer is not None,
             f"{argument('rig_layer')} needs {argument('form', 'layer')}",
         ),
-        *((form == "layer", reason) for reason in dict.fromkeys(filter(None, refused))),
+        *((form == "layer", reason) for reason in dict.fromkeys(filter(None, reasons))),
     ]
 
 
@@ -232,19 +250,19 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     shot = options.shot
     if shot is None or not shot.places_media or shot.fps is None:
         return []
-    named = f"shot {shot.name}" if shot.name else "the shot"
+    shot_name = f"shot {shot.name}" if shot.name else "the shot"
     return [
         (
             options.fps != shot.fps,
-            f"{argument('fps', options.fps)} differs from the rate of {named}, "
+            f"{argument('fps', options.fps)} differs from the rate of {shot_name}, "
             f"{rate_label(shot.fps)}",
         ),
         (
             options.start is not None,
-            f"{argument('start')}: {named} begins at {shot.start}, as its timeline "
+            f"{argument('start')}: {shot_name} begins at {shot.start}, as its timeline "
             "states",
         ),
-        (form == "library", f"{named} is not a take of a library"),
+        (form == "library", f"{shot_name} is not a take of a library"),
     ]
 
 
@@ -306,7 +324,7 @@ def of_keys(name: str, path: Path) -> Fault:
 
 
 def default_output(source: Path) -> Path:
-    """Return the output of a source for which none is named.
+    """Return the default output of a source.
 
     >>> default_output(Path("takes/wave.scene.yaml")).name
     'wave.usdc'
@@ -324,14 +342,16 @@ def form_of(options: BakeOptions) -> LayerForm:
 def check_package(path: Path, options: BakeOptions) -> None:
     """Refuse a package whose layers are written to several files (OUT004)."""
     form = form_of(options)
-    refused = {
+    refused_forms = {
         LayerForm.SPLIT: argument("form", "split"),
         LayerForm.LIBRARY: argument("form", "library"),
     }.get(form)
     if options.chunk is not None:
-        refused = argument("chunk")
-    if refused is not None:
-        message = f"a package is one file, but {refused} writes several or adds to one"
+        refused_forms = argument("chunk")
+    if refused_forms is not None:
+        message = (
+            f"a package is one file, but {refused_forms} writes several or adds to one"
+        )
         hint = "write .usdc"
         raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
@@ -348,7 +368,11 @@ def output_files(
         return files
     from animtool.usd.layers.chunks import point_files, system_files
 
-    sets = [point_files(path)] if options.deform else []
-    sets += [system_files(path)] if simulated else []
-    chunks = [file for one in sets for file in (one.manifest, *one.existing_chunks())]
+    file_sets = [point_files(path)] if options.deform else []
+    file_sets += [system_files(path)] if simulated else []
+    chunks = [
+        file
+        for file_set in file_sets
+        for file in (file_set.manifest, *file_set.existing_chunks())
+    ]
     return [*files, *chunks]

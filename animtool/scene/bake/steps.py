@@ -46,12 +46,12 @@ class StepKind(StrEnum):
 class PlanStep:
     """One step of a bake."""
 
-    kind: StepKind  # its name
-    name: str  # A file, or a pass
-    where: str  # its entry in the scene; empty without one
+    kind: StepKind  # kind of step
+    name: str  # name of a file or a pass
+    where: str  # key of its entry in the scene; empty without one
     reads: tuple[str, ...]  # its inputs: files, and parts of the take
     makes: tuple[str, ...]  # its results
-    left_out: tuple[str, ...] = ()  # parts that are left out, each with the reason
+    left_out: tuple[str, ...] = ()  # omitted parts, each with the reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +74,19 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
     steps: list[PlanStep] = []
-    last: _TakeState | None = None
+    take_state: _TakeState | None = None
     for path in reading.files:
         if path in reading.scenes:
-            last = _scene_steps(reading.scenes[path], steps)
+            take_state = _scene_steps(reading.scenes[path], steps)
             continue
         source_options = fitting_options(outputs[0].options.source, path, reading.files)
-        last = _TakeState.of(open_source(path, source_options))
-        steps.append(_source_step(path, "", last))
-    assert last is not None
+        take_state = _TakeState.of(open_source(path, source_options))
+        steps.append(_source_step(path, "", take_state))
+    assert take_state is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
     for entry in outputs:
         systems = len(_written(entry))
-        steps.append(_output_step(entry, replace(last, systems=systems)))
+        steps.append(_output_step(entry, replace(take_state, systems=systems)))
     return steps
 
 
@@ -94,18 +94,18 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
 class _TakeState:
     """Known facts of a take between two steps."""
 
-    rig: Rig  # its joints, shapes and controls
-    moving: frozenset[TakePart]  # parts that hold values
-    curves: tuple[str, ...]  # controls that have a curve
-    dropped: str  # the pass that took their curves away; empty where none did
+    rig: Rig  # joints, shapes and controls
+    moving: frozenset[TakePart]  # parts with values
+    curves: tuple[str, ...]  # controls with a curve
+    dropped: str  # pass that removed the curves; empty if none did
     facts: tuple[str, ...]  # number of frames and tracks
     static: tuple[str, ...]  # static tracks
     tracks: tuple[Track, ...] = ()  # props and other tracks
-    systems: int = 0  # how many systems are simulated beside it
+    systems: int = 0  # number of systems simulated with it
 
     @staticmethod
     def of(stream: TakeStream) -> _TakeState:
-        """Return the known facts of a take that was opened for that."""
+        """Return the known facts of a take that was opened for this purpose."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
@@ -161,8 +161,8 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
     """Add the sources and passes of a scene; return the facts of the result."""
     if len(scene.sources) > 1:
         for source in scene.sources:
-            opened = open_source(source.path, source.options)
-            state = _TakeState.of(opened)
+            source_stream = open_source(source.path, source.options)
+            state = _TakeState.of(source_stream)
             steps.append(_source_step(source.path, source.location.where, state))
     state = _TakeState.of(replace(scene, passes=()).open())
     if len(scene.sources) == 1:
@@ -202,8 +202,8 @@ def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep
 
 def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
     setup, where = system.setup, system.location.where
-    # The scene's own character has the file of the scene.
-    reads = tuple(one for one in setup.reads if one != scene.path.name)
+    # The scene's own character is in the scene's file.
+    reads = tuple(name for name in setup.reads if name != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
     return PlanStep(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
 
@@ -251,7 +251,7 @@ def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
 
 def _drops(entry: ScenePass) -> bool:
     """Return whether a pass may drop the curves of controls."""
-    # How even time is does not depend on the frames.
+    # Whether its time steps are even does not depend on the frames.
     any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     if entry.pass_.even(entry.options, any_clock) is not None:
         return False
@@ -270,13 +270,13 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         for field in fields(options)
         if isinstance(value := getattr(options, field.name), Path)
     ]
-    there = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    available = state.moving | {TakePart.RIG, TakePart.CLOCK}
     if not sees_tracks(entry.pass_):
-        there -= {TakePart.TRACKS}
+        available -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:
         left_out.append("pre-roll: it has no state that would settle")
-    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - there)
+    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - available)
     left_out += [f"{part}: the take has none" for part in lacking]
     if state.curves and not state.dropped and _drops(entry):
         left_out.append("curves of controls: invalid where it changes these")
@@ -284,8 +284,8 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
         StepKind.PASS,
         entry.pass_.name,
         entry.location.where,
-        (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & there)),
-        tuple(_ordered((entry.pass_.changes & there) | _added_parts(entry))),
+        (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & available)),
+        tuple(_ordered((entry.pass_.changes & available) | _added_parts(entry))),
         tuple(left_out),
     )
 
@@ -325,15 +325,18 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     noun = "keys have" if writer is CLIP else f"a {writer.name.upper()} has"
     left_out = []
     if state.tracks:
-        what = counted(len(state.tracks), "thing")
-        left_out.append(f"{what} with it: {noun} no place")
+        track_text = counted(len(state.tracks), "thing")
+        left_out.append(f"{track_text} with it: {noun} no place")
     if state.systems:
         left_out.append(f"{counted(state.systems, 'system')}: they are points")
-    has = {"shapes": TakePart.SHAPES in state.moving, "meshes": bool(state.rig.meshes)}
+    contents = {
+        "shapes": TakePart.SHAPES in state.moving,
+        "meshes": bool(state.rig.meshes),
+    }
     left_out += [
         f"{part}: {noun} no place for them"
-        for part, there in has.items()
-        if there and part not in writer.holds
+        for part, is_present in contents.items()
+        if is_present and part not in writer.holds
     ]
     if state.curves and writer is CLIP:
         left_out.append("curves of controls: keys are fitted to the samples again")
@@ -349,7 +352,7 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
 
 def _named(files: list[Path]) -> list[str]:
     """Return file names, existing ones marked; without files, stdout."""
-    return [f"{path} (exists)" if path.exists() else str(path) for path in files] or [
+    return [f"{file} (exists)" if file.exists() else str(file) for file in files] or [
         "stdout"
     ]
 
@@ -357,7 +360,7 @@ def _named(files: list[Path]) -> list[str]:
 def _left_out(
     options: BakeOptions, form: LayerForm, state: _TakeState
 ) -> Iterator[str]:
-    """Yield the parts of a take that USD does not hold, with the reason."""
+    """Yield the parts of a take that USD does not store, each with the reason."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
@@ -379,7 +382,7 @@ def _left_out(
 
 
 def _of_rig(options: BakeOptions, form: LayerForm, rig: Rig) -> Iterator[str]:
-    """Yield the parts of a rig that USD does not hold, with the reason."""
+    """Yield the parts of a rig that USD does not store, each with the reason."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:

@@ -39,7 +39,7 @@ class RigReport:
     meshes: int
     shapes: int  # its blend shapes
     controls: int
-    physics: int | None  # joint prims written; None where they were not asked for
+    physics: int | None  # number of joint prims written; None if not requested
     notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = (
         "'convert' outputs joints meshes shapes controls physics notices"
@@ -68,10 +68,10 @@ def convert_rig(
     """Convert a rig to a USD rig layer, or to a rig file and its arrays.
 
     Args:
-        source: A file that holds a rig, such as a rig file or a USD file.
+        source: A file that contains a rig, such as a rig file or a USD file.
         output: ``.rig.yaml``, ``.usd``, ``.usda`` or ``.usdc``.
-        prim_path: The character, where a stage has several.
-        physics: Of USD: write joint types and limits to a layer of their own.
+        prim_path: Path of the character, if a stage has several.
+        physics: For USD: write joint types and limits to a separate layer.
         overwrite: Replace files that exist.
         strict: Treat warnings as errors.
 
@@ -104,10 +104,10 @@ class RigJob:
 def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
     """Return the files of a rig in the format of an output, the main file first.
 
-    The arrays beside a rig file are left out: not every rig has some.
+    Arrays of a rig file are not included, since some rigs have none.
     """
-    others = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
-    return [output, *others]
+    physics_files = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
+    return [output, *physics_files]
 
 
 def _report(
@@ -125,8 +125,8 @@ def rig_to_file(job: RigJob) -> RigReport:
     with recorded_inputs() as inputs:
         rig, notices = open_rig(job.source, job.prim_path)
     file = rig_file(rig, job.output, job.source)
-    opened = [job.source, *inputs.opened]
-    check_outputs(file.outputs, opened, overwrite=job.overwrite)
+    read_files = [job.source, *inputs.opened]
+    check_outputs(file.outputs, read_files, overwrite=job.overwrite)
     refuse_warnings(notices, strict=job.strict)
     file.write()
     return _report(file.rig, file.outputs, notices)
@@ -137,8 +137,8 @@ class RigFile:
     """A rig in the form of a rig file, ready to write."""
 
     rig: Rig
-    arrays: StoredArrays  # beside the file
-    outputs: list[Path]  # the files, the rig file last
+    arrays: StoredArrays  # arrays stored next to the file
+    outputs: list[Path]  # output files, the rig file last
 
     def write(self) -> None:
         """Write the rig and its arrays, each atomically."""
@@ -154,8 +154,8 @@ def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
     for suffix in kind_suffixes("rig"):
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
-    moved = source.resolve().parent != output.resolve().parent
-    rig, arrays = with_file(rig, arrays_path, copy_all=moved)
+    changes_folder = source.resolve().parent != output.resolve().parent
+    rig, arrays = with_file(rig, arrays_path, copy_all=changes_folder)
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 
@@ -169,7 +169,7 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
         stream = open_source(source, SourceOptions(prim_path=prim_path))
         frames = sum(block.frames for block in stream.blocks)
     except AnimtoolError:
-        # A rig without animation; its other faults were reported for the rig.
+        # A rig without animation; its other faults were reported with the rig.
         return []
     if frames < 2:
         return []
@@ -190,8 +190,8 @@ def rig_to_usd(job: RigJob) -> RigReport:
     from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=job.strict)
-    _, more = write_rig_layer(rig, output)
+    _, layer_notices = write_rig_layer(rig, output)
     written = None
     if job.physics:
         _, written = write_physics_layer(rig, outputs[1], output)
-    return _report(rig, outputs, notices + more, written)
+    return _report(rig, outputs, notices + layer_notices, written)

@@ -38,24 +38,24 @@ def convert(
 ) -> ConvertReport:
     """Convert a take to BVH, sparse keys or a USD stage.
 
-    Keys go to a clip file, with the rig file that it is for beside it, and the arrays
-    of its meshes and shapes.
+    Keys are written to a clip file, next to its rig file and the arrays of its meshes
+    and shapes.
 
     Args:
-        source: BVH, USD or clip, or a take that is open.
-        output: A USD file, a ``.clip.yaml``, a ``.bvh``, or any other that
-            `animtool.core.writers` names or a plug-in writes.
-        options: What the source is.
+        source: BVH, USD file or clip, or an open take.
+        output: A USD file, a ``.clip.yaml``, a ``.bvh``, or any format that
+            `animtool.core.writers` lists or a plug-in writes.
+        options: Properties of the source.
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
-        reduce: Largest distance that keys may move a joint, or a point 3 cm off it
-            [m]; None is half a millimetre. For clips.
+        reduce: Maximum distance by which keys may displace a joint, or a point 3 cm
+            from it [m]; None is half a millimetre. For clips only.
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
-        base: For an additive take what it is put on: keys are fitted so that the
-            sum is within the tolerance. For clips.
-        rig_file: For clips, a file with the take's rig, which is then named; None
+        base: For an additive take: its base take. Keys are fitted so that the sum is
+            within the tolerance. For clips only.
+        rig_file: For clips: a file with the take's rig, to which the clip refers; None
             writes one.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: The source is malformed.
@@ -98,14 +98,14 @@ def convert_with_passes(
     Args:
         source: BVH, USD or clip.
         output: As `convert` takes it.
-        passes: Each with its options, in their order.
-        reading: What the source is.
+        passes: Passes in order, each with its options.
+        reading: Properties of the source.
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        OptionError: Options make no sense, for any take or for this one.
+        OptionError: Options are invalid, for any take or for this one.
         AnimtoolError: As `convert` does.
     """
     for pass_, options in passes:
@@ -126,9 +126,9 @@ def convert_with_passes(
             stream.notices = [*stream.notices, *context.notices]
         report = bake_take(stream, outline)
     scores = [
-        one.of_pass(pass_.name, "")
+        score.of_pass(pass_.name, "")
         for (pass_, _), context in zip(passes, contexts, strict=True)
-        for one in context.scores
+        for score in context.scores
     ]
     return replace(_as_conversion(report, output), scores=scores)
 

@@ -36,7 +36,7 @@ class EntryLocation:
     line: int  # 1-based
     column: int  # 1-based
     where: str  # such as ``passes[1].trim``
-    # Line and column of keys that are there below it.
+    # Line and column of the keys present below it.
     keys: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
 
     def fault(
@@ -114,10 +114,11 @@ class SceneSource:
     path: Path  # the file
     options: SourceOptions  # how to open it
     location: EntryLocation  # of the entry
-    # Of several sources, its tracks; None is those that move.
+    # For several sources: its tracks; None uses all moving ones.
     tracks: TrackNames | None = None
-    timecode: str | None = None  # SMPTE time code of its first frame; None states none
-    # Frames a second that this counts; None is the source's rate.
+    # SMPTE time code of its first frame; None if not stated.
+    timecode: str | None = None
+    # Frames a second that the time code counts; None is the source's rate.
     timecode_fps: Fraction | None = None
 
 
@@ -125,11 +126,10 @@ class SceneSource:
 class SceneProp(PropRequest):
     """A prop of a scene: camera, object or attributes."""
 
-    # Time code of its file that comes with the first frame; None is the number of that
-    # frame.
+    # Time code of its file at the first frame; None is the number of that frame.
     frame: Fraction | None
-    # Whether passes retime it with the take; else it has the frames of what comes out
-    # of them.
+    # Whether passes retime it with the take; otherwise it is sampled at the output's
+    # frames.
     retimed: bool
     location: EntryLocation  # of the entry
 
@@ -139,23 +139,23 @@ class ScenePass:
     """One entry of a scene's passes."""
 
     pass_: Pass  # the pass
-    options: Any  # its own record
+    options: Any  # its options record
     location: EntryLocation  # of the entry
-    files: tuple[Path, ...] = ()  # that its colliders go with
+    files: tuple[Path, ...] = ()  # files that its colliders follow
 
 
 @dataclass(frozen=True, slots=True)
 class SystemFacts:
     """Size, method and step of a system, before it is simulated."""
 
-    counts: dict[str, int]  # its elements, by kind
-    method: str  # its solver, or its integrator
+    counts: dict[str, int]  # number of elements by kind
+    method: str  # its solver or integrator
     step: float | None  # maximum step [s]; None leaves it to the method
-    # Meshes of files included; those of characters are not counted.
+    # Includes meshes of files; excludes those of characters.
     colliders: int
 
 
-STEPS = "steps"  # name of the settings of a kind without methods
+STEPS_METHOD = "steps"  # method name of kinds without methods
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,13 +163,13 @@ class SystemSetup:
     """A system as its file describes it."""
 
     spec: SystemSpec
-    around: Any  # its colliders: `Surroundings`
-    # Parsed entries of keys that are neither plain nor colliders, by key.
+    around: Any  # its colliders, as `Surroundings`
+    # Parsed entries of keys that are neither plain values nor colliders, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
-    record: EntryRecord | None = None  # record that the spec builds from them
-    at: Location = ()  # place of the entry
+    record: EntryRecord | None = None  # record that the spec builds from the parts
+    at: Location = ()  # location of the entry
     carriers: tuple[Path, ...] = ()  # files of its carriers
-    resume: Path | None = None  # file of a state to go on from
+    resume: Path | None = None  # file of the state to resume
 
     @property
     def _shown_record(self) -> SystemSpec | EntryRecord:
@@ -190,7 +190,7 @@ class SystemSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that it reads besides the scene."""
-        characters = (Path(one.file) for one in self.around.characters)
+        characters = (Path(character.file) for character in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 
@@ -202,14 +202,14 @@ class SystemSetup:
     @property
     def makes(self) -> str:
         """Text of its result."""
-        by = "" if self.method == STEPS else f" by {self.method}"
+        method_text = "" if self.method == STEPS_METHOD else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
-        return f"{self._shown_record.title},{by}{steps}"
+        return f"{self._shown_record.title},{method_text}{steps}"
 
     @property
     def method(self) -> str:
         """Its method, or ``steps`` for a kind without methods."""
-        return str(getattr(self.spec, self.spec.method_key, STEPS))
+        return str(getattr(self.spec, self.spec.method_key, STEPS_METHOD))
 
     @property
     def facts(self) -> SystemFacts:
@@ -222,12 +222,12 @@ class SystemSetup:
 class SceneSystem:
     """One entry of a scene's systems."""
 
-    name: str  # of its prim
-    kind: str  # of `SYSTEM_KINDS`
+    name: str  # name of its prim
+    kind: str  # key of `SYSTEM_KINDS`
     setup: SystemSetup  # its setup
     location: EntryLocation  # of the entry
-    written: bool = True  # whether it goes into the output; else another needs it
-    # What lengths of its entry count, as the scene states it; None states nothing.
+    written: bool = True  # whether it is written; otherwise another system needs it
+    # Unit of lengths that the scene states for its entry; None if not stated.
     unit: LengthUnit | None = None
 
 
@@ -235,8 +235,8 @@ class SceneSystem:
 class SceneOutput:
     """One output of a scene."""
 
-    path: Path | None  # the file to write; None where it names none
-    bake: BakeOptions  # its options, with those of the scene
+    path: Path | None  # file to write; None if not named
+    bake: BakeOptions  # its options, merged with those of the scene
     location: EntryLocation  # of the entry
-    # Names of those that go into it; None is all.
+    # Names of its systems; None is all.
     systems: tuple[str, ...] | None = None

@@ -6,7 +6,7 @@ import re
 from fractions import Fraction
 
 from animtool.core.errors import excerpt
-from animtool.core.rates import LARGEST_FRAME, FractionLike, exact_number
+from animtool.core.rates import MAX_FRAME, FractionLike, exact_number
 from animtool.core.shot import FrameList, FrameRange
 
 # Ends and a step of a range in the form of other tools.
@@ -96,8 +96,8 @@ def parse_frame(text: FractionLike) -> Fraction:
         frame = exact_number(text)
     except (ValueError, ArithmeticError) as error:
         raise ValueError(f"{excerpt(str(text))} is not a frame such as 1001") from error
-    if abs(frame) > LARGEST_FRAME:
-        raise ValueError(f"frame {text!r} is beyond {LARGEST_FRAME}")
+    if abs(frame) > MAX_FRAME:
+        raise ValueError(f"frame {text!r} is beyond {MAX_FRAME}")
     return frame
 
 

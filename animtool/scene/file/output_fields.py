@@ -31,8 +31,8 @@ class KeyReader:
     """Reads the values of keys and records their faults."""
 
     document: Document
-    roots: tuple[Path, ...]  # folders that files may be in
-    code: str  # of a value that is none
+    roots: tuple[Path, ...]  # folders that may contain files
+    code: str  # code for an invalid value
 
     def parsed(
         self, at: Location, value: Any, parse: Callable[[Any], Value]
@@ -62,11 +62,11 @@ def option_keys(
     """Return the arguments of an options record that a model's keys set.
 
     Args:
-        record: Of options.
-        model: Of `with_fields`, of this place.
-        file_kind: The kind of file.
-        at: Where the model is in its file.
-        reader: Reads and records faults.
+        record: Class of the options.
+        model: Model of `with_fields` for this location.
+        file_kind: Kind of file.
+        at: Location of the model in its file.
+        reader: Reads values and records faults.
     """
     values, options = {}, options_of(record)
     for name, key in keys_of(record, file_kind).items():
@@ -88,7 +88,9 @@ def _value(kind: OptionKind, value: Any, at: Location, reader: KeyReader) -> Any
             name: reader.parsed((*at, name), text, parse_length)
             for name, text in value.items()
         }
-        return tuple((name, v) for name, v in lengths.items() if v is not None)
+        return tuple(
+            (name, length) for name, length in lengths.items() if length is not None
+        )
     parse = _PARSERS.get(kind)
     return value if parse is None else reader.parsed(at, value, parse)
 
@@ -119,7 +121,7 @@ class OutputReader:
     """Reads the outputs of a scene.
 
     Attributes:
-        start: Time code of its first frame; None where it states none.
+        start: Time code of the first frame; None if not stated.
     """
 
     def __init__(
@@ -127,8 +129,8 @@ class OutputReader:
     ) -> None:
         self._keys, self._model, self._roots = keys, model, output_roots
         shot = model.shot
-        stated = None if shot is None else shot.start
-        self.start = None if stated is None else Fraction(stated)
+        shot_start = None if shot is None else shot.start
+        self.start = None if shot_start is None else Fraction(shot_start)
 
     @property
     def _document(self) -> Document:
@@ -206,28 +208,28 @@ class OutputReader:
         return Path(name) if path is None else path
 
     def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
-        """Refuse keys of other kinds of files."""
-        allowed = {"file", "start", *writer.options}
-        for name in sorted(model.model_fields_set - allowed):
+        """Refuse keys that do not apply to the file's format."""
+        allowed_keys = {"file", "start", *writer.options}
+        for name in sorted(model.model_fields_set - allowed_keys):
             message = f"{name} does not apply to a {writer.name} file"
-            hint = f"its keys are {', '.join(sorted(allowed))}"
+            hint = f"its keys are {', '.join(sorted(allowed_keys))}"
             self._document.add("SCN039", (*at, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
-        """Return the frames to write: a range, or the cut and its handles."""
-        shot, of_shot = self._model.shot, self._shot()
+        """Return the frames to write: a range, or the cut with its handles."""
+        shot, with_handles = self._model.shot, self._shot()
         at: Location = ("range",) if shot is None else ("shot", "cut")
-        ends = self._model.range if shot is None else shot.cut
+        frame_ends = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
             message = "the cut of the shot already sets the frames to write"
             hint = "remove range or shot"
             self._document.add("SCN041", ("range",), message, hint)
-        if ends is None:
+        if frame_ends is None:
             return None
-        first, last = ends
+        first, last = frame_ends
         if first > last:
             message = f"the {at[-1]} from {first} to {last} is reversed"
             self._document.add("SCN003", at, message, f"write [{last}, {first}]")
-        if of_shot is not None:
-            return FrameRange(of_shot.start, of_shot.end)
+        if with_handles is not None:
+            return FrameRange(with_handles.start, with_handles.end)
         return FrameRange(first, last)

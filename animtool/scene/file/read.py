@@ -50,8 +50,8 @@ from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import AROUND
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
-# It reads whole scenes, where they are characters.
-COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
+# Reads whole scenes as characters, so it is loaded by name.
+COLLIDER_READER_NAME = "animtool.scene.systems.entries:EntryReader"
 
 
 def load_scene(
@@ -64,11 +64,11 @@ def load_scene(
 
     Args:
         path: The file.
-        variables: Values of ``${name}`` in it, which come before those that it gives
-            itself; it need not use them all, see `Scene.variables`. Files below an
-            absolute path among them may be read, wherever that is.
-        parts: Those of them that other files state, such as names of clips. In names
-            of files to write they are a part of one name.
+        variables: Values of ``${name}`` in the file, which override its own; unused
+            ones are allowed, see `Scene.variables`. Files below an absolute path among
+            them may be read, wherever it is.
+        parts: Variables whose values come from other files, such as names of clips. In
+            names of output files they are part of one file name.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
@@ -89,11 +89,11 @@ def scene_of_document(
     keys = model_for(document.value)
     resolved = resolve_variables(document, keys, values, parts)
     model = validated(document, keys)
-    named = {
+    variable_folders = {
         name: Path(text) for name, text in values.items() if Path(text).is_absolute()
     }
-    written = [path for name, path in named.items() if name not in parts]
-    reader = _SceneReader(document, model, list(named.values()), written)
+    written = [path for name, path in variable_folders.items() if name not in parts]
+    reader = _SceneReader(document, model, list(variable_folders.values()), written)
     scene = replace(
         reader.scene(),
         variables=resolved.names,
@@ -102,9 +102,9 @@ def scene_of_document(
         notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
     if document.faults and scene.systems:
-        # Loaded by name: systems open scenes themselves.
-        refused: Any = load_object("animtool.scene.systems.simulation:refused")
-        document.faults += refused(document, scene.systems)
+        # Loaded by name, since systems open scenes themselves.
+        check_systems: Any = load_object("animtool.scene.systems.simulation:refused")
+        document.faults += check_systems(document, scene.systems)
     document.check()
     return scene
 
@@ -112,18 +112,18 @@ def scene_of_document(
 def _expand_short_forms(document: Document) -> None:
     """Expand ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24``."""
     value = document.value
-    full: dict[str, Any] = {}
+    expanded: dict[str, Any] = {}
     for key in ("source", "output"):
         if isinstance(value.get(key), str):
-            full[key] = {"file": value[key]}
+            expanded[key] = {"file": value[key]}
     span = value.get("range")
-    ends = isinstance(span, str) and re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", span)
-    if ends:
-        full["range"] = [int(ends[1]), int(ends[2])]
-    if full:
-        # The places of values are numbered as they are in the file.
+    match = isinstance(span, str) and re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", span)
+    if match:
+        expanded["range"] = [int(match[1]), int(match[2])]
+    if expanded:
+        # Locations of values are as in the file.
         document.position(())
-        value.update(full)
+        value.update(expanded)
 
 
 def stated_rate(path: Path) -> Fraction | None:
@@ -139,9 +139,9 @@ def stated_rate(path: Path) -> Fraction | None:
 _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
-def _overlap(one: str, other: str) -> bool:
+def _overlap(path: str, other: str) -> bool:
     """Return whether one path is the other or below it."""
-    return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
+    return f"{path}/".startswith(f"{other}/") or f"{other}/".startswith(f"{path}/")
 
 
 class _SceneReader:
@@ -149,12 +149,12 @@ class _SceneReader:
         self,
         document: Document,
         model: SceneModel,
-        named: list[Path],
+        variable_folders: list[Path],
         written: list[Path],
     ) -> None:
         self.document, self.model = document, model
         roots = project_roots(document.path)
-        self.keys = KeyReader(document, (*roots, *named), "SCN003")
+        self.keys = KeyReader(document, (*roots, *variable_folders), "SCN003")
         self.output_roots = (*roots, *written)
         self.units = SceneUnits.of(model.units.length, model.units.angle)
 
@@ -201,7 +201,7 @@ class _SceneReader:
             return None
         at: Location = ("systems", i, kind)
         spec = getattr(entry, kind)
-        # Loaded by name: systems open scenes themselves.
+        # Loaded by name, since systems open scenes themselves.
         read: Any = load_object("animtool.scene.systems.derived:read_spec")
         setup = read(self.document, at, spec, self.keys.roots, self.units)
         if setup is None:
@@ -212,7 +212,7 @@ class _SceneReader:
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
-        known = ", ".join(SYSTEM_KINDS)
+        kind_names = ", ".join(SYSTEM_KINDS)
         if len(kinds) == 1:
             return kinds[0]
         if kinds:
@@ -221,12 +221,12 @@ class _SceneReader:
             self.document.add("SCN065", at, message, hint)
         elif not self._written_systems()[at[1]]:
             self.document.add(
-                "SCN065", at, "its kind is missing", f"the kinds are {known}"
+                "SCN065", at, "its kind is missing", f"the kinds are {kind_names}"
             )
         return None
 
     def _written_systems(self) -> Any:
-        """Return the raw entries of systems, under a misspelt key too."""
+        """Return the raw entries of systems, even under a misspelt key."""
         written = self.document.spellings.get(("systems",), "systems")
         return self.document.value[written]
 
@@ -270,17 +270,17 @@ class _SceneReader:
         if not _PRIM_PATH.fullmatch(path):
             message = f"{path!r} is not a path such as Props/box or /World/box"
             self.document.add("SCN048", (*at, "path"), message)
-        shown: Path | None = None
+        reference: Path | None = None
         if isinstance(model.reference, str):
-            shown = self.keys.read_file((*at, "reference"), model.reference)
+            reference = self.keys.read_file((*at, "reference"), model.reference)
         elif model.reference:
-            shown = file
+            reference = file
         return SceneProp(
             file,
             model.prim,
             path,
             tuple(model.attributes),
-            shown,
+            reference,
             frame=None if model.frame is None else Fraction(repr(model.frame)),
             retimed=model.retimed,
             location=entry_location(self.document, at),
@@ -301,7 +301,7 @@ class _SceneReader:
             message = "the first source always provides everything it has"
             hint = "list under tracks: what each of the others replaces"
             self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
-        # Others than clips are brought onto the rig of the first as they are joined.
+        # Sources other than clips are mapped to the rig of the first when joined.
         return tuple(
             self._source(
                 ("source", i),
@@ -318,7 +318,9 @@ class _SceneReader:
         keys = option_keys(SourceOptions, model, "scene", at, self.keys)
         tracks = None
         if model.tracks is not None:
-            tracks = TrackNames(**{name: tuple(of) for name, of in model.tracks})
+            tracks = TrackNames(
+                **{name: tuple(patterns) for name, patterns in model.tracks}
+            )
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
@@ -356,8 +358,8 @@ class _PassReader:
             document.add(fault.code, at, fault.message, fault.hint)
             return None
         values = renamed_options(document, at, values, "scene")
-        converted = self.units.pass_options(name, values)
-        options, faults = record_of_options(pass_.options, converted, name)
+        converted_values = self.units.pass_options(name, values)
+        options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
             document.add(fault.code, (*at, *key), fault.message, fault.hint)
         if options is None:
@@ -369,7 +371,7 @@ class _PassReader:
         if faults:
             return None
         if name == "simulate":
-            warn_of_sizes(document, at, converted)
+            warn_of_sizes(document, at, converted_values)
         return ScenePass(pass_, options, entry_location(document, at), files)
 
     def _with_colliders(
@@ -384,13 +386,16 @@ class _PassReader:
         }
         if not entries:
             return options, ()
-        kind: Any = load_object(COLLIDER_READER)
+        kind: Any = load_object(COLLIDER_READER_NAME)
         reader = kind(self.keys.document, self.keys.roots, self.units)
-        read = {
+        read_entries = {
             name: reader.around(at, name, models) for name, models in entries.items()
         }
-        files = [*reader.files, *(Path(one.file) for one in read.get("characters", ()))]
-        return replace(options, **read), tuple(files)
+        files = [
+            *reader.files,
+            *(Path(character.file) for character in read_entries.get("characters", ())),
+        ]
+        return replace(options, **read_entries), tuple(files)
 
 
 def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:

@@ -308,25 +308,27 @@ def full_model() -> type[SceneModel]:
 def model_for(written: Any) -> type[SceneModel]:
     """Return a model that reads a scene as `full_model` does.
 
-    It knows the kinds of systems that the scene names, and no other is imported. Of a
-    key that no scene has, or an entry that is no mapping, any kind may be meant.
+    It includes only the kinds of systems that the scene names, so that no other is
+    imported. If a key is unknown, or an entry is not a mapping, all kinds are included.
     """
-    known = {field.alias or name for name, field in SceneModel.model_fields.items()}
-    if not isinstance(written, dict) or not known.issuperset(written):
+    known_keys = {
+        field.alias or name for name, field in SceneModel.model_fields.items()
+    }
+    if not isinstance(written, dict) or not known_keys.issuperset(written):
         return full_model()
     systems = written.get("systems") or []
     entries = systems if isinstance(systems, list) else [systems]
     if not all(isinstance(entry, dict) for entry in entries):
         return full_model()
-    named = {kind for entry in entries for kind in entry}
-    if not named.issubset(SYSTEM_KINDS):
+    named_kinds = {kind for entry in entries for kind in entry}
+    if not named_kinds.issubset(SYSTEM_KINDS):
         return full_model()
-    return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named))
+    return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named_kinds))
 
 
 @cache
 def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
-    # Of an entry's kinds one is given; that one may not be nothing.
+    # An entry has one of the kinds, whose value must not be null.
     unset: Any = None
     fields: dict[str, Any] = {
         name: (

@@ -22,7 +22,7 @@ class TrackNames:
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
-    controls: tuple[str, ...] = ()  # of controls; the tracks they drive are included
+    controls: tuple[str, ...] = ()  # controls; the tracks they drive are included
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Tracks:
         return [getattr(rig, kind)[i].name for kind in KINDS for i in self.of(kind)]
 
     def also_in(self, other: Tracks) -> Tracks:
-        """Return the tracks that another selection has too."""
+        """Return the tracks that another selection contains too."""
         return Tracks(*(np.intersect1d(self.of(k), other.of(k)) for k in KINDS))
 
 
@@ -57,7 +57,7 @@ class UnknownTrack:
 
     kind: str  # ``joints``, ``shapes`` or ``controls``
     pattern: str
-    known: list[str]  # names that could be meant
+    known: list[str]  # valid names, for hints
 
 
 def chosen_tracks(
@@ -65,17 +65,20 @@ def chosen_tracks(
 ) -> tuple[Tracks, list[UnknownTrack]]:
     """Return the tracks of two rigs that match patterns, and unmatched patterns.
 
-    What a chosen control drives is chosen too, as a motion holds what came of it.
+    Tracks driven by a chosen control are chosen too, since a motion stores their
+    values.
     """
     rig, unknown = names.rig, []
     chosen: dict[str, set[int]] = {kind: set() for kind in KINDS}
     for kind in KINDS:
-        there = np.flatnonzero(getattr(names, kind) >= 0).tolist()
-        known = {getattr(rig, kind)[i].name: i for i in there}
+        mapped_indices = np.flatnonzero(getattr(names, kind) >= 0).tolist()
+        index_by_name = {getattr(rig, kind)[i].name: i for i in mapped_indices}
         for pattern in getattr(requested, kind):
-            fitting = {i for name, i in known.items() if fnmatchcase(name, pattern)}
+            fitting = {
+                i for name, i in index_by_name.items() if fnmatchcase(name, pattern)
+            }
             if not fitting:
-                unknown.append(UnknownTrack(kind, pattern, list(known)))
+                unknown.append(UnknownTrack(kind, pattern, list(index_by_name)))
             chosen[kind] |= fitting
     _add_driven(rig, chosen)
     tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
@@ -85,18 +88,20 @@ def chosen_tracks(
 def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
     """Add the tracks that selected controls drive, recursively."""
     indices = {
-        kind.removesuffix("s"): {e.name: i for i, e in enumerate(getattr(rig, kind))}
+        kind.removesuffix("s"): {
+            element.name: i for i, element in enumerate(getattr(rig, kind))
+        }
         for kind in KINDS
     }
-    waiting = sorted(chosen["controls"])
-    while waiting:
-        for drive in rig.controls[waiting.pop()].drives:
+    pending = sorted(chosen["controls"])
+    while pending:
+        for drive in rig.controls[pending.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
             index = indices[kind][name]
             if kind == "control" and index not in chosen["controls"]:
-                waiting.append(index)
+                pending.append(index)
             chosen[f"{kind}s"].add(index)
 
 
@@ -108,14 +113,16 @@ def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
         channel: Channel | None = getattr(motion, kind)
         if channel is None:
             return np.zeros(0, np.int64)
-        rest: Channel | None = getattr(at_rest, kind)
-        moves = (channel.rest != (1.0 if rest is None else rest.rest)).any(axis=1)
-        moves[channel.animated] = True
-        return np.flatnonzero(moves)
+        rest_channel: Channel | None = getattr(at_rest, kind)
+        is_moving = (
+            channel.rest != (1.0 if rest_channel is None else rest_channel.rest)
+        ).any(axis=1)
+        is_moving[channel.animated] = True
+        return np.flatnonzero(is_moving)
 
     joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
-    moving = np.unique(np.concatenate(joints))
-    return _within(Tracks(moving, moved("weights"), moved("controls")), names)
+    joint_indices = np.unique(np.concatenate(joints))
+    return _within(Tracks(joint_indices, moved("weights"), moved("controls")), names)
 
 
 def rest_motion(rig: Rig) -> Motion:
@@ -144,12 +151,14 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
     def optional(
         name: str, chosen: IntArray, neutral: float | FloatArray
     ) -> Channel | None:
-        mine: Channel | None = getattr(base, name)
-        theirs: Channel | None = getattr(other, name)
-        if not len(chosen) or (mine is None and theirs is None):
-            return mine
-        mine = mine or _steady(theirs, neutral)
-        return _replaced(mine, theirs or _steady(mine, neutral), chosen)
+        base_channel: Channel | None = getattr(base, name)
+        other_channel: Channel | None = getattr(other, name)
+        if not len(chosen) or (base_channel is None and other_channel is None):
+            return base_channel
+        base_channel = base_channel or _steady(other_channel, neutral)
+        return _replaced(
+            base_channel, other_channel or _steady(base_channel, neutral), chosen
+        )
 
     return Motion(
         _replaced(base.translations, other.translations, tracks.joints),
@@ -167,13 +176,18 @@ def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
     return Channel.static(rest, len(like.values))
 
 
-def _replaced(mine: Channel, theirs: Channel, chosen: IntArray) -> Channel:
+def _replaced(channel: Channel, replacement: Channel, chosen: IntArray) -> Channel:
     """Return a channel with some entries replaced by those of another."""
-    rest = mine.rest.copy()
-    rest[chosen] = theirs.rest[chosen]
-    stay = ~np.isin(mine.animated, chosen)
-    come = np.isin(theirs.animated, chosen)
-    animated = np.concatenate([mine.animated[stay], theirs.animated[come]])
-    values = np.concatenate([mine.values[:, stay], theirs.values[:, come]], axis=1)
+    rest_values = channel.rest.copy()
+    rest_values[chosen] = replacement.rest[chosen]
+    kept_columns = ~np.isin(channel.animated, chosen)
+    replaced_columns = np.isin(replacement.animated, chosen)
+    animated = np.concatenate(
+        [channel.animated[kept_columns], replacement.animated[replaced_columns]]
+    )
+    values = np.concatenate(
+        [channel.values[:, kept_columns], replacement.values[:, replaced_columns]],
+        axis=1,
+    )
     order = np.argsort(animated, kind="stable")
-    return Channel(rest, animated[order], values[:, order])
+    return Channel(rest_values, animated[order], values[:, order])

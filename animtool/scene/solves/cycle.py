@@ -25,8 +25,8 @@ class LoopResult:
     source: Path
     output: Path | None
     cycle: Cycle
-    seconds: float  # its length
-    notices: list[Fault]  # frames that were written, if any
+    seconds: float  # duration of the cycle [s]
+    notices: list[Fault]  # notices, including those of written frames
     written: ConvertReport | None = None
     json_keys: ClassVar[str] = (
         "'loop' source output first=cycle.first last=cycle.last seconds "
@@ -49,11 +49,11 @@ def loop_source(
     Args:
         source: BVH, USD or clip.
         output: ``.bvh``, ``.clip.yaml`` or a USD file; None writes nothing.
-        options: The cycle, or where it is looked for.
-        reading: What the source is.
+        options: The cycle, or where to search for it.
+        reading: Properties of the source.
         overwrite: Replace outputs that exist.
         strict: Treat warnings as errors.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         OptionError: There is no cycle (SCN018), or a frame is outside the take
@@ -69,12 +69,12 @@ def loop_source(
     with faults_in(source):
         if options.find:
             lengths = {"shortest": options.shortest, "longest": options.longest}
-            best = find_cycle(take, options.first, options.last, **lengths)
+            cycle = find_cycle(take, options.first, options.last, **lengths)
         else:
-            best = measure_cycle(take, options.first, options.last)
-    seconds = (best.last - best.first) / float(take.clock.fps)
-    notices = [*stream.notices, *cycle_notices(best, searched=options.find)]
-    result = LoopResult(source, output, best, seconds, notices)
+            cycle = measure_cycle(take, options.first, options.last)
+    seconds = (cycle.last - cycle.first) / float(take.clock.fps)
+    notices = [*stream.notices, *cycle_notices(cycle, is_searched=options.find)]
+    result = LoopResult(source, output, cycle, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)
         return result

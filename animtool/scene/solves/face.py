@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from animtool.capture.cameras.camera import Camera
     from animtool.scene.bake.bake import OutputReport
 
-# From a world with Z up to one with Y up.
+# Rotation from a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-# A mean head rotation beyond this means that the axes differ from the rig's.
+# A larger mean head rotation indicates axes that differ from the rig's.
 MAX_MEAN_ROTATION = np.radians(75)
 
 
@@ -50,15 +50,15 @@ class FaceJob:
     capture: Path  # npz with landmarks, or a file of markers
     rig: Path  # rig file or USD file
     output: Path | None = None  # USD file or ``.clip.yaml``; None writes nothing
-    # Landmarks file of the rig; None takes the face that the capture brings.
+    # Landmarks file of the rig; None uses the face that the capture contains.
     landmarks: Path | None = None
     remap: Path | None = None  # remap file from the capture's shapes to the rig's
     camera: Path | None = None  # camera file, for landmarks in pixels
-    camera_name: str | None = None  # of the camera, where the file has several
+    camera_name: str | None = None  # name of the camera, if the file has several
     options: FaceOptions = field(default_factory=FaceOptions)
-    # What the capture is.
+    # Properties of the capture.
     reading: SourceOptions = field(default_factory=SourceOptions)
-    # `overwrite` and `strict` of it are for what the take is written to.
+    # Its `overwrite` and `strict` apply to all outputs.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
@@ -78,7 +78,7 @@ class FaceResult:
     pixels: bool  # whether residuals are in pixels
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
-    # Pixels a metre at the face, of landmarks in pixels.
+    # Pixels a metre at the face, for landmarks in pixels.
     pixels_per_meter: float | None = None
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
@@ -118,8 +118,8 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Fit a face to its landmarks and write the take.
 
     Args:
-        job: What to do.
-        progress: Called with the share done, 0 to 1.
+        job: Arguments of the solve.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed.
@@ -137,21 +137,21 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face fitted to its landmarks, without writing it."""
-    began = time.perf_counter()
+    started = time.perf_counter()
     capture = read_capture(
         job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
     )
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
-    points, point_notices = in_order(capture, model)
-    camera, points = _undistorted(job, capture, points)
-    read = time.perf_counter()
+    landmark_points, point_notices = in_order(capture, model)
+    camera, landmark_points = _undistorted(job, capture, landmark_points)
+    read_at = time.perf_counter()
     with faults_in(job.capture):
-        model = _proportions(job.options, model, points, camera is not None)
+        model = _proportions(job.options, model, landmark_points, camera is not None)
         fit = fit_face(
             model,
-            points,
+            landmark_points,
             float(capture.clock.rate),
             smooth=job.options.smooth,
             camera=camera,
@@ -162,14 +162,17 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         message = f"{rig.name!r} has no face shape"
         hint = f"pair them with {argument('source.remap')}"
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
-    head = job.options.head or ("rotation" if camera is None else "none")
+    head_motion = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
         fit = _turned_up(fit)
-    motion, more = face_motion(fit, links, rig, head)
+    motion, more = face_motion(fit, links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *more]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
-    seconds = {"read": read - began, "solve": time.perf_counter() - read}
+    seconds = {
+        "read": read_at - started,
+        "solve": time.perf_counter() - read_at,
+    }
     scale = None
     if camera is not None:
         scale = float(camera[0] / np.median(fit.translations[:, 2]))

@@ -209,7 +209,7 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     """Return the index of a take's frame; None is the first.
 
     Args:
-        take: Of a file.
+        take: Take of a file.
         frame: Its time code.
         path: The file.
 
@@ -235,11 +235,11 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
     Args:
         job: What to do.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed.
-        OptionError: An option makes no sense, or the output exists.
+        OptionError: An option is invalid, or the output exists.
         OutputError: The output cannot be written.
         MissedGoalsError: A goal is missed by more than the tolerance, and ``strict`` is
             on.

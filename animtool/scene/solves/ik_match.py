@@ -69,7 +69,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
 
     Args:
         job: What to do.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed.

@@ -43,26 +43,29 @@ if TYPE_CHECKING:
 class MocapSolveJob:
     """Arguments of `animtool mocap solve`."""
 
-    source: Path  # file of markers
-    template: Path  # where they are
-    rig: Path | None = None  # None is the one that the template names
+    source: Path  # marker file
+    template: Path  # template file: where markers are on the rig
+    rig: Path | None = None  # rig file; None is the rig that the template names
     static: Path | None = None  # take of the subject standing at rest
-    calibrate: bool = False  # fit bones and offsets first
-    # What the source is.
+    calibrate: bool = False  # fit bone lengths and marker offsets first
+    # Properties of the source.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: SolveOptions = field(default_factory=SolveOptions)
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
     write_rig: Path | None = None  # rig file of the subject to write
-    write_template: Path | None = None  # and its template
-    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    write_template: Path | None = None  # template of the subject to write
+    # USD options; its `reduce`, `overwrite` and `strict` apply to all outputs.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
     def target(self) -> SolvedOutput:
         """The output, without the arrays of a rig."""
-        others, rig = (self.write_rig, self.write_template), self.write_rig or self.rig
-        return SolvedOutput.of(self.output, self.source, self.bake, rig, others)
+        subject_files, rig = (
+            (self.write_rig, self.write_template),
+            self.write_rig or self.rig,
+        )
+        return SolvedOutput.of(self.output, self.source, self.bake, rig, subject_files)
 
 
 @dataclass(slots=True)
@@ -96,8 +99,8 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     """Solve a capture on a rig and write the motion.
 
     Args:
-        job: What to do.
-        progress: Called with the share done, 0 to 1.
+        job: Arguments of the solve.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed.
@@ -111,8 +114,8 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     target = job.target
     template = load_template(job.template)
     rig_path = named_rig(template, job.rig, job.template)
-    named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    target.check(file_of(path) for path in named if path is not None)
+    inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
+    target.check(file_of(path) for path in inputs if path is not None)
     with atomic_outputs():
         stream, result = _solved(job, template, rig_path, target.files, progress)
         target.write(stream, result, progress=progress)
@@ -166,14 +169,14 @@ def _solved(
     progress: Progress,
 ) -> tuple[TakeStream, MocapSolveResult]:
     seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
-    began = time.perf_counter()
+    started = time.perf_counter()
     reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
     calibration: Calibration | None = None
     with protect_inputs(outputs):
         rig, notices = open_rig(rig_path)
         rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
-        seconds["read"] = time.perf_counter() - began
+        seconds["read"] = time.perf_counter() - started
         if job.calibrate:
             static_markers = None
             if job.static is not None:
@@ -184,7 +187,7 @@ def _solved(
                 )
             rig, template = calibration.rig, calibration.template
             notices = [*notices, *calibration.notices]
-            seconds["calibrate"] = time.perf_counter() - began - seconds["read"]
+            seconds["calibrate"] = time.perf_counter() - started - seconds["read"]
         with faults_in(job.source):
             solve = solve_markers(markers, rig, template, job.options)
     stream = solve_stream(solve, job.source, progress)

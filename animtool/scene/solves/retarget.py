@@ -45,19 +45,19 @@ class RetargetJob:
 
     source: Path  # BVH, USD or clip with the take
     rig: Path  # target: rig file, USD file or BVH
-    # What the source is.
+    # Properties of the source.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: RetargetOptions = field(default_factory=RetargetOptions)
     # USD file, ``.clip.yaml`` or ``.bvh``, or `STDOUT` for usda; None writes nothing.
     output: Path | None = None
     write_map: Path | None = None  # map file to write
-    # How USD is written; `fps`, `frame_range`, `start`, `reduce`, `overwrite` and
-    # `strict` of it are for others too.
+    # USD options; its `fps`, `frame_range`, `start`, `reduce`, `overwrite` and `strict`
+    # apply to all outputs.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
     def target(self) -> SolvedOutput:
-        """The outputs, the map included."""
+        """The outputs, including the map."""
         others = (self.write_map,)
         return SolvedOutput.of(self.output, self.source, self.bake, self.rig, others)
 
@@ -74,7 +74,7 @@ class RetargetResult:
     target: Rig
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
-    # Of the source: its first frame, and frames a second.
+    # First frame of the source, and its frames a second.
     start: Fraction = Fraction(1)
     rate: Fraction = Fraction(24)
     numbers: FrameNumbers = field(default_factory=FrameNumbers)
@@ -87,11 +87,11 @@ class RetargetResult:
     @property
     def pairs(self) -> list[dict[str, object]]:
         """Names of the mapped joints."""
-        ours, theirs = self.source_rig.names, self.target.names
+        source_names, target_names = self.source_rig.names, self.target.names
         return [
             {
-                "source": ours[pair.source],
-                "target": theirs[pair.target],
+                "source": source_names[pair.source],
+                "target": target_names[pair.target],
                 **picked(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
@@ -117,8 +117,8 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     """Retarget a take to another rig and write it.
 
     Args:
-        job: What to do.
-        progress: Called with the share done, 0 to 1.
+        job: Arguments of retargeting.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: A file is malformed, or a map names joints that there are not.
@@ -170,9 +170,10 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 
 
 def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
-    """Return a take without its placement, over a rig that has one.
+    """Return a take without its placement, for a rig that has one.
 
-    Unless an option says which, or the take rides on what moves: as a bake has it.
+    The placement stays if an option requests it, or if the take is on a moving prim, as
+    in a bake.
     """
     rig, layer = stream.rig, job.bake.rig_layer
     if rig.stands is None or rig.rides or layer is None or job.bake.placement:
@@ -182,34 +183,36 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     placement = open_target(layer, job.bake.prim_path).placement()
     if placement.uneven or placement.stands.is_none:
         return stream
-    said = placement_notice(rig, str(job.source), kept=False, over=placement.stands)
-    return replace(at_stage_origin(stream), notices=stream.notices + said)
+    notice = placement_notice(rig, str(job.source), kept=False, over=placement.stands)
+    return replace(at_stage_origin(stream), notices=stream.notices + notice)
 
 
 def _retargeted(
     job: RetargetJob, outputs: list[Path], progress: Progress
 ) -> tuple[TakeStream, RetargetResult]:
     seconds = {"read": 0.0, "solve": 0.0}
-    began = time.perf_counter()
+    started = time.perf_counter()
     with protect_inputs(outputs):
         rig, notices = open_rig(job.rig)
-        # The take says where it goes, and not the stage that has the rig.
+        # The placement is that of the take, not of the stage with the rig.
         rig = at_origin(rig)
         reading = replace(job.reading, placement=job.bake.placement)
         stream = open_source(job.source, reading, progress=progress)
         rig = replace(rig, rides=stream.rig.rides)
         stream = _without_placement(stream, job)
-        seconds["read"] = time.perf_counter() - began
+        seconds["read"] = time.perf_counter() - started
         stream.blocks = timed(stream.blocks, seconds, "read")
         with faults_in(job.source):
-            going, mapping, map_notices = onto_rig(stream, rig, job.options)
-    seconds["solve"] = time.perf_counter() - began - seconds["read"]
-    theirs = mapping.target.notices
+            retargeting, mapping, map_notices = onto_rig(stream, rig, job.options)
+    seconds["solve"] = time.perf_counter() - started - seconds["read"]
+    target_notices = mapping.target.notices
     notices = [*notices, *stream.notices]
     for notice in map_notices:
-        notices.append(notice.in_file(job.rig if notice in theirs else job.source))
-    blocks = checked_blocks(going, job.options, notices, job.source)
-    mapped = replace(
+        notices.append(
+            notice.in_file(job.rig if notice in target_notices else job.source)
+        )
+    blocks = checked_blocks(retargeting, job.options, notices, job.source)
+    solved_stream = replace(
         stream,
         rig=rig,
         blocks=timed(blocks, seconds, "solve"),
@@ -219,8 +222,8 @@ def _retargeted(
         control_curves={},
     )
     result = RetargetResult(
-        job.source, job.rig, going, mapping, stream.rig, rig, notices, seconds
+        job.source, job.rig, retargeting, mapping, stream.rig, rig, notices, seconds
     )
     result.start = Fraction(1) if stream.start is None else stream.start
     result.rate = stream.fps / stream.step
-    return driven_stream(mapped), result
+    return driven_stream(solved_stream), result

@@ -32,8 +32,8 @@ class SolveReport(Protocol):
 class SolvedOutput:
     """The output of a solve."""
 
-    outline: Outline | None  # of the take; None where it is not written
-    bake: BakeOptions  # how it is
+    outline: Outline | None  # outline of the take; None if it is not written
+    bake: BakeOptions  # bake options
     others: tuple[Path, ...] = ()  # further files to write
 
     @staticmethod
@@ -47,24 +47,24 @@ class SolvedOutput:
         """Return the output of a solve; a clip names a rig file."""
         outline = None
         if output is not None:
-            named = rig if rig is not None and is_named(rig, "rig") else None
-            outline = outlined(source, output, bake, rig_file=named)
+            named_rig = rig if rig is not None and is_named(rig, "rig") else None
+            outline = outlined(source, output, bake, rig_file=named_rig)
         return SolvedOutput(outline, bake, tuple(filter(None, others)))
 
     @property
     def files(self) -> list[Path]:
-        """Files to write; the output last of those of a clip."""
+        """Files to write; for a clip, the clip itself is last."""
         return [*self.others, *([] if self.outline is None else self.outline.files)]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
-        """Raise where an output cannot be written.
+        """Refuse an invalid output before the work.
 
         Raises:
             OptionError: A file exists or is one of the inputs, or options do not fit.
         """
         if self.files:
-            named = list(filter(None, inputs))
-            check_outputs(self.files, named, overwrite=self.bake.overwrite)
+            input_files = list(filter(None, inputs))
+            check_outputs(self.files, input_files, overwrite=self.bake.overwrite)
         if self.outline is not None:
             check_outline(self.outline)
 
@@ -88,13 +88,15 @@ class SolvedOutput:
             stream.details = {"format": form, "units": units}
         if self.outline is None:
             deque(stream.blocks, maxlen=0)
-            more = stream.notices
+            stream_notices = stream.notices
         else:
             from animtool.scene.bake.bake import bake_take
 
             report.written = bake_take(stream, self.outline, progress=progress)
-            more = report.written.notices
-        known = set(report.notices)
-        report.notices += [notice for notice in more if notice not in known]
+            stream_notices = report.written.notices
+        reported = set(report.notices)
+        report.notices += [
+            notice for notice in stream_notices if notice not in reported
+        ]
         if self.outline is None:
             refuse_warnings(report.notices, strict=self.bake.strict)

@@ -10,27 +10,27 @@ from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 
 HOUR = 3600
-# A range this near to an integer number of hours from its take is hours away.
+# A range within this time of a whole number of hours from its take is hours off [s].
 NEAR_HOUR = 600
 
 
 def no_frames(
     shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
 ) -> OptionError:
-    """Return the error of a shot whose take has none of its frames (SCN042).
+    """Return the fault of a shot whose take has none of its frames (SCN042).
 
     Args:
-        shot: It places its media.
-        first: First of the frames.
-        last: Last of them.
-        length: How long the take is [s].
-        path: The take's file.
+        shot: Shot that places its media.
+        first: First frame.
+        last: Last frame.
+        length: Duration of the take [s].
+        path: File of the take.
     """
-    named = f"shot {shot.name}: " if shot.name else ""
-    message, hint = f"{named}the take has no frame from {first} to {last}", None
+    prefix = f"shot {shot.name}: " if shot.name else ""
+    message, hint = f"{prefix}the take has no frame from {first} to {last}", None
     if shot.timecode is not None:
-        away, hint = range_away(shot, first, last, length)
-        message += f"; {away}"
+        gap, hint = range_away(shot, first, last, length)
+        message += f"; {gap}"
     return OptionError(Fault("SCN042", message, path, (), hint))
 
 
@@ -38,21 +38,26 @@ def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str
     """Return the distance of shot frames from a take without any, and a hint.
 
     Args:
-        shot: It places its media.
-        first: First of the frames.
-        last: Last of them.
-        length: How long the take is [s].
+        shot: Shot that places its media.
+        first: First frame.
+        last: Last frame.
+        length: Duration of the take [s].
     """
     clock = shot.timecode
     assert clock is not None
-    shown = sorted(shot.seconds_at(frame) for frame in (first, last))
+    shot_seconds = sorted(shot.seconds_at(frame) for frame in (first, last))
     frame = 1 / clock.rate
-    here = f"{clock.label(shown[0])} to {clock.label(shown[1])}"
-    ends = Fraction(0), max(Fraction(0), length - frame)
-    there = f"{clock.label(ends[0])} to {clock.label(ends[1])}"
-    message = f"the range shows {here}, but the take is {there}: the range is "
-    message += f"{_distance(shown[0])} {'after' if shown[0] > 0 else 'before'} it"
-    code = _first_label(shot, shown[0], length)
+    shot_range = f"{clock.label(shot_seconds[0])} to {clock.label(shot_seconds[1])}"
+    take_seconds = Fraction(0), max(Fraction(0), length - frame)
+    take_range = f"{clock.label(take_seconds[0])} to {clock.label(take_seconds[1])}"
+    message = (
+        f"the range shows {shot_range}, but the take is {take_range}: the range is "
+    )
+    message += (
+        f"{_distance(shot_seconds[0])} {'after' if shot_seconds[0] > 0 else 'before'} "
+        "it"
+    )
+    code = _first_label(shot, shot_seconds[0], length)
     hint = (
         "if the first timecode of the take is different, set it: "
         f"{argument('first_timecode', code)}"
@@ -68,23 +73,23 @@ def _distance(seconds: Fraction) -> str:
     >>> _distance(Fraction(3601)), _distance(Fraction(-12))
     ('about an hour (3601 s)', '12 s')
     """
-    away = abs(seconds)
-    hours = round(away / HOUR)
-    text = f"{float(away):.7g} s"
-    if hours and abs(away - hours * HOUR) < NEAR_HOUR:
+    duration = abs(seconds)
+    hours = round(duration / HOUR)
+    text = f"{float(duration):.7g} s"
+    if hours and abs(duration - hours * HOUR) < NEAR_HOUR:
         return f"about {'an hour' if hours == 1 else f'{hours} hours'} ({text})"
     return text
 
 
-def _first_label(shot: Shot, shown: Fraction, length: Fraction) -> str:
+def _first_label(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
     """Return the hour of a take's first time code, else a pattern."""
     clock = shot.timecode
     assert clock is not None
-    label = clock.label(shown)
+    label = clock.label(shot_seconds)
     hour = f"{label[:2]}:00:00{';' if clock.drop else ':'}00"
     try:
         begin = parse_timecode(hour, clock.rate) / clock.rate
     except ValueError:
         return "HH:MM:SS:FF"
-    fits = begin <= clock.first + shown < begin + length and begin != clock.first
+    fits = begin <= clock.first + shot_seconds < begin + length and begin != clock.first
     return hour if fits else "HH:MM:SS:FF"

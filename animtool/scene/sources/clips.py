@@ -31,20 +31,20 @@ def open_clip_source(
 ) -> TakeStream:
     """Open a clip as a source that can be sampled at any time.
 
-    rig: its rig file; None is the one that the clip names.
+    ``rig`` is the rig file; None is the one that the clip names.
     """
     file = open_clip(path)
-    loaded = load_rig_of(file, rig)
-    named = rig or file.needed_rig()
-    clip = load_clip(file, loaded)
-    stream = clip_stream(file, clip, loaded, clamp=clamp)
-    stream.notices += [*loaded.notices, *clip.notices]
+    loaded_rig = load_rig_of(file, rig)
+    rig_path = rig or file.needed_rig()
+    clip = load_clip(file, loaded_rig)
+    stream = clip_stream(file, clip, loaded_rig, clamp=clamp)
+    stream.notices += [*loaded_rig.notices, *clip.notices]
     stream.details = {
         "format": "clip",
         "name": clip.name,
-        "rig": str(named),
+        "rig": str(rig_path),
         "channels": len(clip.channels),
-        "units": unit_name(loaded.meters_per_unit),
+        "units": unit_name(loaded_rig.meters_per_unit),
     }
     stream.control_curves = {
         channel.target.removeprefix("control/"): curves_of([channel])
@@ -62,13 +62,13 @@ def clip_stream(
     count = _frame_count(file, clip)
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
-    said: set[tuple[str, str]] = set()
+    reported_pairs: set[tuple[str, str]] = set()
 
     def reported(sampled: SampledMotion) -> Motion:
         for note in sampled.targeted:
             # A clip may be sampled again, at other times.
-            if (note.fault.code, note.target) not in said:
-                said.add((note.fault.code, note.target))
+            if (note.fault.code, note.target) not in reported_pairs:
+                reported_pairs.add((note.fault.code, note.target))
                 stream.notices.append(_located(file, rig, note))
         return sampled.motion
 
@@ -93,17 +93,21 @@ def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
     """Return the fault of a notice, at the key or channel that causes it."""
     document = file.document
     for i, channel in _causes(file, rig, notice.target):
-        at: Location = ("channels", i)
+        key_path: Location = ("channels", i)
         if notice.frame is not None:
-            (before,) = np.nonzero(key_times(channel) <= notice.frame)
-            at = (*at, "keys", int(before[-1]) if len(before) else 0)
-        line, column = document.position(at)
+            (earlier_keys,) = np.nonzero(key_times(channel) <= notice.frame)
+            key_path = (
+                *key_path,
+                "keys",
+                int(earlier_keys[-1]) if len(earlier_keys) else 0,
+            )
+        line, column = document.position(key_path)
         return replace(
             notice.fault,
             path=str(document.path),
             lines=(line,),
             column=column,
-            where=spelled(at),
+            where=spelled(key_path),
         )
     return replace(notice.fault, path=str(document.path))
 
@@ -113,17 +117,20 @@ def _causes(
 ) -> Iterator[tuple[int, ChannelModel]]:
     """Yield the channels of a target, then those of controls that drive it."""
     targets = [target]
-    for one in targets:
+    for drive_target in targets:
         for i, channel in enumerate(file.model.channels):
-            if channel.target == one or channel.target.startswith(f"{one}."):
+            if channel.target == drive_target or channel.target.startswith(
+                f"{drive_target}."
+            ):
                 yield i, channel
         for control in rig.controls:
-            driven = f"control/{control.name}"
-            if driven not in targets and any(
-                drive.target == one or drive.target.startswith(f"{one}.")
+            control_target = f"control/{control.name}"
+            if control_target not in targets and any(
+                drive.target == drive_target
+                or drive.target.startswith(f"{drive_target}.")
                 for drive in control.drives
             ):
-                targets.append(driven)
+                targets.append(control_target)
 
 
 def _frame_count(file: ClipFile, clip: Clip) -> int:
@@ -131,11 +138,11 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
     try:
         return clip.frame_count()
     except FormatError as error:
-        at = ("channels",) if file.model.range is None else ("range",)
-        line, column = file.document.position(at)
+        range_path = ("channels",) if file.model.range is None else ("range",)
+        line, column = file.document.position(range_path)
         path = str(file.document.path)
         faults = [
-            replace(fault, path=path, lines=(line,), column=column, where=at[0])
+            replace(fault, path=path, lines=(line,), column=column, where=range_path[0])
             for fault in error.faults
         ]
         raise FormatError(faults) from error
@@ -143,7 +150,7 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Add the clip's file to faults."""
+    """Add the clip's path to faults without a file."""
     try:
         yield
     except FormatError as error:

@@ -40,30 +40,30 @@ class SourcePart:
     """One of several sources to join."""
 
     stream: TakeStream
-    tracks: TrackNames | None  # its tracks; None is those that move
-    timecode: str | None  # of its first frame; None states none
-    # Frames a second that the time code counts; None is its rate.
+    tracks: TrackNames | None  # its tracks; None uses all moving ones
+    timecode: str | None  # time code of its first frame; None if not stated
+    # Frames a second that the time code counts; None is its own rate.
     timecode_fps: Fraction | None
     note: Notify  # creates its faults
 
 
-def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
-    """Return the first source with tracks replaced by those of the others.
+def joined(first: SourcePart, other_sources: Sequence[SourcePart]) -> TakeStream:
+    """Return the first source with tracks replaced by those of other sources.
 
-    It has the rig, the rate and the frames of the first. The others are found on that
-    rig by name, start with the first or where time codes say, and are held at their own
-    ends. What is held, left out or brought twice is in the notices; what is to say of
-    frames may come there only while the blocks are read.
+    The result has the rig, rate and frames of the first source. The others are mapped
+    to that rig by name, start with the first source or at their time codes, and hold
+    their first and last frame. Held frames, left-out tracks and duplicates are reported
+    in the notices; those about frames may appear only while blocks are read.
     """
     layers: list[_Layer] = []
     faults: list[Fault] = []
-    for other in others:
+    for source in other_sources:
         try:
-            layers.append(_layer(first, other))
+            layers.append(_layer(first, source))
         except OptionError as error:
             faults += error.faults
     if faults:
-        # What is wrong with the first is found with each of the others.
+        # Faults of the first source are found with those of the others.
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices
@@ -78,31 +78,33 @@ class _Layer:
     part: SourcePart  # its source
     take: Take  # its frames
     tracks: Tracks  # its tracks
-    delay: Fraction  # by how much its first frame is later than the first source's [s]
-    notices: list[Fault]  # of its file
+    # Time from the first frame of the first source to its own [s].
+    delay: Fraction
+    notices: list[Fault]  # notices of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
         """Return its motion at frames of the first source, clamped to its ends."""
         clock = self.take.clock
         if self.part.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
-        begin = clock.start + (first / rate - self.delay) * clock.fps
-        return self._curved(time_codes(begin, clock.fps / rate, count))
+        begin_code = clock.start + (first / rate - self.delay) * clock.fps
+        return self._curved(time_codes(begin_code, clock.fps / rate, count))
 
     def at(self, seconds: FloatArray) -> Motion:
         """Return its motion at times from the first frame of the first source."""
-        clock, since = self.take.clock, seconds - float(self.delay)
+        clock, layer_seconds = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
-            return self._curved(float(clock.start) + since * float(clock.fps))
-        samples = nearby_positions(since * float(clock.rate), clock.count)
+            return self._curved(float(clock.start) + layer_seconds * float(clock.fps))
+        samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
         return self.take.motion.map(samples.blend)
 
     def _curved(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
         assert curve is not None
-        last = clock.start + clock.step * (clock.count - 1)
+        last_code = clock.start + clock.step * (clock.count - 1)
         return _stored_like(
-            curve(np.clip(codes, float(clock.start), float(last))), self.take.motion
+            curve(np.clip(codes, float(clock.start), float(last_code))),
+            self.take.motion,
         )
 
 
@@ -113,8 +115,12 @@ def _stored_like(motion: Motion, like: Motion) -> Motion:
         return Channel(other.rest, other.animated, channel.gather(other.animated))
 
     def optional(name: str) -> Channel | None:
-        channel, other = getattr(motion, name), getattr(like, name)
-        return None if channel is None or other is None else same(channel, other)
+        channel, like_channel = getattr(motion, name), getattr(like, name)
+        return (
+            None
+            if channel is None or like_channel is None
+            else same(channel, like_channel)
+        )
 
     return Motion(
         same(motion.translations, like.translations),
@@ -129,26 +135,26 @@ def _layer(first: SourcePart, other: SourcePart) -> _Layer:
     """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
     stream, names = on_rig(other.stream, rig, other.note)
-    placed, take = replace(other, stream=stream), stream.collect()
+    placed_source, take = replace(other, stream=stream), stream.collect()
     notices = [
         note
         if note.path
         else other.note(note.code, note.message, note.hint, note.severity)
-        for note in placed.stream.notices
+        for note in placed_source.stream.notices
     ]
     if other.tracks is None:
         source_rig = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
         tracks = moving_tracks(take.motion, names, source_rig)
     else:
-        tracks, unknown = chosen_tracks(other.tracks, names)
+        tracks, unmatched = chosen_tracks(other.tracks, names)
         faults = [
             other.note(
                 "SCN037",
-                f"tracks.{one.kind}: nothing in it and {rig.name!r} matches "
-                f"{excerpt(one.pattern)}",
-                nearest(one.pattern, one.known),
+                f"tracks.{unknown_track.kind}: nothing in it and {rig.name!r} matches "
+                f"{excerpt(unknown_track.pattern)}",
+                nearest(unknown_track.pattern, unknown_track.known),
             )
-            for one in unknown
+            for unknown_track in unmatched
         ]
         if faults:
             raise OptionError(faults)
@@ -157,42 +163,46 @@ def _layer(first: SourcePart, other: SourcePart) -> _Layer:
         raise OptionError(
             other.note("SCN036", message, "list its tracks under tracks:")
         )
-    return _Layer(placed, take, tracks, _delay(first, other), notices)
+    return _Layer(placed_source, take, tracks, _delay(first, other), notices)
 
 
 def _delay(first: SourcePart, other: SourcePart) -> Fraction:
     """Return the delay of a source after the first [s]."""
-    parts = (first, other)
+    both_sources = (first, other)
     if first.timecode is None and other.timecode is None:
         return Fraction(0)
-    for part in parts:
+    for part in both_sources:
         if part.timecode is None:
             message = "it has no time code, but another source has one"
             hint = "write the timecode of its first frame for all sources or for none"
             raise OptionError(part.note("SCN034", message, hint))
-    stated = [
+    start_seconds = [
         (str(part.timecode), part.timecode_fps or part.stream.fps / part.stream.step)
-        for part in parts
+        for part in both_sources
     ]
-    for part, (label, rate) in zip(parts, stated, strict=True):
+    for part, (label, rate) in zip(both_sources, start_seconds, strict=True):
         try:
             seconds_between(label, rate, label, rate)
         except ValueError as error:
             hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
             raise OptionError(part.note("SCN033", str(error), hint)) from error
-    return seconds_between(*stated[0], *stated[1])
+    return seconds_between(*start_seconds[0], *start_seconds[1])
 
 
-def _duplicate_tracks(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
-    """Warn where two sources set the same tracks without a track list."""
+def _duplicate_tracks(layer: _Layer, earlier: Sequence[_Layer]) -> list[Fault]:
+    """Warn if two sources set the same tracks without a track list."""
     if layer.part.tracks is not None:
         return []
     rig = layer.take.rig
-    shared = [layer.tracks.also_in(other.tracks) for other in before]
-    both = dict.fromkeys(name for tracks in shared for name in tracks.names(rig))
-    if not both:
+    shared = [layer.tracks.also_in(other.tracks) for other in earlier]
+    shared_names = dict.fromkeys(
+        name for tracks in shared for name in tracks.names(rig)
+    )
+    if not shared_names:
         return []
-    message = f"moves {listed(list(both), MAX_NAMED)}, as a source above it does"
+    message = (
+        f"moves {listed(list(shared_names), MAX_NAMED)}, as a source above it does"
+    )
     hint = "its own are used; list the tracks of each under tracks:"
     return [layer.part.note("SCN105", message, hint, Severity.WARNING)]
 
@@ -206,16 +216,16 @@ class _Joining:
 
     def stream(self) -> TakeStream:
         """Return the joined take."""
-        joined = replace(
+        joined_stream = replace(
             self.base, blocks=self._blocks(), control_curves=self._control_curves()
         )
         if self.base.curve is not None:
-            joined.curve = self._curve
+            joined_stream.curve = self._curve
             self._report_frames(self.base.count)
         elif any(layer.part.stream.curve is not None for layer in self.layers):
-            # What others bring has curves still, where the first has samples.
-            joined.curve, joined.altered = self._curve, True
-        return joined
+            # Layers keep their curves even if the first source has samples.
+            joined_stream.curve, joined_stream.altered = self._curve, True
+        return joined_stream
 
     @property
     def _rate(self) -> Fraction:
@@ -226,16 +236,18 @@ class _Joining:
         return Fraction(1) if self.base.start is None else self.base.start
 
     def _blocks(self) -> Iterator[Motion]:
-        first = 0
+        frames_read = 0
         for block in self.base.blocks:
-            joined = block
+            joined_block = block
             for layer in self.layers:
-                other = layer.frames(self._rate, first, block.frames)
-                joined = with_tracks(self.base.rig, joined, other, layer.tracks)
-            yield joined
-            first += block.frames
+                other = layer.frames(self._rate, frames_read, block.frames)
+                joined_block = with_tracks(
+                    self.base.rig, joined_block, other, layer.tracks
+                )
+            yield joined_block
+            frames_read += block.frames
         if self.base.curve is None:
-            self._report_frames(first)
+            self._report_frames(frames_read)
 
     def _curve(self, times: FloatArray) -> Motion:
         motion = self._base_at(times)
@@ -279,33 +291,39 @@ class _Joining:
         layer_step = self._rate / clock.rate
         end = begin + (clock.count - 1) * layer_step
         if end < 0 or begin > last:
-            frames, theirs = self._span(begin, end), self._span(Fraction(0), last)
+            frames, first_span = self._span(begin, end), self._span(Fraction(0), last)
             message = (
-                f"overlaps no frame of the first source: {frames} is not in {theirs}"
+                f"overlaps no frame of the first source: {frames} is not in "
+                f"{first_span}"
             )
             raise OptionError(
                 note("SCN035", message, "compare their time codes and timecode_fps")
             )
-        lacking = []
+        frames_missing = []
         if begin > 0:
-            lacking.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
-        # A frame of fewer a second lasts until the next would come.
+            frames_missing.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
+        # The last frame of a source with a lower rate lasts until its next would begin.
         if end + max(layer_step, Fraction(1)) <= last:
-            lacking.append(self._span(Fraction(end // 1 + 1), last))
-        if lacking:
+            frames_missing.append(self._span(Fraction(end // 1 + 1), last))
+        if frames_missing:
             message = (
-                f"does not have frame {' and '.join(lacking)}: its nearest is held "
+                f"does not have frame {' and '.join(frames_missing)}: its nearest is "
+                "held "
                 "there"
             )
             yield note("SCN103", message, None, Severity.WARNING)
-        beyond = (max(-begin, Fraction(0)) + max(end - last, Fraction(0))) / self._rate
-        if beyond:
-            message = f"{plain(float(beyond))} s before and after the first source"
+        seconds_outside = (
+            max(-begin, Fraction(0)) + max(end - last, Fraction(0))
+        ) / self._rate
+        if seconds_outside:
+            message = (
+                f"{plain(float(seconds_outside))} s before and after the first source"
+            )
             yield note("SCN104", f"{message} are ignored", None, Severity.NOTE)
 
     def _span(self, first: Fraction, last: Fraction) -> str:
-        shown = [
+        labels = [
             f"{float(self._start + frame * self.base.step):.10g}"
             for frame in (first, last)
         ]
-        return " to ".join(dict.fromkeys(shown))
+        return " to ".join(dict.fromkeys(labels))

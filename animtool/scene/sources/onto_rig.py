@@ -42,8 +42,8 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
 
 
 MAX_NAMED = 6
-LOST = "their motion is ignored"
-RESTING = "they stay at rest"
+MOTION_IGNORED = "their motion is ignored"
+STAY_AT_REST = "they stay at rest"
 
 
 class Notify(Protocol):
@@ -64,7 +64,7 @@ class NameMap:
     """Indices of one rig's joints, shapes and controls in another."""
 
     rig: Rig
-    # Of the other rig, by joint of this one; -1 where it has none ``(J,)``.
+    # Index in the other rig of each joint of this one; -1 if it lacks it ``(J,)``.
     joints: IntArray
     shapes: IntArray
     controls: IntArray
@@ -72,14 +72,14 @@ class NameMap:
 
     def apply(self, motion: Motion) -> Motion:
         """Return a motion of the other rig on this one; missing tracks are at rest."""
-        rig, ones = self.rig, np.ones((len(self.rig.joints), 3))
-        nothing = np.zeros((len(rig.shapes), 1))
+        rig, one_frame = self.rig, np.ones((len(self.rig.joints), 3))
+        zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
         return Motion(
             _moved(motion.translations, self.joints, rig.rest_translations),
             _moved(motion.rotations, self.joints, rig.rest_rotations),
-            _moved_if(motion.scales, self.joints, ones),
-            _moved_if(motion.weights, self.shapes, nothing),
+            _moved_if(motion.scales, self.joints, one_frame),
+            _moved_if(motion.weights, self.shapes, zero_weights),
             _moved_if(motion.controls, self.controls, defaults),
         )
 
@@ -87,20 +87,26 @@ class NameMap:
 def map_names(rig: Rig, other: Rig) -> NameMap:
     """Return the indices of a rig's tracks in another rig, by name.
 
-    A joint whose source called it otherwise is found under both names.
+    A joint that was renamed on reading is found under both names.
     """
-    known: dict[str, int] = {}
+    index_by_name: dict[str, int] = {}
     for j, joint in enumerate(other.joints):
-        known.setdefault(joint.source_name or joint.name, j)
-        known.setdefault(joint.name, j)
+        index_by_name.setdefault(joint.source_name or joint.name, j)
+        index_by_name.setdefault(joint.name, j)
     joints = [
-        known.get(joint.name, known.get(joint.source_name, -1)) for joint in rig.joints
+        index_by_name.get(joint.name, index_by_name.get(joint.source_name, -1))
+        for joint in rig.joints
     ]
     return NameMap(
         rig,
         np.array(joints, np.int64),
-        _indices([s.name for s in rig.shapes], [s.name for s in other.shapes]),
-        _indices([c.name for c in rig.controls], [c.name for c in other.controls]),
+        _indices(
+            [shape.name for shape in rig.shapes], [shape.name for shape in other.shapes]
+        ),
+        _indices(
+            [control.name for control in rig.controls],
+            [control.name for control in other.controls],
+        ),
         tuple(sorted(set(range(len(other.joints))) - set(joints))),
     )
 
@@ -108,7 +114,7 @@ def map_names(rig: Rig, other: Rig) -> NameMap:
 def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
     """Return a source mapped to a rig by name, and the name map.
 
-    What the rig lacks is left out; what only the rig has stays at rest.
+    Tracks that the rig lacks are left out; tracks that only the rig has stay at rest.
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
@@ -124,7 +130,7 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
         raise OptionError(note("SCN036", message, hint))
     source_blocks, curve = stream.blocks, stream.curve
     control_names = {control.name for control in rig.controls}
-    mapped = replace(
+    mapped_stream = replace(
         stream,
         rig=rig,
         blocks=(names.apply(block) for block in source_blocks),
@@ -133,29 +139,50 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
         },
     )
     if curve is not None:
-        mapped.curve = lambda times: names.apply(curve(times))
-    return mapped, names
+        mapped_stream.curve = lambda times: names.apply(curve(times))
+    return mapped_stream, names
 
 
 def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
     """Return notices of tracks that only one of two rigs has."""
     shapes = set(names.shapes.tolist())
     joints = [other.names[j] for j in names.spare]
-    spare = [shape.name for i, shape in enumerate(other.shapes) if i not in shapes]
-    resting = [names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    spare_names = [
+        shape.name for i, shape in enumerate(other.shapes) if i not in shapes
+    ]
+    missing = [names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
     return [
-        naming(code, f"{len(which)} {what}: ", which, where, hint, severity)
-        for code, which, what, hint, severity in (
-            ("RIG042", joints, "joints are not in the rig", LOST, Severity.WARNING),
-            ("RIG042", spare, "shapes are not in the rig", LOST, Severity.WARNING),
-            ("RIG043", resting, "joints only the rig has", RESTING, Severity.NOTE),
+        naming(
+            code,
+            f"{len(track_names)} {description}: ",
+            track_names,
+            where,
+            hint,
+            severity,
         )
-        if which
+        for code, track_names, description, hint, severity in (
+            (
+                "RIG042",
+                joints,
+                "joints are not in the rig",
+                MOTION_IGNORED,
+                Severity.WARNING,
+            ),
+            (
+                "RIG042",
+                spare_names,
+                "shapes are not in the rig",
+                MOTION_IGNORED,
+                Severity.WARNING,
+            ),
+            ("RIG043", missing, "joints only the rig has", STAY_AT_REST, Severity.NOTE),
+        )
+        if track_names
     ]
 
 
 def on_rig_file(
-    path: Path, stream: TakeStream, rig_path: Path, *, forced: bool
+    path: Path, stream: TakeStream, rig_path: Path, *, force_fit: bool
 ) -> TakeStream:
     """Return a source mapped to a rig of another file."""
 
@@ -168,7 +195,7 @@ def on_rig_file(
         return Fault(code, message, str(path), (), hint, severity)
 
     rig, notices = open_rig(rig_path)
-    # The take says where it goes, and not the stage that has the rig.
+    # The placement is that of the take, not of the stage with the rig.
     rig = at_origin(rig)
     reoriented = reorient(stream, rig.up)
     mapped, names = on_rig(reoriented, rig, note)
@@ -180,7 +207,7 @@ def on_rig_file(
             rig,
             names.joints,
             str(rig_path),
-            forced=forced,
+            forced=force_fit,
             unmatched=unmatched,
         )
     mapped.notices += [*notices, *unmatched, *differences]
@@ -188,9 +215,9 @@ def on_rig_file(
     return mapped
 
 
-def _indices(names: list[str], others: list[str]) -> IntArray:
-    known = {name: i for i, name in enumerate(others)}
-    return np.array([known.get(name, -1) for name in names], np.int64)
+def _indices(names: list[str], other_names: list[str]) -> IntArray:
+    index_by_name = {name: i for i, name in enumerate(other_names)}
+    return np.array([index_by_name.get(name, -1) for name in names], np.int64)
 
 
 def _moved_if(
@@ -203,12 +230,12 @@ def _moved_if(
 
 def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
     """Return a channel's entries at indices; -1 is an entry at rest."""
-    there = indices >= 0
+    exists = indices >= 0
     values = np.array(rest, np.float64)
-    values[there] = channel.rest[indices[there]]
+    values[exists] = channel.rest[indices[exists]]
     columns = np.full(len(channel.rest), -1)
     columns[channel.animated] = np.arange(len(channel.animated))
-    at = np.full(len(indices), -1)
-    at[there] = columns[indices[there]]
-    animated = np.flatnonzero(at >= 0)
-    return Channel(values, animated, channel.values[:, at[animated]])
+    column_of = np.full(len(indices), -1)
+    column_of[exists] = columns[indices[exists]]
+    animated = np.flatnonzero(column_of >= 0)
+    return Channel(values, animated, channel.values[:, column_of[animated]])

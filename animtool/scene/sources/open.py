@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Options that apply to every source.
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
-# Those that no reader is given.
+# Options that no reader receives.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
 _DROPPED = ("interpolate", "hold", "close")
 _POSITIONS = ("channels", "offsets")
@@ -38,10 +38,10 @@ class SourceOptions:
     """Properties of a source that its file does not state.
 
     Attributes:
-        force_fit: Take motion that does not fit the rig all the same.
-        placement: Of USD: ``drop`` leaves out where the character stands; it is that of
-            the output, see `animtool.scene.bake.options.BakeOptions`.
-        shot: The shot that shows it, whose frames its time codes become; None is none.
+        force_fit: Whether to take motion that does not fit the rig.
+        placement: For USD: ``drop`` leaves out the character's placement; it is set
+            from the output, see `animtool.scene.bake.options.BakeOptions`.
+        shot: Shot that shows the source; time codes become its frames.
 
     Raises:
         OptionError: fps is no rate (SCN022).
@@ -233,7 +233,7 @@ class SourceOptions:
 class OpenTake:
     """An open take, as a source."""
 
-    path: Path  # the file that messages and reports name
+    path: Path  # file that messages and reports name
     stream: TakeStream  # its motion, which can be read once
 
 
@@ -243,14 +243,14 @@ def is_usd(path: Path) -> bool:
 
 
 def motion_bytes(path: Path) -> int:
-    """Return the size of a motion file; 0 for a scene, which names others."""
-    # A file removed since is reported by the check of inputs.
+    """Return the size of a motion file; 0 for a scene, which refers to others."""
+    # A file removed meanwhile is reported by the check of inputs.
     state = None if is_named(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
 
 def source_stem(path: Path) -> str:
-    """Return a file's name without the suffixes of its kind.
+    """Return a file's name without the suffixes of its format.
 
     >>> source_stem(Path("takes/walk.clip.yaml"))
     'walk'
@@ -275,8 +275,8 @@ def fitting_options(
 ) -> SourceOptions:
     """Return the options that apply to one of several files.
 
-    What files of its kind do not take is left out, where one of the others takes it.
-    All take a rig.
+    Options that its format does not support are left out if another file supports them.
+    The rig applies to all.
 
     >>> walk, idle = Path("walk.bvh"), Path("idle.usda")
     >>> options = SourceOptions(up=UpAxis.Z, clamp=True)
@@ -290,7 +290,7 @@ def fitting_options(
         for field in fields(SourceOptions)
         if field.name not in ANY_SOURCE
         and not takes_option(path, field.name)
-        and any(takes_option(other, field.name) for other in others)
+        and any(takes_option(other_path, field.name) for other_path in others)
     }
     return replace(options, **left_out)
 
@@ -304,9 +304,9 @@ def open_source(
     """Open a BVH, a USD file or a clip as a stream of blocks.
 
     Args:
-        path: A file of any format that animtool reads, but no scene.
-        options: How to read it; None is the defaults.
-        progress: Called with the share done, 0 to 1.
+        path: A file of any format that animtool reads, except a scene.
+        options: Options of reading; None is the defaults.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: It cannot be read or is malformed; the blocks may raise it too.
@@ -321,16 +321,20 @@ def open_source(
     if options.shot is not None:
         from animtool.scene.sources.retime import in_shot
 
-        unmapped = replace(options, shot=None)
-        return in_shot(open_source(path, unmapped, progress=progress), options.shot)
+        inner_options = replace(options, shot=None)
+        return in_shot(
+            open_source(path, inner_options, progress=progress), options.shot
+        )
     reader = find_reader(path)
     if options.rig is not None and "rig" not in reader.options:
-        unmapped = replace(options, rig=None, force_fit=False)
-        stream = open_source(path, unmapped, progress=progress)
+        inner_options = replace(options, rig=None, force_fit=False)
+        stream = open_source(path, inner_options, progress=progress)
         from animtool.scene.sources.onto_rig import on_rig_file
 
-        mapped = on_rig_file(path, stream, options.rig, forced=options.force_fit)
-        return _driven(mapped)
+        mapped_stream = on_rig_file(
+            path, stream, options.rig, force_fit=options.force_fit
+        )
+        return _driven(mapped_stream)
     note_input(path)
     defaults = SourceOptions()
     arguments = {
@@ -340,23 +344,23 @@ def open_source(
         and (value := getattr(options, field.name)) != getattr(defaults, field.name)
     }
     if "placement" not in reader.options:
-        # Only stages have a character stand somewhere.
+        # Only stages place a character.
         arguments.pop("placement", None)
-    refused = [name for name in arguments if name not in reader.options]
-    if refused:
-        raise OptionError([_refusal(name, path) for name in refused])
+    unsupported = [name for name in arguments if name not in reader.options]
+    if unsupported:
+        raise OptionError([_refusal(name, path) for name in unsupported])
     if "progress" in reader.options:
         arguments["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
     if "unit" not in reader.options or "unit" in arguments:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
-    # A clip's keys are evaluated together with the tracks they drive.
+    # Keys of a clip are evaluated together with the tracks they drive.
     return stream if reader is DOCUMENT else _driven(stream)
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return openers of the take of each Skeleton of a USD file, by path."""
+    """Return functions that open the take of each Skeleton in a USD file, by path."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -377,7 +381,7 @@ def _driven(stream: TakeStream) -> TakeStream:
 
 
 def _refusal(name: str, path: Path) -> Fault:
-    refused = options_of(SourceOptions)[name]
+    declaration = options_of(SourceOptions)[name]
     hint = None
     if name in {"unit", "up", "fps"}:
         hint = (
@@ -385,7 +389,7 @@ def _refusal(name: str, path: Path) -> Fault:
         )
     return Fault(
         "CLI004",
-        f"{option_marker(f'source.{name}', refused)} {refused.reason}",
+        f"{option_marker(f'source.{name}', declaration)} {declaration.reason}",
         str(path),
         (),
         hint,

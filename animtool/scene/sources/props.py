@@ -24,7 +24,7 @@ from animtool.scene.bake.progress import Meter, StageCost
 from animtool.scene.file.entries import SceneProp
 from animtool.usd.props.reader import PropSource, open_prop
 
-# Between keys a transform may shear by this share, which nobody sees, and not say so.
+# Largest shear of a transform between keys that is not reported, being invisible [1].
 VISIBLE_SHEAR = 1e-9
 
 
@@ -34,7 +34,7 @@ class OpenProp:
 
     entry: SceneProp  # its entry in the scene
     source: PropSource
-    track: Track  # the same, counted by the scene's meter
+    track: Track  # the track, charged to the scene's meter
 
 
 def open_props(
@@ -46,9 +46,9 @@ def open_props(
 ) -> list[OpenProp]:
     """Open the props of a scene, in a world with an up axis.
 
-    source: the file of the take, whose things go where that is brought.
+    ``source`` is the file of the take, whose prims follow its placement.
     """
-    opened: list[OpenProp] = []
+    open_list: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
         stage = meter.stage(entry.file.name, entry.location.where)
@@ -62,26 +62,25 @@ def open_props(
         same_source = same_file(
             entry.file.resolve(), source
         ) or not entry.path.startswith("/")
-        opened.append(
+        open_list.append(
             OpenProp(entry, prop, replace(track, follows_placement=same_source))
         )
     if faults:
         raise FormatError(faults)
-    return opened
+    return open_list
 
 
 def with_props(
     stream: TakeStream,
-    opened: Sequence[OpenProp],
+    added_props: Sequence[OpenProp],
     first: Fraction | None,
     fps: Fraction | None,
     dropped: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
     """Return a take with more props, sampled at its frames.
 
-    first: number of its first frame; None is what it says itself, or 1; fps: frames a
-    second of the output; None is the take's time codes; dropped: as `TakeStream` has
-    it.
+    ``first`` is the number of the first frame; None is the take's own, or 1. ``fps`` is
+    the output's rate; None is the take's. ``dropped`` is as in `TakeStream`.
     """
     start = Fraction(1) if stream.start is None else stream.start
     props = [
@@ -90,20 +89,20 @@ def with_props(
             prop.entry.frame if prop.entry.frame is not None else first or start,
             prop.source.fps * stream.step / stream.fps,
         )
-        for prop in opened
+        for prop in added_props
     ]
     props_stream = _PropStream(stream, props)
     for prop in props:
         stream.notices += prop.notes(fps or stream.fps)
     prop_tracks = (prop.track(stream, dropped) for prop in props)
     tracks = (*stream.tracks, *prop_tracks)
-    joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
+    with_tracks = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
-        joined.curve = lambda times: props_stream.added(
+        with_tracks.curve = lambda times: props_stream.added(
             curve(times), props_stream.times_at(times)
         )
-    return joined
+    return with_tracks
 
 
 def _counted(
@@ -114,19 +113,19 @@ def _counted(
     notices: list[Fault],
 ) -> Track:
     """Return a track whose reading is measured, and whose shear is reported."""
-    noticed = False
+    shear_reported = False
 
     def sample(times: FloatArray) -> Transforms:
-        nonlocal noticed
+        nonlocal shear_reported
         with meter.running(stage), entry.location.located():
-            sampled = source.track.sample(times)
+            samples = source.track.sample(times)
         shear = source.shear()
-        if shear > VISIBLE_SHEAR and not noticed:
-            noticed = True
+        if shear > VISIBLE_SHEAR and not shear_reported:
+            shear_reported = True
             message = f"{entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is ignored"
             notices.append(entry.location.fault("SCN113", message, None, Severity.NOTE))
-        return sampled
+        return samples
 
     return replace(source.track, sample=sample, note=entry.location.fault)
 
@@ -137,7 +136,7 @@ class _Prop:
 
     opened: OpenProp
     begin: Fraction  # time code of its file at the first frame
-    step: Fraction  # time codes of its file from frame to frame
+    step: Fraction  # time codes of its file per frame
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return its time codes at frames of the take ``(count,)``."""
@@ -171,8 +170,8 @@ class _Prop:
             message = f"{entry.prim} does not move: it is written once"
             yield note("SCN109", message, None, Severity.NOTE)
         elif (fps / source.fps).denominator > 1:
-            mine, theirs = rate_label(source.fps), rate_label(fps)
-            message = f"{entry.prim} has {mine}, but the output {theirs}"
+            prop_rate, output_rate = rate_label(source.fps), rate_label(fps)
+            message = f"{entry.prim} has {prop_rate}, but the output {output_rate}"
             hint = "values interpolated between its own frames are written"
             yield note("SCN110", message, hint, Severity.NOTE)
         if source.sheared:
@@ -193,11 +192,11 @@ class _PropStream:
         return Fraction(1) if self.stream.start is None else self.stream.start
 
     def blocks(self) -> Iterator[Motion]:
-        first = 0
+        frames_read = 0
         for block in self.stream.blocks:
-            times = [prop.times(first, block.frames) for prop in self.props]
+            times = [prop.times(frames_read, block.frames) for prop in self.props]
             yield self.added(block, np.stack(times, axis=1))
-            first += block.frames
+            frames_read += block.frames
 
     def added(self, motion: Motion, times: FloatArray) -> Motion:
         """Return a motion with the times ``(F, N)`` of props appended."""
@@ -208,9 +207,9 @@ class _PropStream:
     def times_at(self, times: FloatArray) -> FloatArray:
         """Return the times of the tracks at time codes of the take."""
         frames = (times - float(self._start)) / float(self.stream.step)
-        begins = np.array([float(prop.begin) for prop in self.props])
+        begin_codes = np.array([float(prop.begin) for prop in self.props])
         steps = np.array([float(prop.step) for prop in self.props])
-        return np.asarray(begins + frames[:, None] * steps)
+        return np.asarray(begin_codes + frames[:, None] * steps)
 
 
 def _channel(times: FloatArray) -> Channel:

@@ -25,15 +25,15 @@ class Preroll:
 
     # Frame of the take's start; None is as its source states, or 1.
     start: Fraction | None
-    first: int  # frame at which they begin
+    first: int  # first frame of the preroll
     fps: Fraction | None  # frames a second of the output; None is the take's rate
 
     def frames(self, stream: TakeStream) -> int:
         """Return the number of frames that a take lacks before its first."""
         start = self.start if self.start is not None else stream.start
-        lacking = (Fraction(1) if start is None else start) - self.first
+        missing = (Fraction(1) if start is None else start) - self.first
         rate = stream.fps / stream.step
-        return max(0, math.ceil(lacking * rate / (self.fps or stream.fps)))
+        return max(0, math.ceil(missing * rate / (self.fps or stream.fps)))
 
 
 def with_preroll(stream: TakeStream, count: int) -> TakeStream:
@@ -69,16 +69,16 @@ def with_preroll(stream: TakeStream, count: int) -> TakeStream:
 def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
     """Return a take without its first frames.
 
-    start: time code of the first that stays; None states none.
+    ``start`` is the time code of the first frame that remains; None leaves it unstated.
     """
     source_blocks = stream.blocks
 
     def blocks() -> Iterator[Motion]:
-        left = count
+        frames_left = count
         for block in source_blocks:
-            if left < block.frames:
-                yield block.select(slice(left, None))
-            left = max(0, left - block.frames)
+            if frames_left < block.frames:
+                yield block.select(slice(frames_left, None))
+            frames_left = max(0, frames_left - block.frames)
 
     return replace(stream, start=start, blocks=blocks())
 
@@ -86,8 +86,8 @@ def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeSt
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     """Return a take in shot frames, each sample at its exact time.
 
-    Nothing is resampled or left out; a shot that does not place its media leaves the
-    take as it is. One that holds a pose has that of each of its frames.
+    Nothing is resampled or left out. The take is unchanged if the shot does not place
+    its media; a shot that holds a pose repeats it in each frame.
 
     Raises:
         OptionError: The shot holds a pose from before or after the take (SCN042).
@@ -98,8 +98,8 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
         return _constant_pose(stream, shot)
     if shot.speed < 0:
         return _backwards(stream, shot)
-    step = stream.step / stream.fps * shot.fps / shot.speed
-    return _moved(stream, shot, shot.frame_at(0), step)
+    shot_step = stream.step / stream.fps * shot.fps / shot.speed
+    return _moved(stream, shot, shot.frame_at(0), shot_step)
 
 
 def _moved(
@@ -108,12 +108,12 @@ def _moved(
     """Return a take with its samples at other frames and its curves retimed."""
     assert shot.fps is not None
     ratio = stream.fps * shot.speed / shot.fps
-    curve, first = stream.curve, float(1 if stream.start is None else stream.start)
+    curve, first_code = stream.curve, float(1 if stream.start is None else stream.start)
     origin = float(shot.frame_at(0))
 
     def shifted(times: FloatArray) -> Motion:
         assert curve is not None
-        return curve(first + (times - origin) * float(ratio))
+        return curve(first_code + (times - origin) * float(ratio))
 
     return replace(
         stream,
@@ -122,7 +122,7 @@ def _moved(
         step=step,
         curve=None if curve is None else shifted,
         control_curves={
-            name: curves.retimed(first, float(1 / ratio), origin)
+            name: curves.retimed(first_code, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
             if ratio > 0
         },
@@ -130,18 +130,18 @@ def _moved(
 
 
 def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return a take reversed in time; all of it is read."""
+    """Return a take reversed in time; it is read completely."""
     assert shot.fps is not None
     motion = stream.collect().motion
-    between = stream.step / stream.fps
-    start = shot.frame_at((motion.frames - 1) * between)
-    last_first = motion.select(np.arange(motion.frames)[::-1])
-    step = between * shot.fps / -shot.speed
-    return _moved(replace(stream, blocks=iter([last_first])), shot, start, step)
+    sample_seconds = stream.step / stream.fps
+    start = shot.frame_at((motion.frames - 1) * sample_seconds)
+    reversed_motion = motion.select(np.arange(motion.frames)[::-1])
+    step = sample_seconds * shot.fps / -shot.speed
+    return _moved(replace(stream, blocks=iter([reversed_motion])), shot, start, step)
 
 
 def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return one pose of a take in every frame of a shot; all of it is read."""
+    """Return one pose of a take in every frame of a shot; it is read completely."""
     assert shot.fps is not None
     assert shot.media_in is not None
     take, count = stream.collect(), shot.end - shot.start + 1

@@ -31,50 +31,59 @@ def with_colliders(
 ) -> tuple[TakeStream, Colliders]:
     """Return a take, and the colliders that the options of a pass name.
 
-    The systems that they name are simulated with those that these need, over the frames
-    of the take; the scene's own character is the take as it is. Its frames are then
-    read at once.
+    The named systems are simulated with those they depend on, over the frames of the
+    take. The scene's own character is the take as it is, and its frames are then read
+    at once.
 
     Args:
-        systems: Of the scene.
-        path: Of the scene.
+        systems: Systems of the scene.
+        path: File of the scene.
         stream: The take.
         options: With ``colliders`` in the axes of the rig, and ``characters``,
             ``systems`` and ``meshes``.
-        lead: How long the first frame is held before it goes on [s].
+        lead: Time for which the first frame is held before the take continues [s].
     """
-    around = Surroundings((), options.characters, options.systems, options.meshes)
-    names = {one.system for one in options.systems}
+    surroundings = Surroundings((), options.characters, options.systems, options.meshes)
+    names = {entry.system for entry in options.systems}
     named_systems = [i for i, system in enumerate(systems) if system.name in names]
     numbers = with_dependencies(systems, named_systems) if named_systems else []
-    character, opened = None, []
+    character, running_systems = None, []
     if numbers:
         take = stream.collect()
         stream = replace(stream, blocks=iter([take.motion]))
         character = motion_of(path, take)
         character = replace(character, times=character.times + lead)
-        needed = [systems[i] for i in numbers]
-        opened = open_systems(needed, float(character.times[-1]), character)
-    named = {systems[i].name: one for i, one in zip(numbers, opened, strict=True)}
-    built = around.built(characters_with(character), named)
+        needed_systems = [systems[i] for i in numbers]
+        running_systems = open_systems(
+            needed_systems, float(character.times[-1]), character
+        )
+    run_by_name = {
+        systems[i].name: run for i, run in zip(numbers, running_systems, strict=True)
+    }
+    colliders = surroundings.built(characters_with(character), run_by_name)
     rotation = up_from_up(stream.rig.up, UpAxis.Y)
     if rotation is not None:
-        built = _turned(built, np.array(rotation))
-    return stream, Colliders([*options.colliders, *built], built.sheets, built.bodies)
+        colliders = _turned(colliders, np.array(rotation))
+    return stream, Colliders(
+        [*options.colliders, *colliders], colliders.sheets, colliders.bodies
+    )
 
 
 def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
     """Return colliders rotated about the origin by a quaternion ``(4,)``."""
     return Colliders(
-        [replace(one, poses=_turned_poses(one.poses, rotation)) for one in colliders],
         [
-            replace(one, motion=_TurnedMotion(one.motion, rotation))
-            for one in colliders.sheets
+            replace(collider, poses=_turned_poses(collider.poses, rotation))
+            for collider in colliders
         ],
-        # Nothing pushes them, which is all that they do not know.
         [
-            cast("MovingBodies", _TurnedBodies(one, rotation))
-            for one in colliders.bodies
+            replace(collider, motion=_TurnedMotion(collider.motion, rotation))
+            for collider in colliders.sheets
+        ],
+        # Nothing pushes them, so that only their motion needs rotating.
+        [
+            cast("MovingBodies", _TurnedBodies(collider, rotation))
+            for collider in colliders.bodies
         ],
     )
 

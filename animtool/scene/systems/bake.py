@@ -45,7 +45,7 @@ from animtool.usd.props.writer import overlap, prop_paths
 if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
-FPS = Fraction(24)
+DEFAULT_FPS = Fraction(24)
 # Maps the world of a take to that of a layer's systems, at time codes.
 Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
@@ -57,9 +57,11 @@ class SystemPrims:
     scene: Scene
     job: SimulatedJob
     start: Fraction  # time code at 0 s; with a take, its first frame
-    codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
-    watch: CharacterWatch | None = None  # sees the take
-    displacement: Displacement | None = None  # of a layer; None is the same
+    # Time codes to write, ascending; empty uses the take's.
+    codes: tuple[Fraction, ...] = ()
+    watch: CharacterWatch | None = None  # records the take
+    # Displacement of a layer; None is the identity.
+    displacement: Displacement | None = None
 
     def seconds(self, code: Fraction) -> float:
         """Return the time of a time code on the clock of the systems [s]."""
@@ -76,13 +78,15 @@ class SystemPrims:
             character = replace(character, times=character.times + delay)
         systems = self.scene.systems
         main_rig = None if self.watch is None else plan.takes[0].stream.rig
-        last = prims.seconds(codes[-1])
-        run = SystemRun(systems, last, character, draft.progress, main_rig)
-        keep = plan.options.keep_stopped
-        rows = run.rows(codes, prims.start, job.metadata.span.fps, keep_stopped=keep)
+        last_seconds = prims.seconds(codes[-1])
+        run = SystemRun(systems, last_seconds, character, draft.progress, main_rig)
+        keeps_stopped = plan.options.keep_stopped
+        frame_rows = run.rows(
+            codes, prims.start, job.metadata.span.fps, keep_stopped=keeps_stopped
+        )
         if draft.report is None:
             self._begin(draft)
-        frames = SystemFrames(self, job, run, rows, plan.options.strict)
+        frames = SystemFrames(self, job, run, frame_rows, plan.options.strict)
         if plan.options.chunk is not None:
             frames.chunk(draft.layer, plan.output, plan.options.chunk)
         draft.growth = frames
@@ -90,10 +94,10 @@ class SystemPrims:
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
         """Return a copy with the time codes of the take."""
         codes = [Fraction(code) for code in watch.codes.tolist()]
-        stated = self.job.metadata
-        span = FrameSpan(codes[0], codes[-1], stated.span.fps)
-        metadata = replace(stated, span=span)
-        # Where a shot begins before its take, the take's first pose is held.
+        metadata_before = self.job.metadata
+        span = FrameSpan(codes[0], codes[-1], metadata_before.span.fps)
+        metadata = replace(metadata_before, span=span)
+        # If a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
         displacement = (
             None if self.displacement is None else self.displacement(watch.codes)
@@ -137,10 +141,10 @@ class SystemFrames:
     prims: SystemPrims
     job: SimulatedJob
     run: SystemRun
-    rows: Iterator[Any]  # of every system, frame by frame
+    rows: Iterator[Any]  # rows of all systems, frame by frame
     strict: bool
-    # Known once the frames are made: files beside the layer, what they hold, and the
-    # layer that a run which stopped ends.
+    # Known after the frames are simulated: files next to the layer, their contents, and
+    # the layer that a stopped run ends.
     files: list[Path] = field(default_factory=list)
     written: list[CachedMesh] = field(default_factory=list)
     ended: Any = None
@@ -192,25 +196,25 @@ class SystemFrames:
             stopped = report.takes[0]
             stopped.source_frames = stopped.written.samples = run.done
             stopped.written.span = report.result.span
-        worst = max(written, key=lambda prim: prim.error)
+        worst_mesh = max(written, key=lambda prim: prim.error)
         (take,) = report.takes
-        take.written.sampled = list(worst.sampled)
-        take.written.rounding = Rounding(worst.error, worst.error_code)
-        at = run.written[written.index(worst)]
-        take.error_joint = self.prims.scene.systems[at].name
+        take.written.sampled = list(worst_mesh.sampled)
+        take.written.rounding = Rounding(worst_mesh.error, worst_mesh.error_code)
+        worst_index = run.written[written.index(worst_mesh)]
+        take.error_joint = self.prims.scene.systems[worst_index].name
         draft.read += run.seconds
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     """Return the plan of a scene's systems."""
     _check(scene, options)
-    fps = options.fps or FPS
+    fps = options.fps or DEFAULT_FPS
     frames, scene_frames = options.frame_range, scene.bake.frame_range
     if frames is None:
         message = "a simulation has no natural end"
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
-    # Where only a part is asked for, the simulation still begins with the whole.
+    # The simulation starts at the beginning even if only a part is requested.
     first = (
         Fraction((scene_frames or frames).first)
         if options.start is None
@@ -219,10 +223,10 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     codes = _codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
-    up = options.to_up or UpAxis.Y
+    up_axis = options.to_up or UpAxis.Y
     span = FrameSpan(Fraction(frames.first), Fraction(frames.last), fps)
-    metadata = StageMetadata(model.split("/")[1], span, unit, up, options.shot)
-    job = system_job(scene.systems, model, metadata, unit, up)
+    metadata = StageMetadata(model.split("/")[1], span, unit, up_axis, options.shot)
+    job = system_job(scene.systems, model, metadata, unit, up_axis)
     return SystemPrims(scene, job, first, codes)
 
 
@@ -239,13 +243,15 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 def _check(scene: Scene, options: BakeOptions) -> None:
     """Refuse options that need a character."""
-    names = [option.label for option in refused_options(options, "systems").values()]
+    option_names = [
+        option.label for option in refused_options(options, "systems").values()
+    ]
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
-        names.insert(options.rig_layer is not None, f"as: {options.form}")
+        option_names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
     faults = [
         Fault("SCN062", f"{name} is for characters, but there is none", path)
-        for name in names
+        for name in option_names
     ]
     if faults:
         raise OptionError(faults)
@@ -254,14 +260,14 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     """Return the plan of a scene's systems with a take.
 
-    They are below the character's model, so that both are in one world wherever that
-    stands: in its unit, turned to its up axis.
+    They are below the character's model, so that both share its world: its placement,
+    unit and up axis.
     """
     unit, up = plan.meters_per_unit, plan.rig.up
     stage = (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
     model = plan.paths.model
-    unknown = FrameSpan(Fraction(0), Fraction(0), plan.fps)
-    metadata = StageMetadata(model.split("/")[1], unknown, *stage)
+    placeholder_span = FrameSpan(Fraction(0), Fraction(0), plan.fps)
+    metadata = StageMetadata(model.split("/")[1], placeholder_span, *stage)
     job = system_job(scene.systems, model, metadata, unit, up)
     _check_prim_paths(scene, job, plan)
     watch = CharacterWatch(
@@ -281,16 +287,16 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     """Refuse systems whose prim paths are taken."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
-    taken = {paths.root: "the character"}
-    taken |= {path: "a prop" for path in prop_paths(tracks, paths.model)}
+    owner_by_path = {paths.root: "the character"}
+    owner_by_path |= {path: "a prop" for path in prop_paths(tracks, paths.model)}
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):
-        whose = [owner for prim, owner in taken.items() if overlap(path, prim)]
-        if not whose and target is not None and _is_other(target, path):
-            whose = ["the rig layer"]
-        if whose:
-            message = f"{path} belongs to {whose[0]}"
+        owners = [owner for prim, owner in owner_by_path.items() if overlap(path, prim)]
+        if not owners and target is not None and _is_other(target, path):
+            owners = ["the rig layer"]
+        if owners:
+            message = f"{path} belongs to {owners[0]}"
             faults.append(
                 system.location.fault("SCN068", message, "give it another name")
             )
@@ -299,10 +305,10 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
 
 
 def _is_other(target: RigTarget, path: str) -> bool:
-    """Return whether a stage has a prim there that no earlier bake wrote."""
+    """Return whether a stage has a prim at a path that no earlier bake wrote."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
     if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
         return False
-    # Copies with names are Xforms, whose prototypes are a class.
+    # Instanced copies are Xforms with names, whose prototypes are classes.
     prototypes = prim.GetChild("Prototypes")
     return not (prototypes and prototypes.IsAbstract())

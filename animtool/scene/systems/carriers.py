@@ -24,9 +24,9 @@ from animtool.scene.systems.character_motion import (
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.systems.framework.fields import PlacedModel
 
-# Between two of these a prim goes straight, whatever turns it [1/s].
+# Samples a second of a prim's poses, which are linear between them [1/s].
 PRIM_RATE = 120
-# Times of a prim that are looked at, at most.
+# Maximum number of sampled times of a prim.
 MAX_TIMES = 100_000
 
 
@@ -36,7 +36,7 @@ class OnJoint:
 
     file: Path  # A clip or a scene
     joint: str  # its name
-    # Of the entry that names it.
+    # Location of the entry that names it.
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
@@ -63,7 +63,7 @@ class OnVertex:
     file: Path  # A clip or a scene
     mesh: str  # name of the mesh
     vertex: int  # its number
-    # Of the entry that names it.
+    # Location of the entry that names it.
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
@@ -71,7 +71,7 @@ class OnVertex:
         fault = no_mesh(rig, self.mesh)
         if fault is not None:
             return fault
-        (mesh,) = [one for one in surfaces_of(rig) if one.name == self.mesh]
+        (mesh,) = [surface for surface in surfaces_of(rig) if surface.name == self.mesh]
         last = len(mesh.points) - 1
         if self.vertex <= last:
             return None
@@ -83,11 +83,11 @@ class OnVertex:
         character = characters.of(self.file)
         _check(self.fault(character.rig), self.location)
         # The next block reuses the buffer of the last one.
-        parts = [
+        position_blocks = [
             block.points[:, self.vertex].copy()
             for block in CharacterSkin(character, self.mesh).blocks()
         ]
-        positions = np.concatenate(parts)
+        positions = np.concatenate(position_blocks)
         return Poses(
             character.times, positions, np.tile(so3.IDENTITY, (len(positions), 1))
         )
@@ -104,7 +104,7 @@ class OnPrim:
 
     file: Path  # the file
     prim: str  # path of the prim
-    frame: float | None = None  # time code that comes at 0 s; None is the first
+    frame: float | None = None  # time code at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
         """Return its poses over time."""
@@ -136,19 +136,19 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     translation_keys = np.array(model.moves or [[0.0] * 4])
     rotation_keys = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
     origins = np.zeros((len(rotation_keys), 3))
-    gone = Poses(
+    translated = Poses(
         translation_keys[:, 0],
         translation_keys[:, 1:],
         np.tile(so3.IDENTITY, (len(translation_keys), 1)),
     )
-    turned = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
-    # Each is linear between its own keys, and so between those of both.
+    rotated = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
+    # Each is linear between its own keys, so both are linear between the union of them.
     times = translation_keys[:, 0] if not model.turns else rotation_keys[:, 0]
     if model.moves and model.turns:
         times = np.union1d(translation_keys[:, 0], rotation_keys[:, 0])
     offset = entry_poses.rows[0]
     return Poses(
         times,
-        gone.at_times(times)[:, :3] + offset[:3],
-        so3.multiply(turned.at_times(times)[:, 3:], offset[3:]),
+        translated.at_times(times)[:, :3] + offset[:3],
+        so3.multiply(rotated.at_times(times)[:, 3:], offset[3:]),
     )

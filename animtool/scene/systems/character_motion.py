@@ -37,9 +37,9 @@ class CharacterMotion:
 
     path: Path  # its file
     rig: Rig  # its rig
-    motion: Motion  # poses, and weights of shapes
+    motion: Motion  # poses and shape weights
     world: WorldTransforms  # of its joints
-    times: FloatArray  # of the frames, the first at 0 s ``(F,)`` [s]
+    times: FloatArray  # times of the frames, the first at 0 s ``(F,)`` [s]
 
     def colliders(self, like: Collider) -> list[Collider]:
         """Return the capsules of its rig over its frames [m]."""
@@ -86,8 +86,8 @@ def open_take(path: Path) -> TakeStream:
     return load_scene(path).open(keeps=False)
 
 
-# Frames whose points are cached: both ends of a step, and those of the last.
-KEPT = 4
+# Number of cached frames: both ends of a step, and those of the last.
+CACHED_FRAMES = 4
 
 
 def no_mesh(rig: Rig, name: str) -> Fault | None:
@@ -106,8 +106,8 @@ class CharacterSkin:
         surface: The mesh at rest.
 
     Args:
-        character: In motion.
-        name: Of the mesh.
+        character: Character in motion.
+        name: Name of the mesh.
 
     Raises:
         OptionError: It has no such mesh (SIM053).
@@ -118,7 +118,9 @@ class CharacterSkin:
         fault = no_mesh(rig, name)
         if fault is not None:
             raise OptionError(fault)
-        (self.surface,) = [one for one in surfaces_of(rig) if one.name == name]
+        (self.surface,) = [
+            surface for surface in surfaces_of(rig) if surface.name == name
+        ]
         shapes = [shape.name for shape in rig.shapes]
         (mesh,) = character_meshes(
             [self.surface], rig.names, bind_matrices(rig), shapes
@@ -148,8 +150,8 @@ class SkinMotion:
     """A character's mesh over time, linear between frames and clamped outside.
 
     Args:
-        character: In motion.
-        name: Of the mesh.
+        character: Character in motion.
+        name: Name of the mesh.
 
     Raises:
         OptionError: It has no such mesh (SIM053).
@@ -160,17 +162,17 @@ class SkinMotion:
         self._times = character.times
         surface = self._skin.surface
         self._faces = triangulated(surface.counts, surface.indices)
-        self._frame = lru_cache(KEPT)(self._skin.frame)
+        self._frame = lru_cache(CACHED_FRAMES)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(V, 3)`` at a time [s] [m]."""
         times = self._times
         i = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
-        before = self._frame(i)
+        frame_points = self._frame(i)
         if not times[0] < t < times[-1] or t == times[i]:
-            return before
+            return frame_points
         fraction = (t - times[i]) / (times[i + 1] - times[i])
-        return np.asarray(before + (self._frame(i + 1) - before) * fraction)
+        return np.asarray(frame_points + (self._frame(i + 1) - frame_points) * fraction)
 
     @property
     def faces(self) -> tuple[IntArray, IntArray]:
@@ -190,31 +192,32 @@ def character_colliders(
     models: Sequence[CharacterModel], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
     """Return the capsules and the meshes of characters, each once."""
-    ones: dict[tuple[str, str | None], CharacterModel] = {}
-    for one in models:
-        ones.setdefault((str(one.file), one.mesh), one)
+    distinct_models: dict[tuple[str, str | None], CharacterModel] = {}
+    for model in models:
+        distinct_models.setdefault((str(model.file), model.mesh), model)
     colliders: list[Collider] = []
     sheets: list[Sheet] = []
-    for (file, mesh), one in ones.items():
+    for (file, mesh), model in distinct_models.items():
         character = characters.of(Path(file))
         if mesh is None:
-            like = record_of(Collider, one, shape=Sphere(1.0))
-            colliders += character.colliders(like)
+            template = record_of(Collider, model, shape=Sphere(1.0))
+            colliders += character.colliders(template)
         else:
-            sheet_options = {"radius": one.margin, "name": mesh}
+            sheet_options = {"radius": model.margin, "name": mesh}
             motion = SkinMotion(character, mesh)
-            sheets.append(record_of(Sheet, one, motion=motion, **sheet_options))
+            sheets.append(record_of(Sheet, model, motion=motion, **sheet_options))
     return colliders, sheets
 
 
 class CharacterWatch:
     """Records the written time codes of a take, and its motion if required.
 
-    Frames are read once: by the writer, whose blocks it sees pass. Of a source that is
-    sampled as a function of time, and has no blocks read, it asks for its frames.
+    Frames are read once, by the writer; the watch records the blocks on their way. A
+    source that is sampled as a function of time has no blocks, so the watch samples it
+    itself.
 
     Attributes:
-        wanted: Whether the motion is kept.
+        records_motion: Whether the motion is recorded.
     """
 
     def __init__(self, *, records_motion: bool) -> None:

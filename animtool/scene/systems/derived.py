@@ -28,7 +28,7 @@ from animtool.motion.transforms import PropRequest
 from animtool.scene.file.entries import SystemSetup, entry_location
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
-from animtool.scene.systems.entries import PLACING, EntryReader
+from animtool.scene.systems.entries import POSE_KEYS, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.scene.systems.suspicions import warn_of_sizes
 from animtool.systems.framework.conversion import METRES, SceneUnits
@@ -65,9 +65,9 @@ class Prototype:
     """A mesh that copies are made of, at the phases of its cycle."""
 
     path: Path
-    prim: str | None  # of a USD file
-    mesh: str | None  # of a rig
-    samples: int  # phases of the cycle
+    prim: str | None  # path of a prim in a USD file
+    mesh: str | None  # name of a mesh in a rig
+    samples: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
         """Return its mesh at each phase; one for a static mesh.
@@ -76,11 +76,11 @@ class Prototype:
             OptionError: There is no such mesh (SIM051, SIM053).
             FormatError: The file cannot be read.
         """
-        at, span = self._of_rig() if self.prim is None else self._of_stage()
-        shares = [0.0] if span is None else np.arange(self.samples) / self.samples
-        first, last = span or (0.0, 0.0)
+        frame_at, span = self._of_rig() if self.prim is None else self._of_stage()
+        fractions = [0.0] if span is None else np.arange(self.samples) / self.samples
+        begin, end = span or (0.0, 0.0)
         return tuple(
-            at(first + (last - first) * float(fraction)) for fraction in shares
+            frame_at(begin + (end - begin) * float(fraction)) for fraction in fractions
         )
 
     def _of_stage(self) -> _Moving:
@@ -123,7 +123,7 @@ class SpecPartReader(EntryReader):
     """Reads the entries of a system spec by the types of their keys.
 
     Attributes:
-        carriers: Files of what carries others.
+        carriers: Files of the carriers.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class SpecPartReader(EntryReader):
     ) -> None:
         super().__init__(document, roots, units)
         self.carriers: list[Path] = []
-        # Populations often share their gaits, which take long to read.
+        # Populations often share their gaits, which are slow to read.
         self._gaits: dict[GaitsSource, GaitsSource] = {}
 
     def parts(
@@ -142,33 +142,34 @@ class SpecPartReader(EntryReader):
     ) -> dict[str, Any]:
         """Return the parsed entries of a model by key, without plain values.
 
-        A list has one of each entry, without those that faults leave none. A model in a
-        model is such parts again, or its record, and what is placed has its ``poses``
-        among them.
+        A list contains one part per valid entry. A nested model becomes such parts
+        again, or its record; a placed entry includes its ``poses``.
         """
         parts: dict[str, Any] = {}
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(at, model, model.code)
             parts["poses"] = self._checked_part(at, poses, check=check)
-        for key, declared in type(model).model_fields.items():
+        for key, field_info in type(model).model_fields.items():
             if keys is not None and key not in keys:
                 continue
             value = getattr(model, key)
-            placing = isinstance(model, PlacedModel) and key in PLACING
-            read = self._reader(declared.annotation, declared.metadata, check=check)
-            if placing or read is None or value is None:
+            is_placed = isinstance(model, PlacedModel) and key in POSE_KEYS
+            part_reader = self._reader(
+                field_info.annotation, field_info.metadata, check=check
+            )
+            if is_placed or part_reader is None or value is None:
                 continue
-            if EntryPart.ARRAY in _marks(declared.annotation, declared.metadata):
-                values = read((*at, key), value)
-                factor = self.units.array_factor(declared.description)
+            if EntryPart.ARRAY in _marks(field_info.annotation, field_info.metadata):
+                values = part_reader((*at, key), value)
+                factor = self.units.array_factor(field_info.description)
                 parts[key] = values
                 if values is not None and factor != 1.0:
                     parts[key] = values * factor
             elif isinstance(value, list):
-                parts[key] = self.each((*at, key), value, read)
+                parts[key] = self.each((*at, key), value, part_reader)
             else:
-                parts[key] = read((*at, key), value)
+                parts[key] = part_reader((*at, key), value)
         return parts
 
     def entry(self, at: Location, model: FileModel) -> Any:
@@ -192,19 +193,19 @@ class SpecPartReader(EntryReader):
             if isinstance(mark, EntryPart):
                 read: Reader = getattr(self, READERS[mark])
                 if mark in {EntryPart.EMITTER_SHAPE, EntryPart.SHAPE}:
-                    return lambda at, one: self._checked_part(
-                        at, read(at, one), check=check
+                    return lambda at, base: self._checked_part(
+                        at, read(at, base), check=check
                     )
                 return read
         if get_origin(annotation) is Annotated:
             marks = annotation.__metadata__
             return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            readers = (READERS[one] for one in annotation.__mro__ if one in READERS)
+            readers = (READERS[base] for base in annotation.__mro__ if base in READERS)
             reader: Reader = getattr(self, next(readers, "entry"))
             return reader
-        inner = (self._reader(one, check=check) for one in get_args(annotation))
-        return next((read for read in inner if read is not None), None)
+        item_type = (self._reader(base, check=check) for base in get_args(annotation))
+        return next((read for read in item_type if read is not None), None)
 
     def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
         """Return the mesh of copies; a USD file is checked now."""
@@ -244,8 +245,8 @@ class SpecPartReader(EntryReader):
             return read_bodies(path, model.prim, model.frame)
         except AnimtoolError as error:
             for fault in error.faults:
-                of = path.name, fault.where or model.prim
-                message = ": ".join([*of, fault.message])
+                prim_name = path.name, fault.where or model.prim
+                message = ": ".join([*prim_name, fault.message])
                 self.note((*at, "prim"), replace(fault, code="SIM051", message=message))
             return None
 
@@ -253,8 +254,8 @@ class SpecPartReader(EntryReader):
         """Return a name or number, or those of an array; none if unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
-        above = [step for step in at[:-2] if isinstance(step, str)]
-        values = self.array(at, entry, above[-1])
+        parent_keys = [step for step in at[:-2] if isinstance(step, str)]
+        values = self.array(at, entry, parent_keys[-1])
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
     def rest_mesh(self, at: Location, model: PrimMeshModel) -> StaticMesh | None:
@@ -292,7 +293,7 @@ class SpecPartReader(EntryReader):
         try:
             rig = open_take(path).rig
         except AnimtoolError as error:
-            # They are faults of that file, and are reported with it.
+            # They are faults of that file, which reports them.
             self.document.faults.extend(error.faults)
             self.sound = False
             return None
@@ -325,7 +326,7 @@ class SpecPartReader(EntryReader):
         return part
 
 
-# What reads entries that are marked, or of a model, by the name of its method.
+# Readers of marked entries, or of a model, by the name of the method.
 READERS: Mapping[Any, str] = {
     EntryPart.ARRAY: "array",
     EntryPart.NAMES: "names",
@@ -349,9 +350,9 @@ READERS: Mapping[Any, str] = {
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     """Return the markers of a type or of its alternatives."""
-    inner = [_marks(one, ()) for one in get_args(annotation)]
+    inner = [_marks(argument, ()) for argument in get_args(annotation)]
     metadata = getattr(annotation, "__metadata__", ())
-    return [*marks, *metadata, *(mark for part in inner for mark in part)]
+    return [*marks, *metadata, *(mark for alternative in inner for mark in alternative)]
 
 
 # Keys of systems whose sizes are looked at, and what these are compared with.
@@ -370,15 +371,15 @@ def read_spec(
 
     ``units`` are those of the scene, which arrays of files that it names count too.
 
-    What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
-    into, where the spec has them; other keys are read as their types say.
+    The keys `colliders`, `characters`, `systems` and `meshes` name its colliders, if
+    the spec has them; other keys are read as their types say.
     """
     spec = units.converted(spec)
-    outside, reader = (SpecPartReader(document, roots, units) for _ in range(2))
-    outer = outside.parts(at, spec, AROUND[:1])
-    # Systems that are named are looked for, whatever else makes no sense.
-    sound = outside.sound
-    outer |= outside.parts(at, spec, AROUND[1:])
+    collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
+    collider_parts = collider_reader.parts(at, spec, AROUND[:1])
+    # Named systems are looked up even if other keys are invalid.
+    is_valid = collider_reader.sound
+    collider_parts |= collider_reader.parts(at, spec, AROUND[1:])
     parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
     reader.note_ranges(at, spec)
     if not SIZES.isdisjoint(type(spec).model_fields):
@@ -394,11 +395,13 @@ def read_spec(
         resume = reader.input((*at, "resume"), spec.resume)
     if spec.save is not None:
         reader.output((*at, "save"), spec.save)
-    if record is None and (faults or not (sound and reader.sound)):
+    if record is None and (faults or not (is_valid and reader.sound)):
         return None
-    followed = (*outside.files, *reader.files)
-    read = {key: tuple(parts) for key, parts in outer.items()}
-    tied = tuple(getattr(record, "tied", ()))
-    around = Surroundings(**read, tied=tied, followed=followed, at=at)
+    followed_files = (*collider_reader.files, *reader.files)
+    collider_arguments = {key: tuple(parts) for key, parts in collider_parts.items()}
+    tied_bodies = tuple(getattr(record, "tied", ()))
+    surroundings = Surroundings(
+        **collider_arguments, tied=tied_bodies, followed=followed_files, at=at
+    )
     carriers = tuple(reader.carriers)
-    return SystemSetup(spec, around, parts, record, at, carriers, resume)
+    return SystemSetup(spec, surroundings, parts, record, at, carriers, resume)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from animtool.systems.particles.forces.base import Force
 
 # Keys of the poses of an entry.
-PLACING = {"at", "rotate", "moves", "turns", "prim"}
+POSE_KEYS = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
 RecordT = TypeVar("RecordT", bound=Checked)
 
@@ -56,11 +56,11 @@ class EntryReader:
     """Reads records from the keys of an entry.
 
     Attributes:
-        document: Where faults are noted.
-        roots: Folders that files may be in.
-        sound: Whether nothing was noted.
-        files: USD files that entries go with.
-        units: Of arrays of numbers; those of entries are in metres already.
+        document: Document that records faults.
+        roots: Folders that may contain files.
+        sound: Whether no fault was recorded.
+        files: USD files that entries follow.
+        units: Units of arrays of numbers; numbers of entries are in metres already.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class EntryReader:
     ) -> Kind | None:
         """Return what a function reads; None with recorded faults if it raises.
 
-        With a code that is the first alone, as one of that code.
+        With a code, only the first fault is recorded, with that code.
         """
         try:
             return read()
@@ -131,8 +131,8 @@ class EntryReader:
         self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
     ) -> list[Any]:
         """Return the parsed entries of a list, without faulty ones."""
-        parts = [read((*at, i), model) for i, model in enumerate(models)]
-        return [part for part in parts if part is not None]
+        read_parts = [read((*at, i), model) for i, model in enumerate(models)]
+        return [entry for entry in read_parts if entry is not None]
 
     def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
         """Return the parsed colliders of one of the keys in `AROUND`."""
@@ -142,8 +142,8 @@ class EntryReader:
             "systems": self.surface,
             "meshes": self.mesh,
         }
-        converted = map(self.units.converted, models)
-        return tuple(self.each((*at, key), converted, readers[key]))
+        converted_models = map(self.units.converted, models)
+        return tuple(self.each((*at, key), converted_models, readers[key]))
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         """Return a valid collider of an entry; None with faults."""
@@ -196,9 +196,9 @@ class EntryReader:
         """Return the poses of an entry over time; None with faults.
 
         Args:
-            at: Place of the entry.
-            model: What it says.
-            code: Of what makes no sense.
+            at: Location of the entry.
+            model: Model of the entry.
+            code: Code for invalid poses.
         """
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
@@ -207,16 +207,18 @@ class EntryReader:
         if model.prim is not None:
             return self._followed(at, model, entry_poses, code)
         sound = True
-        for key in ("moves", "turns"):
-            rows = np.array(getattr(model, key)).reshape(-1, 5 if key == "turns" else 4)
+        for pose_key in ("moves", "turns"):
+            rows = np.array(getattr(model, pose_key)).reshape(
+                -1, 5 if pose_key == "turns" else 4
+            )
             message = ""
             if (np.diff(rows[:, 0]) <= 0).any():
                 message = "its times must ascend"
-            elif key == "turns" and not rows[:, 1:].any(axis=1).all():
+            elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
                 message = "a quaternion must not be all 0"
             if message:
                 sound = False
-                self.note((*at, key), Fault(code, message))
+                self.note((*at, pose_key), Fault(code, message))
         return moved_poses(model, entry_poses) if sound else None
 
     def _followed(
@@ -270,7 +272,7 @@ class EntryReader:
         at: Location,
         model: CharacterModel | CarryingJointModel | CarryingVertexModel,
     ) -> Path | None:
-        """Return the file of a character; the scene file for its own one."""
+        """Return the file of a character; the scene file for the scene's own."""
         if model.source is (model.file is not None):
             message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
@@ -315,12 +317,14 @@ class EntryReader:
 
     def _mesh(self, at: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of a file's arrays."""
-        unknown = unknown_options(values, ["points", "triangles", "closed"], "mesh")
-        self.note_all(at, unknown)
-        closed = values.get("closed", False)
-        if not isinstance(closed, bool):
+        unknown_keys = unknown_options(
+            values, ["points", "triangles", "closed"], "mesh"
+        )
+        self.note_all(at, unknown_keys)
+        is_closed = values.get("closed", False)
+        if not isinstance(is_closed, bool):
             fault = Fault(
-                "SCN002", f"must be true or false, not {excerpt(repr(closed))}"
+                "SCN002", f"must be true or false, not {excerpt(repr(is_closed))}"
             )
             self.note((*at, "closed"), fault)
             return None
@@ -330,19 +334,21 @@ class EntryReader:
             )
             for key in ("points", "triangles")
         )
-        if unknown or points is None or triangles is None:
+        if unknown_keys or points is None or triangles is None:
             return None
         points = points * self.units.length
-        return Mesh(points, np.asarray(triangles, np.int64), closed)
+        return Mesh(points, np.asarray(triangles, np.int64), is_closed)
 
     def _height_field(self, at: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of a file's heights."""
-        what = "a height field needs heights, such as hill.npz"
-        heights = self._named_array(at, values, "heights", what)
+        message = "a height field needs heights, such as hill.npz"
+        heights = self._named_array(at, values, "heights", message)
         if heights is not None:
             heights = heights * self.units.length
-        rest = {key: value for key, value in values.items() if key != "heights"}
-        field = self.record(at, HeightField, rest, "height_field")
+        other_options = {
+            key: value for key, value in values.items() if key != "heights"
+        }
+        field = self.record(at, HeightField, other_options, "height_field")
         if heights is None or field is None:
             return None
         faults = [("size", why) for why in field.faults()]
@@ -367,7 +373,7 @@ class EntryReader:
     ) -> npt.NDArray[np.float64] | None:
         """Return the array of a reference; None with a fault if unreadable.
 
-        ``default`` is the name of the array where it gives none; None is its key.
+        ``default`` is the array's name if the text has none; None uses the key.
         """
         name, key = split_reference(text, str(at[-1]) if default is None else default)
         path = self.input(at, name)

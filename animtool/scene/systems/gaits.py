@@ -46,7 +46,9 @@ class GaitsSource:
         rotation = up_from_up(UpAxis.Y, rig.up)
         if rotation is not None:
             rig = rotated_rig(rig, np.array(rotation), UpAxis.Y)
-        return gaits_of(rig, [(path.stem, _on_rig(path, rig)) for path in self.clips])
+        return gaits_of(
+            rig, [(clip_path.stem, _on_rig(clip_path, rig)) for clip_path in self.clips]
+        )
 
 
 def _on_rig(path: Path, rig: Rig) -> Take:
@@ -63,9 +65,9 @@ def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:
     """Return whether another rig has all joints of a rig at equal positions."""
     if (names.joints < 0).any():
         return False
-    off = other.rest_translations[names.joints] - rig.rest_translations
-    return bool((abs(off) < SAME).all())
+    differences = other.rest_translations[names.joints] - rig.rest_translations
+    return bool((abs(differences) < POSITION_TOLERANCE).all())
 
 
-# Joint positions that differ by less are of one rig [m].
-SAME = 1e-4
+# Joint positions that differ by less are equal [m].
+POSITION_TOLERANCE = 1e-4

@@ -18,35 +18,37 @@ from animtool.systems.framework.spec import Member
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return groups of system indices in simulation order.
 
-    What others need comes before them; else they stand in the scene's order.
+    A system comes after those it depends on, otherwise in the scene's order.
     """
     groups = joined_groups(systems)
-    of = {i: k for k, group in enumerate(groups) for i in group}
-    first = {system.name: i for i, system in reversed(list(enumerate(systems)))}
+    group_of = {i: k for k, group in enumerate(groups) for i in group}
+    index_by_name = {system.name: i for i, system in reversed(list(enumerate(systems)))}
     sorter: TopologicalSorter[int] = TopologicalSorter()
     for k, group in enumerate(groups):
-        needs = {
-            of[first[name]]
+        needed_groups = {
+            group_of[index_by_name[name]]
             for i in group
             for name, _ in systems[i].setup.around.needs
-            if name in first
+            if name in index_by_name
         }
-        sorter.add(k, *sorted(needs))
+        sorter.add(k, *sorted(needed_groups))
     return [groups[k] for k in sorter.static_order()]
 
 
 def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     """Return the systems that a joined group depends on.
 
-    Those that they need, and what these need, each with what it is joined to.
+    They include indirect dependencies, each with the systems that it is joined to.
     """
     groups = in_order(systems)
     names = {name for i in group for name, _ in systems[i].setup.around.needs}
     numbers: list[int] = []
-    for other in reversed(groups[: groups.index(list(group))]):
-        if any(systems[i].name in names for i in other):
-            numbers += other
-            names |= {name for i in other for name, _ in systems[i].setup.around.needs}
+    for earlier_group in reversed(groups[: groups.index(list(group))]):
+        if any(systems[i].name in names for i in earlier_group):
+            numbers += earlier_group
+            names |= {
+                name for i in earlier_group for name, _ in systems[i].setup.around.needs
+            }
     return sorted(numbers)
 
 
@@ -54,40 +56,49 @@ def with_dependencies(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
     """Return some systems with those they are joined to or depend on."""
-    every, included = in_order(systems), {*requested}
+    ordered_groups, included_indices = in_order(systems), {*requested}
     while True:
-        groups = [group for group in every if not included.isdisjoint(group)]
-        more = {i for group in groups for i in (*group, *dependencies(systems, group))}
-        names = {systems[i].name for i in more}
-        # Who pushes one of them moves it.
-        more |= {
+        groups = [
+            group for group in ordered_groups if not included_indices.isdisjoint(group)
+        ]
+        needed_indices = {
+            i for group in groups for i in (*group, *dependencies(systems, group))
+        }
+        names = {systems[i].name for i in needed_indices}
+        # A system that pushes another one moves it.
+        needed_indices |= {
             i
             for i, system in enumerate(systems)
             if any(name in names for name, _ in system.setup.around.pushes)
         }
-        if more == included:
-            return sorted(included)
-        included = more
+        if needed_indices == included_indices:
+            return sorted(included_indices)
+        included_indices = needed_indices
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return groups of joined systems, ordered by their first member.
 
-    Those that the same rigid bodies carry are joined by these.
+    Systems on the same rigid bodies are joined by them.
     """
     group = list(range(len(systems)))
-    tied_first: dict[str, int] = {}  # by rigid systems, the first that they carry
+    tied_first: dict[str, int] = {}  # rigid systems, by the first that they carry
     for i, system in enumerate(systems):
-        joined = {name for name, _ in system.setup.joined}
-        others = [k for k, other in enumerate(systems) if other.name in joined]
-        others += [
+        joined_names = {name for name, _ in system.setup.joined}
+        joined_indices = [
+            k for k, other in enumerate(systems) if other.name in joined_names
+        ]
+        joined_indices += [
             tied_first.setdefault(name, i) for name in system.setup.around.carriers
         ]
-        for k in others:
-            old, new = max(group[i], group[k]), min(group[i], group[k])
-            group = [new if of == old else of for of in group]
+        for k in joined_indices:
+            old_group, new_group = max(group[i], group[k]), min(group[i], group[k])
+            group = [
+                new_group if group_of == old_group else group_of for group_of in group
+            ]
     return [
-        [i for i, of in enumerate(group) if of == first] for first in sorted(set(group))
+        [i for i, group_of in enumerate(group) if group_of == smallest_member]
+        for smallest_member in sorted(set(group))
     ]
 
 
@@ -95,19 +106,25 @@ def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
     """Record unknown system names and invalid joins."""
-    sound = len(systems) == len(names)
+    valid_systems = len(systems) == len(names)
     for system in systems:
         setup = system.setup
         for name, at in setup.joined:
-            sound &= _check_name(document, at, name, system, systems, names, "weldable")
+            valid_systems &= _check_name(
+                document, at, name, system, systems, names, "weldable"
+            )
         for name, at in setup.around.needs:
-            sound &= _check_name(document, at, name, system, systems, names, "surface")
-        for name, at in setup.around.pushes if sound else ():
-            sound &= _check_name(document, at, name, system, systems, names, "rigid")
-        for tie in system.setup.around.tied if sound else ():
-            sound &= _check_body(document, system, systems, *tie)
-    sound = sound and _check_circles(document, systems)
-    for group in in_order(systems) if sound else ():
+            valid_systems &= _check_name(
+                document, at, name, system, systems, names, "surface"
+            )
+        for name, at in setup.around.pushes if valid_systems else ():
+            valid_systems &= _check_name(
+                document, at, name, system, systems, names, "rigid"
+            )
+        for tie in system.setup.around.tied if valid_systems else ():
+            valid_systems &= _check_body(document, system, systems, *tie)
+    valid_systems = valid_systems and _check_circles(document, systems)
+    for group in in_order(systems) if valid_systems else ():
         if len(group) > 1:
             _check_joined(document, [systems[i] for i in group])
 
@@ -121,28 +138,28 @@ def check_colliders(
     """Record unknown colliders that passes name (SIM183, SIM184, SCN063)."""
     for entry in passes:
         at = location_of(entry.location.where)
-        for i, one in enumerate(getattr(entry.options, "characters", ())):
-            if one.source:
+        for i, character in enumerate(getattr(entry.options, "characters", ())):
+            if character.source:
                 message = (
                     "what is attached to the character of this scene always collides "
                     "with it"
                 )
                 hint = "set how with `capsules` and `skin`, and remove the entry"
                 document.add("SIM183", (*at, "characters", i, "source"), message, hint)
-        for i, one in enumerate(getattr(entry.options, "systems", ())):
-            if not isinstance(one, SystemSurfaceModel):
+        for i, character in enumerate(getattr(entry.options, "systems", ())):
+            if not isinstance(character, SystemSurfaceModel):
                 continue
             at_key = (*at, "systems", i)
             _check_name(
                 document,
                 (*at_key, "system"),
-                one.system,
+                character.system,
                 None,
                 systems,
                 names,
                 "surface",
             )
-            if one.two_way:
+            if character.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
                 document.add("SIM184", (*at_key, "two_way"), message, hint)
@@ -157,14 +174,16 @@ def _check_body(
     where: str,
 ) -> bool:
     """Record a body that a rigid system lacks (SIM162); stages are checked later."""
-    specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
+    specs: list[Any] = [
+        candidate.setup.spec for candidate in systems if candidate.name == name
+    ]
     if not specs or specs[0].stages:
         return True
-    known = [model.name for model in specs[0].bodies]
-    if body in known or body.rpartition("[")[0] in known:
+    body_names = [model.name for model in specs[0].bodies]
+    if body in body_names or body.rpartition("[")[0] in body_names:
         return True
     message = f"unknown body {body!r} of {name!r}"
-    hint = nearest(body, known) or f"it has {listed(known, 12)}"
+    hint = nearest(body, body_names) or f"it has {listed(body_names, 12)}"
     document.add("SIM162", (*system.setup.at, *location_of(where)), message, hint)
     return False
 
@@ -183,12 +202,12 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
         for fault in [] if record is None else record.joined_faults(members):
             at_key = (*system.setup.at, *location_of(fault.where or ""))
             document.add(fault.code, at_key, fault.message, fault.hint)
-    meets = any(system.setup.around.anything for system in systems)
-    first: dict[str, tuple[str, Any]] = {}
+    joined_text = any(system.setup.around.anything for system in systems)
+    first_values: dict[str, tuple[str, Any]] = {}
     for system in systems:
-        for key, value in system.setup.spec.shared(meets=meets).items():
-            name, other = first.setdefault(key, (system.name, value))
-            if value != other:
+        for key, value in system.setup.spec.shared(meets=joined_text).items():
+            name, first_value = first_values.setdefault(key, (system.name, value))
+            if value != first_value:
                 message = f"{key} differs from that of {name}: they are "
                 message += "joined, and simulated as one"
                 hint = "write it once, or the same value twice"
@@ -217,11 +236,11 @@ def check_names(
     document: Document, at: Location, requested: Sequence[str], names: Sequence[str]
 ) -> None:
     """Record unknown system names of an output."""
-    known = sorted({*names})
+    known_names = sorted({*names})
     for i, name in enumerate(requested):
         if name not in names:
-            hint = nearest(name, known) or f"the scene has {listed(known)}"
-            hint = hint if known else "the scene has no systems"
+            hint = nearest(name, known_names) or f"the scene has {listed(known_names)}"
+            hint = hint if known_names else "the scene has no systems"
             message = f"unknown system {name!r}"
             document.add("SCN063", (*at, i), message, hint)
 
@@ -237,22 +256,28 @@ def _check_name(
 ) -> bool:
     """Record a name that is not another suitable system."""
     self_name = None if system is None else system.name
-    named = [other for other in systems if other.name == name]
+    matching = [other for other in systems if other.name == name]
     message, hint = "", None
     if name not in names:
-        others = sorted({*names} - {self_name})
+        other_names = sorted({*names} - {self_name})
         message = f"unknown system {name!r}"
-        hint = nearest(name, others) or f"the scene has {listed(others)}"
-        none = "there is no other" if self_name else "the scene has no systems"
-        hint = hint if others else none
+        hint = nearest(name, other_names) or f"the scene has {listed(other_names)}"
+        no_match_text = "there is no other" if self_name else "the scene has no systems"
+        hint = hint if other_names else no_match_text
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a unique name"
     elif name == self_name:
         message = f"{name!r} is the system itself"
-    elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):
-        kinds = [kind for kind, it in SYSTEM_KINDS.items() if getattr(it, having)]
-        message = f"{name!r} is of kind {named[0].kind}, not {' or '.join(kinds)}"
+    elif matching and not getattr(SYSTEM_KINDS[matching[0].kind], having):
+        suitable_kinds = [
+            kind
+            for kind, system_kind in SYSTEM_KINDS.items()
+            if getattr(system_kind, having)
+        ]
+        message = (
+            f"{name!r} is of kind {matching[0].kind}, not {' or '.join(suitable_kinds)}"
+        )
     if message:
         document.add("SCN063", at, message, hint)
     return not message

@@ -22,12 +22,12 @@ from animtool.scene.systems.character_motion import CharacterMotion, CharacterMo
 from animtool.systems.framework.fields import AROUND, PlacedModel
 from animtool.systems.framework.spec import PinnedPoints
 
-# A system this many times as far from a character as that is large, or this many times
-# as large, is hardly meant, where it would be near and no larger than this many times
-# the character if it counted as the rig does.
-FAR, LARGE, NEAR, FITTING = 10.0, 20.0, 2.0, 5.0
-# What lengths of systems are called.
-_COUNTED = {
+# A system is probably in a wrong unit if its distance from a character is FAR_RATIO
+# times the character's size, or its own size LARGE_RATIO times it, but in the rig's
+# unit they would be within NEAR_RATIO and FITTING_RATIO times it.
+FAR_RATIO, LARGE_RATIO, NEAR_RATIO, FITTING_RATIO = 10.0, 20.0, 2.0, 5.0
+# Names of units in messages.
+_UNIT_NAMES = {
     LengthUnit.M: "metres",
     LengthUnit.CM: "centimetres",
     LengthUnit.MM: "millimetres",
@@ -47,66 +47,74 @@ def misplaced(
     if they counted in the unit of the rig (SIM169). ``main_rig`` is the rig of the
     scene's own character, whatever a system has to do with it.
     """
-    first = CharacterMotions()
+    character_motions = CharacterMotions()
     faults = []
     for system in systems:
-        counted = system.unit or LengthUnit.M
+        length_unit = system.unit or LengthUnit.M
         warnings: list[Fault] = []
-        for pinned in getattr(system.setup.record, "pinned", ()):
-            if not isinstance(pinned.carrier, OnJoint | OnVertex):
+        for pinned_points in getattr(system.setup.record, "pinned", ()):
+            if not isinstance(pinned_points.carrier, OnJoint | OnVertex):
                 continue
-            path = pinned.carrier.file
-            if path not in first.by_path:
-                first.by_path[path] = _first_frame(characters.of(path))
-            warnings += _faults(pinned, first, counted)
+            path = pinned_points.carrier.file
+            if path not in character_motions.by_path:
+                character_motions.by_path[path] = _first_frame(characters.of(path))
+            warnings += _faults(pinned_points, character_motions, length_unit)
         rigs = [characters.of(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
-        scaled = (_out_of_scale(system, rig, counted) for rig in rigs)
+        scale_warnings = (_out_of_scale(system, rig, length_unit) for rig in rigs)
         if not warnings:
-            warnings += next(filter(None, map(list, scaled)), [])
+            warnings += next(filter(None, map(list, scale_warnings)), [])
         faults += [system.location.locate(fault) for fault in warnings]
     return faults
 
 
 def _characters(system: SceneSystem) -> list[Path]:
     """Return the files of the characters that a system depends on."""
-    files = [Path(str(one.file)) for one in system.setup.around.characters]
+    files = [Path(str(character.file)) for character in system.setup.around.characters]
     pins = getattr(system.setup.record, "pinned", ())
-    carriers = [pinned.carrier for pinned in pins]
-    files += [one.file for one in carriers if isinstance(one, OnJoint | OnVertex)]
+    carriers = [pinned_entries.carrier for pinned_entries in pins]
+    files += [
+        character.file
+        for character in carriers
+        if isinstance(character, OnJoint | OnVertex)
+    ]
     return list(dict.fromkeys(files))
 
 
 def _out_of_scale(
-    system: SceneSystem, rig: Rig, counted: LengthUnit
+    system: SceneSystem, rig: Rig, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield the warning of a system that fits a character only in the rig's unit."""
     points = _points(system)
-    tall, size = _sizes(rig)
-    scale = rig.meters_per_unit / counted.meters
-    if not size or not len(points) or np.isclose(scale, 1.0):
+    joint_size, bounds_size = _sizes(rig)
+    scale = rig.meters_per_unit / length_unit.meters
+    if not bounds_size or not len(points) or np.isclose(scale, 1.0):
         return
-    around = rest_world(rig).positions[0]
+    joint_positions = rest_world(rig).positions[0]
     rotation = up_from_up(UpAxis.Y, rig.up)
     if rotation is not None:
-        around = so3.rotate(rotation, around)
-    away, length = _gap(points, around), float(np.ptp(points, axis=0).max())
-    fits = _gap(points * scale, around) <= NEAR * size
-    if not fits or length * scale > FITTING * size:
+        joint_positions = so3.rotate(rotation, joint_positions)
+    distance, length = (
+        _gap(points, joint_positions),
+        float(np.ptp(points, axis=0).max()),
+    )
+    fits_in_rig_unit = _gap(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
+    if not fits_in_rig_unit or length * scale > FITTING_RATIO * bounds_size:
         return
-    if away > FAR * size:
-        what = f"starts {plain(away, 4)} m from the character"
-    elif length > LARGE * size:
-        what = f"is {plain(length, 4)} m large"
+    if distance > FAR_RATIO * bounds_size:
+        description = f"starts {plain(distance, 4)} m from the character"
+    elif length > LARGE_RATIO * bounds_size:
+        description = f"is {plain(length, 4)} m large"
     else:
         return
     unit = unit_name(rig.meters_per_unit)
-    counts = _COUNTED[counted]
+    counted_name = _UNIT_NAMES[length_unit]
     message = (
-        f"{system.name} {what}, but the joints of {rig.name!r} span {plain(tall)} m; "
-        f"systems use {counts}, this rig is in {unit}"
+        f"{system.name} {description}, but the joints of {rig.name!r} span "
+        f"{plain(joint_size)} m; "
+        f"systems use {counted_name}, this rig is in {unit}"
     )
-    hint = _counting_as(unit) or f"write its lengths in {counts}"
+    hint = _counting_as(unit) or f"write its lengths in {counted_name}"
     yield warning("SIM169", message, hint)
 
 
@@ -126,58 +134,60 @@ def _points(system: SceneSystem) -> FloatArray:
     return np.array(corners, np.float64).reshape(-1, 3)
 
 
-def _gap(points: FloatArray, others: FloatArray) -> float:
+def _gap(points: FloatArray, other_points: FloatArray) -> float:
     """Return the distance between the bounds of two sets of points [m]."""
     gaps = np.maximum(
-        points.min(axis=0) - others.max(axis=0), others.min(axis=0) - points.max(axis=0)
+        points.min(axis=0) - other_points.max(axis=0),
+        other_points.min(axis=0) - points.max(axis=0),
     )
     return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def _first_frame(character: CharacterMotion) -> CharacterMotion:
-    world, head = character.world, slice(0, 1)
+    world, first_frame = character.world, slice(0, 1)
     return replace(
         character,
-        motion=character.motion.select(head),
-        world=WorldTransforms(world.positions[head], world.linear[head]),
-        times=character.times[head],
+        motion=character.motion.select(first_frame),
+        world=WorldTransforms(world.positions[first_frame], world.linear[first_frame]),
+        times=character.times[first_frame],
     )
 
 
 def _faults(
-    pinned: PinnedPoints, characters: CharacterMotions, counted: LengthUnit
+    pinned: PinnedPoints, characters: CharacterMotions, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield the warning of a pin that is far from its carrier.
 
-    counted: what lengths of the system count.
+    length_unit: what lengths of the system count.
     """
     carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
-    tall, size = _sizes(rig)
-    inside = pinned.inside(carrier.poses(characters))
-    away = float(np.linalg.norm(inside, axis=-1).min(initial=np.inf))
-    if not size or away <= size or not np.isfinite(away):
+    joint_size, bounds_size = _sizes(rig)
+    in_carrier = pinned.inside(carrier.poses(characters))
+    distance = float(np.linalg.norm(in_carrier, axis=-1).min(initial=np.inf))
+    if not bounds_size or distance <= bounds_size or not np.isfinite(distance):
         return
     if isinstance(carrier, OnJoint):
-        what = f"joint {carrier.joint!r}"
+        description = f"joint {carrier.joint!r}"
     else:
-        what = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
+        description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain(away, 4)} m from {what}, but the joints of "
-        f"{rig.name!r} span {plain(tall)} m"
+        f"the pinned end is {plain(distance, 4)} m from {description}, but the joints "
+        "of "
+        f"{rig.name!r} span {plain(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
-    if unit != counted:
-        counts = _COUNTED[counted]
-        message += f"; systems use {counts}, this rig is in {unit}"
+    if unit != length_unit:
+        counted_name = _UNIT_NAMES[length_unit]
+        message += f"; systems use {counted_name}, this rig is in {unit}"
         hint = "; or ".join(filter(None, [_counting_as(unit), "place it near its pin"]))
     yield warning("SIM168", message, hint, pinned.where)
 
 
 def _counting_as(unit: str) -> str:
     """Return how to state a unit in a scene; empty if it has no name."""
-    if unit not in {one.value for one in LengthUnit}:
+    if unit not in {candidate.value for candidate in LengthUnit}:
         return ""
     return f"units: {{length: {unit}}} in the scene uses the rig's unit"
 

@@ -45,44 +45,47 @@ def last_states(
 ) -> Mapping[int, Any]:
     """Return the final states of some systems, by index.
 
-    A mesh that parts has all its points from the first frame on, so that it keeps its
-    topology: what will tear must be known before anything is written. Systems that
-    these do not need are left out, and do not change them.
+    A mesh that tears has all its points from the first frame on, so that its topology
+    is constant: what will tear must be known before anything is written. Systems that
+    these do not depend on are left out, since they do not affect them.
 
     ``times`` [s].
     """
     numbers = with_dependencies(systems, requested)
-    opened = open_systems([systems[i] for i in numbers], times[-1], character)
+    running_systems = open_systems([systems[i] for i in numbers], times[-1], character)
     final_runs = {
-        i: one for i, one in zip(numbers, opened, strict=True) if i in requested
+        i: running
+        for i, running in zip(numbers, running_systems, strict=True)
+        if i in requested
     }
     for k, t in enumerate(times):
-        for i, one in final_runs.items():
+        for i, running in final_runs.items():
             with located_systems([systems[i]]):
-                one.run.reach(t)
+                running.run.reach(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: one.run.state.state for i, one in final_runs.items()}
+    return {i: running.run.state.state for i, running in final_runs.items()}
 
 
-# Steps of one system, from its pre-roll to the last frame; more take hours.
+# Maximum number of steps of a system, from its pre-roll to the last frame; more take
+# hours.
 MAX_STEPS = 10_000_000
-# Where a solver chooses its steps, none is longer [s].
-LONGEST_STEP = 1 / 240
+# Maximum step of a solver that chooses its steps [s].
+MAX_STEP = 1 / 240
 
-# Powers of ten within which the numbers of scenes are, in SI units.
-LIKELY = 9.0
+# Scenes have numbers within this power of ten, in SI units.
+MAX_EXPONENT = 9.0
 
 
 class SystemRun:
     """A run of systems.
 
     Attributes:
-        systems: What is simulated.
-        seconds: How long each took [s].
-        written: Numbers of those that are written.
-        stopped: Why the frames ended before the last; None where they did not.
-        done: How many frames there were.
+        systems: Simulated systems.
+        seconds: Time spent on each system [s].
+        written: Indices of the systems to write.
+        stopped: Why frames ended before the last one; None if they did not.
+        done: Number of simulated frames.
     """
 
     def __init__(
@@ -124,7 +127,7 @@ class SystemRun:
             return None
 
         def tell(fraction: float) -> None:
-            # Before the first frame is done: a pre-roll, or history for others.
+            # Before the first frame is done: a pre-roll, or history for other systems.
             if self._frames is not None:
                 self._frames(fraction)
 
@@ -147,7 +150,7 @@ class SystemRun:
     @property
     def simulated(self) -> list[dict[str, object]]:
         """Reports of the systems as plain values."""
-        return [said for opened in self._open if (said := opened.report())]
+        return [report for opened in self._open if (report := opened.report())]
 
     def rows(
         self,
@@ -159,29 +162,31 @@ class SystemRun:
     ) -> Iterator[tuple[float, list[Any]]]:
         """Yield every time code with the frames of the written systems.
 
-        With ``keep_stopped`` they end before the first frame that a system does not
-        reach, unless that is the first of all.
+        With ``keep_stopped``, frames end before the first one that a system does not
+        reach, unless it is the very first.
         """
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
         self._run_tear_pre_pass(times)
-        show = None if self._phases is None else self._phases.last()
-        self._frames = show
+        show_progress = None if self._phases is None else self._phases.last()
+        self._frames = show_progress
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             try:
                 row = [self._row(i, t) for i in self.written]
             except ToleranceError as error:
                 if not (k and keep_stopped):
                     raise ToleranceError(self._before(code, error)) from error
-                kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
-                note = Fault("SIM193", kept, severity=Severity.NOTE)
+                kept_frames = (
+                    f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
+                )
+                note = Fault("SIM193", kept_frames, severity=Severity.NOTE)
                 self.stopped = ToleranceError([*self._before(code, error), note])
                 break
             yield float(code), row
             self.done = k + 1
             self._keep(code)
-            if show is not None:
-                show((k + 1) / len(codes))
+            if show_progress is not None:
+                show_progress((k + 1) / len(codes))
         self._note_kept()
 
     def _check_resumed(
@@ -211,8 +216,12 @@ class SystemRun:
         for i, at in self._saving.items():
             code = self._kept[i][0] if i in self._kept else None
             if at is not None and code != at:
-                saved = "nothing" if code is None else f"the state of frame {code:g}"
-                message = f"save_at is {at:g}, which is not a frame: {saved} is saved"
+                saved_text = (
+                    "nothing" if code is None else f"the state of frame {code:g}"
+                )
+                message = (
+                    f"save_at is {at:g}, which is not a frame: {saved_text} is saved"
+                )
                 location = self.systems[i].location
                 hint = "use one of the frames that are written"
                 fault = location.fault("SIM185", message, hint, Severity.WARNING)
@@ -221,42 +230,49 @@ class SystemRun:
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
         """Give their final states to systems that need them in advance."""
         runs = {i: self._open[i].run for i in self.written}
-        predicted = {
+        tearing = {
             i: run
             for i, run in runs.items()
             if isinstance(run.simulation, NeedsFinalState)
             and run.simulation.needs_final_state
         }
-        if not predicted:
+        if not tearing:
             return
-        began = time.perf_counter()
+        started = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
-        last = last_states(self.systems, list(predicted), times, self._character, phase)
-        for i, run in predicted.items():
-            run.simulation.set_final_state(last[i])
-        self.seconds[min(predicted)] += time.perf_counter() - began
+        final_states = last_states(
+            self.systems, list(tearing), times, self._character, phase
+        )
+        for i, run in tearing.items():
+            run.simulation.set_final_state(final_states[i])
+        self.seconds[min(tearing)] += time.perf_counter() - started
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a stopped system, the last with the frame."""
-        *others, last = error.faults
-        message = last.message + f", before frame {float(code):g}"
-        hints = [last.hint] if last.hint else []
-        for system in self.systems if last.code == "SIM102" else ():
-            if last.where is not None and last.where.startswith(system.location.where):
+        *other_faults, last_fault = error.faults
+        message = last_fault.message + f", before frame {float(code):g}"
+        hints = [last_fault.hint] if last_fault.hint else []
+        for system in self.systems if last_fault.code == "SIM102" else ():
+            if last_fault.where is not None and last_fault.where.startswith(
+                system.location.where
+            ):
                 hints += _unlikely(system)
-        return [*others, replace(last, message=message, hint=", ".join(hints) or None)]
+        return [
+            *other_faults,
+            replace(last_fault, message=message, hint=", ".join(hints) or None),
+        ]
 
     def _keep(self, code: Fraction) -> None:
         """Keep the states that are saved at a time code."""
         for i in self._saving:
-            # Coupled systems stop together: all end at the same time.
+            # Joined systems stop together, at the same time.
             self._open[i].run.receive()
         for i, at in self._saving.items():
             if at is None or code <= at:
                 self._kept[i] = float(code), self._open[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
-        """Write the states to save, into the folder of the scene.
+        """Write the states to save into the scene's folder.
 
         Raises:
             OutputError: One cannot be written.
@@ -268,10 +284,10 @@ class SystemRun:
                 write_states(folder / name, {"": (clocked, state)})
 
     def _row(self, i: int, t: float) -> Any:
-        began = time.perf_counter()
+        started = time.perf_counter()
         with located_systems([self.systems[i]]):
             row = self._open[i].at(t)
-        self.seconds[i] += time.perf_counter() - began
+        self.seconds[i] += time.perf_counter() - started
         return row
 
     def note(self, written: Sequence[CachedMesh]) -> None:
@@ -302,9 +318,13 @@ def _unlikely(system: SceneSystem) -> list[str]:
     """Return a hint at the number of a system that is most unusual."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
     sizes = [*_sizes(values, ""), *_sizes(system.setup.parts, "")]
-    far = [(abs(math.log10(size)), name, size) for name, size in sizes if size > 0]
-    most, name, size = max(far, default=(0.0, "", 0.0))
-    return [f"check the unit of {name}: {size:g}"] if most > LIKELY else []
+    exponents = [
+        (abs(math.log10(size)), name, size) for name, size in sizes if size > 0
+    ]
+    most_unusual, name, size = max(exponents, default=(0.0, "", 0.0))
+    return (
+        [f"check the unit of {name}: {size:g}"] if most_unusual > MAX_EXPONENT else []
+    )
 
 
 def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
@@ -316,10 +336,10 @@ def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
         yield name, abs(node)
     elif isinstance(node, np.ndarray) and node.size and node.dtype.kind == "f":
         rows = node.reshape(-1, node.shape[-1]) if node.ndim > 1 else node
-        wide = float(np.ptp(rows, axis=0).max())
-        yield name, wide or float(np.abs(rows).max())
+        width = float(np.ptp(rows, axis=0).max())
+        yield name, width or float(np.abs(rows).max())
     elif isinstance(node, (list, tuple)):
-        if node and all(isinstance(one, float) for one in node):
+        if node and all(isinstance(item, float) for item in node):
             yield name, max(map(abs, node))
             return
         for i, value in enumerate(node):
@@ -340,7 +360,7 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
     """Refuse systems whose steps would take hours (SCN091)."""
     faults = []
     for system in systems:
-        step = system.setup.facts.step or LONGEST_STEP
+        step = system.setup.facts.step or MAX_STEP
         seconds = max(last, 0.0) + system.setup.spec.preroll
         if seconds / step > MAX_STEPS:
             message = f"{plain(seconds)} s in steps of {plain(step)} s are "
@@ -372,16 +392,16 @@ def system_job(
 
 def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
     """Return a warning for each system whose prim name is taken (SCN090)."""
-    said = []
+    faults = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
         if prim != legal_name(system.name):
             message = f"another system is already named {excerpt(system.name)}: its "
             message += f"prim is {excerpt(prim)}"
             hint = "give each a unique name"
-            said.append(
+            faults.append(
                 system.location.fault("SCN090", message, hint, Severity.WARNING)
             )
-    return said
+    return faults
 
 
 def _prim_names(systems: Sequence[SceneSystem]) -> list[str]:

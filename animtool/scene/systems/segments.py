@@ -46,21 +46,25 @@ def segments_of(
     numbers = with_dependencies(systems, [index])
     character = motion_of(path, take)
     times = character.times + lead
-    opened = open_systems(
+    running_systems = open_systems(
         [systems[i] for i in numbers], float(times[-1]), replace(character, times=times)
     )
-    running = opened[numbers.index(index)]
-    particles = _particles(_view(running, name), name, particle)
+    system_run = running_systems[numbers.index(index)]
+    particles = _particles(_view(system_run, name), name, particle)
     rows = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
-            state, _ = running.run.reach(t)
+            state, _ = system_run.run.reach(t)
         rows.append(state.motion[0, particles])
         if progress is not None:
             progress((k + 1) / len(times))
-    ends = np.array(rows)
+    segment_ends = np.array(rows)
     rotation = up_from_up(take.rig.up, UpAxis.Y)
-    return ends if rotation is None else so3.rotate(np.array(rotation), ends)
+    return (
+        segment_ends
+        if rotation is None
+        else so3.rotate(np.array(rotation), segment_ends)
+    )
 
 
 def _index(systems: Sequence[SceneSystem], name: str) -> int:
@@ -89,8 +93,8 @@ def _view(opened: EntryRun, name: str) -> SpringView:
 def _particles(view: SpringView, name: str, particle: str) -> IntArray:
     """Return the rows of a particle and of the one before it ``(2,)``."""
     body = view.body
-    number = particle.strip().removeprefix("-").isdecimal()
-    particles, faults = numbered([int(particle) if number else particle], body)
+    is_number = particle.strip().removeprefix("-").isdecimal()
+    particles, faults = numbered([int(particle) if is_number else particle], body)
     if faults or len(particles) != 1:
         message = f"{name!r} has {len(particles)} particles {particle!r}, not one"
         if faults:
@@ -99,5 +103,5 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
         raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
     shape = cast(CurveShape, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])
-    before = particles[0] + 1 if particles[0] in starts else particles[0] - 1
-    return np.asarray(view.rows[[before, particles[0]]], np.int64)
+    previous = particles[0] + 1 if particles[0] in starts else particles[0] - 1
+    return np.asarray(view.rows[[previous, particles[0]]], np.int64)

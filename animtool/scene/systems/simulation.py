@@ -51,12 +51,12 @@ class SystemProgress:
 class BuildContext:
     """State that systems share while they are built."""
 
-    last: float  # the last time that will be asked for [s]
+    last: float  # latest time that will be requested [s]
     # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
-    # Systems that are built, by name.
+    # Built systems by name.
     built: dict[str, EntryRun] = field(default_factory=dict)
-    # Where they tell how far they are; None where nobody looks.
+    # Progress of the systems; None if it is not shown.
     progress: SystemProgress | None = None
 
     def phase(self) -> Progress:
@@ -72,12 +72,13 @@ class BuildContext:
 def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """Attach the location of jointly simulated systems to faults without a file.
 
-    That is of the first that has the key that a fault names, else of the first.
+    The location is that of the first system with the key that a fault names, else of
+    the first.
     """
 
     def put(fault: Fault) -> Fault:
-        having = (one for one in members if one.location.key_of(fault))
-        return next(having, members[0]).location.locate(fault)
+        candidates = (member for member in members if member.location.key_of(fault))
+        return next(candidates, members[0]).location.locate(fault)
 
     try:
         yield
@@ -136,14 +137,14 @@ def run_entries(
     ``changes`` are of their spec, by key.
     """
     setups = [member.setup for member in members]
-    stated: dict[str, Any] = {}
+    changed_keys: dict[str, Any] = {}
     for setup in setups:
-        stated |= setup.spec.shared()
-    spec = setups[0].spec.model_copy(update={**stated, **(changes or {})})
-    begin = -spec.preroll
-    around = Surroundings.of([setup.around for setup in setups])
-    colliders = around.built(context.characters, context.built)
-    carriers = {name: context.built[name].tied() for name in around.carriers}
+        changed_keys |= setup.spec.shared()
+    spec = setups[0].spec.model_copy(update={**changed_keys, **(changes or {})})
+    start_time = -spec.preroll
+    surroundings = Surroundings.of([setup.around for setup in setups])
+    colliders = surroundings.built(context.characters, context.built)
+    carriers = {name: context.built[name].tied() for name in surroundings.carriers}
 
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, OnBody):
@@ -156,21 +157,21 @@ def run_entries(
         load_object(SYSTEM_KINDS[members[0].kind].build),
     )
     sim_context = SimContext(
-        begin,
+        start_time,
         context.last,
         colliders,
         setups[0].parts,
         poses,
         budget,
         [member_of(member) for member in members],
-        lambda: context.clock(begin),
+        lambda: context.clock(start_time),
         context.phase,
         carriers,
     )
     simulation = build(spec, sim_context)
     name = " + ".join(member.name for member in members)
     step = getattr(simulation, "step_length", spec.step)
-    run = SimulationRun(name, simulation, begin, step)
+    run = SimulationRun(name, simulation, start_time, step)
     run.collide_with([*colliders.bodies, *carriers.values()])
     return run
 
@@ -185,14 +186,14 @@ def open_systems(
 ) -> list[EntryRun]:
     """Return systems at their start, in order; the first frame is at 0 s.
 
-    ``last`` [s]; what is odd about how they begin, and beside a rig, is added to
-    ``warnings``.
+    ``last`` is the last time [s]. Warnings about their initial state, and about their
+    size and distance from a rig, are added to ``warnings``.
     """
     context = BuildContext(last, characters_with(character), progress=progress)
-    built = build_systems(systems, context)
+    built_systems = build_systems(systems, context)
     if warnings is not None:
         warnings += misplaced(systems, context.characters, main_rig)
-    return built
+    return built_systems
 
 
 def build_systems(
@@ -204,12 +205,16 @@ def build_systems(
         FormatError: What is wrong with any of them; those that need one that is wrong
             are left out.
     """
-    built: dict[int, EntryRun] = {}
+    all_built: dict[int, EntryRun] = {}
     faults: list[Fault] = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        needs = {name for one in members for name, _ in one.setup.around.needs}
-        if not needs <= context.built.keys():
+        needed_names = {
+            name
+            for group_member in members
+            for name, _ in group_member.setup.around.needs
+        }
+        if not needed_names <= context.built.keys():
             continue
         try:
             with located_systems(members):
@@ -217,43 +222,47 @@ def build_systems(
         except FormatError as error:
             faults += error.faults
             continue
-        built |= dict(zip(group, runs, strict=True))
-        named = zip(members, runs, strict=True)
-        context.built |= {member.name: one for member, one in named}
+        all_built |= dict(zip(group, runs, strict=True))
+        member_runs = zip(members, runs, strict=True)
+        context.built |= {
+            member.name: group_member for member, group_member in member_runs
+        }
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [one for _, one in sorted(built.items())]
+    return [group_member for _, group_member in sorted(all_built.items())]
 
 
 def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     """Return the faults of building the systems of a scene, with other faults.
 
-    Left out are systems with faults, those that need one or are joined with it, and
-    those that the scene's own character is for.
+    Left out are systems with faults, those that depend on one or are joined with one,
+    and those that need the scene's own character.
     """
-    wrong = [fault.where or "" for fault in document.faults]
-    if any(where.startswith("units") for where in wrong):
+    faulty_keys = [fault.where or "" for fault in document.faults]
+    if any(where.startswith("units") for where in faulty_keys):
         return []
-    sound = [
-        not any(where.startswith(system.location.where) for where in wrong)
+    valid_systems = [
+        not any(where.startswith(system.location.where) for where in faulty_keys)
         and document.path not in system.setup.files
         for system in systems
     ]
-    # Those that are simulated as one are so together.
-    groups = [one for one in joined_groups(systems) if all(sound[i] for i in one)]
-    kept = [systems[i] for i in sorted(chain.from_iterable(groups))]
+    # Systems that are simulated together are left out together.
+    groups = [
+        one for one in joined_groups(systems) if all(valid_systems[i] for i in one)
+    ]
+    built_members = [systems[i] for i in sorted(chain.from_iterable(groups))]
     try:
-        build_systems(kept, BuildContext(0.0))
+        build_systems(built_members, BuildContext(0.0))
     except FormatError as error:
         return [fault for fault in error.faults if fault.path == str(document.path)]
     except AnimtoolError:
-        # What is wrong with other files is reported when the scene has no faults.
+        # Faults of other files are reported if the scene itself has none.
         return []
     return []
 
 
 def characters_with(character: CharacterMotion | None) -> CharacterMotions:
-    """Return characters that are read on demand, the scene's own included."""
+    """Return characters that are read on demand, including the scene's own."""
     characters = CharacterMotions()
     if character is not None:
         characters.by_path[character.path] = character

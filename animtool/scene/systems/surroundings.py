@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
 
 
-# Times whose points are cached: both ends of a step, and one within.
-KEPT = 4
+# Number of cached times: both ends of a step, and one within.
+CACHED_TIMES = 4
 
 
 def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a file as a moving sheet, with its full path.
+    """Return a mesh of a file as a moving sheet; its path must be absolute.
 
     Raises:
         OptionError: There is no such mesh, or it makes no sense (SIM051).
@@ -66,10 +66,10 @@ class _Motion:
         span = source.span or (0.0, 0.0)
         self._first, self._last = span
         self._start = self._first if frame is None else frame
-        first = source.at(None if source.span is None else self._first)
-        self._count = len(first.points)
-        self._faces = triangulated(first.counts, first.indices)
-        self._at = lru_cache(KEPT)(self._points)
+        first_frame = source.at(None if source.span is None else self._first)
+        self._count = len(first_frame.points)
+        self._faces = triangulated(first_frame.counts, first_frame.indices)
+        self._at = lru_cache(CACHED_TIMES)(self._points)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""
@@ -95,26 +95,29 @@ class _Motion:
 class Surroundings:
     """Colliders of a system: shapes, characters, surfaces and meshes of files.
 
-    Characters and meshes are as their file has them, but for the whole path.
+    Records of characters and meshes are as in their entry, except for absolute paths.
     """
 
     colliders: tuple[Collider, ...] = ()
     characters: tuple[CharacterModel, ...] = ()
     systems: tuple[SystemSurfaceModel, ...] = ()
     meshes: tuple[MovingMeshModel, ...] = ()
-    # Rigid systems and bodies that carry particles, and the keys of the entry for that.
+    # Rigid systems and bodies that carry particles, with the keys of the entry.
     tied: tuple[tuple[str, str, str], ...] = ()
-    followed: tuple[Path, ...] = ()  # USD files that colliders and emitters go with
-    at: Location = ()  # of the entry
+    followed: tuple[Path, ...] = ()  # USD files that colliders and emitters follow
+    at: Location = ()  # location of the entry
 
     @staticmethod
-    def of(every: Sequence[Surroundings]) -> Surroundings:
+    def of(all_surroundings: Sequence[Surroundings]) -> Surroundings:
         """Return the colliders of jointly simulated entries."""
-        (first, *more) = every
+        (merged, *others) = all_surroundings
         return replace(
-            first,
+            merged,
             **{
-                name: sum((getattr(one, name) for one in more), getattr(first, name))
+                name: sum(
+                    (getattr(surroundings, name) for surroundings in others),
+                    getattr(merged, name),
+                )
                 for name in (*AROUND, "tied")
             },
         )
@@ -122,14 +125,24 @@ class Surroundings:
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Systems that it collides with or that carry it, and their locations."""
-        return (*((one.system, at) for one, at in self._named("system")), *self._ties)
+        return (
+            *(
+                (surface.system, location)
+                for surface, location in self._named("system")
+            ),
+            *self._ties,
+        )
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies it pushes or pulls, and their locations."""
-        named = self._named("two_way")
-        pushed = ((one.system, at) for one, at in named if one.two_way)
-        return (*pushed, *self._ties)
+        named_surfaces = self._named("two_way")
+        pushed_names = (
+            (surface.system, location)
+            for surface, location in named_surfaces
+            if surface.two_way
+        )
+        return (*pushed_names, *self._ties)
 
     @property
     def _ties(self) -> tuple[tuple[str, Location], ...]:
@@ -146,8 +159,8 @@ class Surroundings:
 
     def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
         """Yield the systems it collides with, each with the location of a key."""
-        for i, one in enumerate(self.systems):
-            yield one, (*self.at, "systems", i, key)
+        for i, surface in enumerate(self.systems):
+            yield surface, (*self.at, "systems", i, key)
 
     @property
     def reads(self) -> list[str]:
@@ -155,8 +168,8 @@ class Surroundings:
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
-            *(Path(str(one.file)).name for one in self.characters),
-            *(one.system for one in self.systems),
+            *(Path(str(character.file)).name for character in self.characters),
+            *(character.system for character in self.systems),
             *(mesh.prim for mesh in self.meshes),
             *(f"{body}, coupled both ways" for body in self.tied_bodies),
         ]
@@ -164,7 +177,7 @@ class Surroundings:
     @property
     def met(self) -> list[str]:
         """Names of the systems that it collides with."""
-        return [one.system for one in self.systems]
+        return [surface.system for surface in self.systems]
 
     @property
     def tied_bodies(self) -> list[str]:
@@ -178,7 +191,7 @@ class Surroundings:
 
     @property
     def count(self) -> int:
-        """Number of shapes and meshes, without those of characters."""
+        """Number of shapes and meshes, excluding those of characters."""
         return len(self.colliders) + len(self.meshes)
 
     def built(
@@ -187,8 +200,8 @@ class Surroundings:
         """Return all colliders; characters are read now.
 
         Args:
-            characters: Those in motion.
-            opened: Systems of the scene by name, with those that are needed.
+            characters: Characters in motion.
+            opened: Systems of the scene by name, including those it depends on.
 
         Raises:
             FormatError: The file of a character is malformed.
@@ -198,19 +211,27 @@ class Surroundings:
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
         bodies: list[BodyColliders] = []
-        for one in self.systems:
-            other = opened[one.system]
-            if other.rigid:
-                material = record_of(Material, one)
-                bodies_of_system = other.bodies(
-                    material.restitution, material.friction, two_way=one.two_way
+        for surface_entry in self.systems:
+            running = opened[surface_entry.system]
+            if running.rigid:
+                material = record_of(Material, surface_entry)
+                bodies_of_system = running.bodies(
+                    material.restitution,
+                    material.friction,
+                    two_way=surface_entry.two_way,
                 )
                 bodies.append(bodies_of_system)
                 continue
-            surface = other.surface()
-            thick = {"radius": surface.radius, "closed": surface.closed}
+            surface = running.surface()
+            thickness = {"radius": surface.radius, "closed": surface.closed}
             sheets.append(
-                record_of(Sheet, one, motion=surface, name=one.system, **thick)
+                record_of(
+                    Sheet,
+                    surface_entry,
+                    motion=surface,
+                    name=surface_entry.system,
+                    **thickness,
+                )
             )
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

@@ -9,9 +9,9 @@ from typing import Any
 from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
 
-# Thicker cloth is none [m].
+# Greater thickness of cloth is implausible [m].
 MAX_THICKNESS = 0.5
-# Springs that stretch to twice their length are rubber [1].
+# Only rubber stretches to twice its length [1].
 MAX_STRETCH = 1.0
 # Critical damping is 1; a percentage of it is rarely below 4 [1].
 MAX_RATIO = 3.0

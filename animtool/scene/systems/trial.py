@@ -40,16 +40,16 @@ from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
 from animtool.systems.framework.spec import SystemSpec
 
-# What the exact method has over the step of the file, where that is not enough.
-MUCH_FINER = 1 / 8
-# Tolerances over the usual one, and what methods that choose their steps have for the
-# longest, over the step of the file.
+# Step of the exact method over that of the file, if the file's step is too long.
+FINE_STEP_RATIO = 1 / 8
+# Tolerances over the default one; and the maximum step of adaptive methods over the
+# file's step.
 TOLERANCES = (100.0, 1.0, 0.01)
-LONGER = 4.0
-# Unknowns up to which implicit methods are tried: forces do not say their derivatives,
-# which take as many evaluations.
+LONG_STEP_RATIO = 4.0
+# Number of unknowns up to which implicit methods are tried: forces have no analytic
+# derivatives, and numerical ones take as many evaluations.
 MAX_UNKNOWNS = 30
-# Evaluations in a step that are enough to tell that a method is not for it.
+# Maximum number of evaluations in a step; a method that needs more is unsuitable.
 MAX_EVALUATIONS = 1000
 
 
@@ -62,15 +62,17 @@ def system_trials(
 
     ``times`` ``(F,)`` [s].
     """
-    last, characters = float(times[-1]), characters_with(character)
+    end_time, characters = float(times[-1]), characters_with(character)
     trials = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        others = [systems[i] for i in dependencies(systems, group)]
+        needed_systems = [systems[i] for i in dependencies(systems, group)]
 
-        def rebuild(others: Sequence[SceneSystem] = others) -> BuildContext:
-            context = BuildContext(last, characters)
-            build_systems(others, context)
+        def rebuild(
+            needed_systems: Sequence[SceneSystem] = needed_systems,
+        ) -> BuildContext:
+            context = BuildContext(end_time, characters)
+            build_systems(needed_systems, context)
             return context
 
         with located_systems(members):
@@ -87,22 +89,28 @@ def _trial(
 
     ``rebuild`` rebuilds its dependencies for each run; ``times`` ``(F,)`` [s].
     """
-    most = 0  # points at once in any run so far
+    max_points = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
     if spec.tried:
-        built = run_entries(members, rebuild())
-        assert isinstance(built.simulation, Tried)
-        trials = built.simulation.trial_settings()
+        trial_runs = run_entries(members, rebuild())
+        assert isinstance(trial_runs.simulation, Tried)
+        trials = trial_runs.simulation.trial_settings()
     else:
         trials = _trial_settings(spec, members[0].setup.method)
 
     def run(setting: Setting) -> TrialOutcome:
-        nonlocal most
-        other = setting.method != trials.chosen.method
-        budget = None if spec.tried else _budget(setting.method, most, other=other)
+        nonlocal max_points
+        is_other_method = setting.method != trials.chosen.method
+        budget = (
+            None
+            if spec.tried
+            else _budget(setting.method, max_points, other=is_other_method)
+        )
         begun = run_entries(members, rebuild(), trials.changes(setting), budget)
         outcome = _outcome(begun, times)
-        most = max([most, *(len(shot.points) for shot in outcome.snapshots)])
+        max_points = max(
+            [max_points, *(len(shot.points) for shot in outcome.snapshots)]
+        )
         return outcome
 
     return Trial(
@@ -136,34 +144,38 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
-        tried: list[Setting] = []
+        seen: list[Setting] = []
         for method in (
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
         ):
             if _is_fixed(method):
-                tried += step_settings(method, spec.step)
+                seen += step_settings(method, spec.step)
                 continue
-            longest = spec.step if method == spec_method else LONGER * spec.step
+            max_steps = (
+                spec.step if method == spec_method else LONG_STEP_RATIO * spec.step
+            )
             values = multiples(
                 default if method == spec_method else TOLERANCE, TOLERANCES
             )
-            tried += [Setting.of(method, step=longest, tolerance=v) for v in values]
-        return tried
+            seen += [
+                Setting.of(method, step=max_steps, tolerance=value) for value in values
+            ]
+        return seen
 
     def references() -> list[list[Setting]]:
         """Return ever finer steps of the exact method, else of the spec's.
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
-        exact = spec.exact or spec_method
-        shares = [(exact, 1.0)]
-        if spec_method != exact:
-            shares += [(spec_method, 1.0)] if _is_fixed(spec_method) else []
+        exact_method = spec.exact or spec_method
+        step_ratios = [(exact_method, 1.0)]
+        if spec_method != exact_method:
+            step_ratios += [(spec_method, 1.0)] if _is_fixed(spec_method) else []
         if spec.exact:
-            shares.append((exact, MUCH_FINER))
+            step_ratios.append((exact_method, FINE_STEP_RATIO))
         return [
             step_settings(method, fraction * spec.step, REFERENCE_FACTORS)
-            for method, fraction in shares
+            for method, fraction in step_ratios
         ]
 
     def changes(setting: Setting) -> dict[str, Any]:
@@ -171,8 +183,8 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         changes: dict[str, Any] = dict(setting.options)
         changes |= {spec.method_key: setting.method} if spec.method_key in keys else {}
         if "tolerance" in keys:
-            stated = tolerance if setting.method == spec_method else None
-            changes.setdefault("tolerance", stated)
+            file_tolerance = tolerance if setting.method == spec_method else None
+            changes.setdefault("tolerance", file_tolerance)
         return changes
 
     chosen = Setting.of(spec_method, step=spec.step, **options)
@@ -196,14 +208,14 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
         message = f"{method} would solve for {unknowns} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:
-        # What it takes to import is no part of the simulation.
+        # Imports are not part of the simulation's time.
         load_object(integrator.solver)
     return MAX_EVALUATIONS if other else None
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Return the result of a simulation at times ``(F,)`` [s]."""
-    began = time.perf_counter()
+    started = time.perf_counter()
     snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
@@ -215,19 +227,23 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         stats = error.stats if isinstance(error, StoppedError) else None
         if stats is not None:
             status, reason, stable = stats.status, stats.reason, stats.stable_step
-    seconds = time.perf_counter() - began
-    last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
-    known = [energy for energy in energies if energy is not None]
-    complete = len(known) == len(snapshots) and _same(snapshots)
+    seconds = time.perf_counter() - started
+    last_diagnostics = run.simulation.diagnostics(
+        run.state.state, run.time(run.state.steps)
+    )
+    known_energies = [energy for energy in energies if energy is not None]
+    complete = len(known_energies) == len(snapshots) and _same(snapshots)
     return TrialOutcome(
         seconds,
-        run.steps_taken if last.steps is None else last.steps,
+        run.steps_taken if last_diagnostics.steps is None else last_diagnostics.steps,
         snapshots,
         status,
         reason,
-        last.stable_step() if stable is None else stable,
-        known if complete else None,
-        figures={} if last.stretch is None else {Figure.STRETCH: last.stretch},
+        last_diagnostics.stable_step() if stable is None else stable,
+        known_energies if complete else None,
+        figures={}
+        if last_diagnostics.stretch is None
+        else {Figure.STRETCH: last_diagnostics.stretch},
     )
 
 
@@ -240,7 +256,7 @@ def _is_fixed(method: str) -> bool:
 def _same(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether the number of points is constant."""
     ids = [shot.ids for shot in snapshots if shot.ids is not None]
-    return all(np.array_equal(each, ids[0]) for each in ids)
+    return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
 
 def _shot(frame: Frame) -> Snapshot:
@@ -248,7 +264,7 @@ def _shot(frame: Frame) -> Snapshot:
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)
-        reach = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
-        return Snapshot(frame.points, frame.ids, frame.rotations, reach)
+        extent = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
+        return Snapshot(frame.points, frame.ids, frame.rotations, extent)
     ids = frame.ids if isinstance(frame, PointsFrame) else None
     return Snapshot(frame.points, ids)

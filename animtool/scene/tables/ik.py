@@ -25,12 +25,12 @@ from animtool.sim.trials.trial import (
     TrialOutcome,
 )
 
-# Shares of the chains' length, and radians.
+# Relative to the chains' length, and in radians.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-# Of the solution that others are compared with, each a tenth of the one before.
-FINER = (1e-8, 1e-9, 1e-10)
-# Of a goal that asks for an orientation, points so far off it are compared too [m].
-REACH = 0.1
+# Tolerances of the reference solution, each a tenth of the one before.
+REFERENCE_TOLERANCES = (1e-8, 1e-9, 1e-10)
+# For goals with an orientation, points at this distance are compared too [m].
+ORIENTATION_ARM = 0.1
 
 
 def job_trial(job: IkJob) -> Trial:
@@ -80,13 +80,13 @@ def solve_trial(
 ) -> Trial:
     """Return the trial of targets: tolerances of one method, and each method.
 
-    Points are those of the effectors, where the take asks for them; those of the finest
-    solution are what others are compared with. Figures are misses of the targets.
+    Compared points are those of the effectors, at the frames with targets, against the
+    finest solution. Figures are distances from the targets.
     """
-    first = solve(options)
-    length = first.problem.length
-    frames = len(first.statuses)
-    clock = first.take.clock
+    chosen_result = solve(options)
+    length = chosen_result.problem.length
+    frames = len(chosen_result.statuses)
+    clock = chosen_result.take.clock
 
     def setting_of(method: IkMethod, tolerance: float, angle: float) -> Setting:
         return Setting.of(method, tolerance=tolerance, angle_tolerance=angle)
@@ -102,14 +102,14 @@ def solve_trial(
     def run(setting: Setting) -> TrialOutcome:
         return _outcome(solve(options_of(setting)))
 
-    current = (options.tolerance, options.angle_tolerance)
-    chosen = setting_of(options.method, *current)
+    current_tolerances = (options.tolerance, options.angle_tolerance)
+    chosen = setting_of(options.method, *current_tolerances)
     settings = [setting_of(options.method, t * length, t) for t in TOLERANCES]
-    settings += [setting_of(method, *current) for method in IkMethod]
-    finest = [setting_of(options.method, t * length, t) for t in FINER]
+    settings += [setting_of(method, *current_tolerances) for method in IkMethod]
+    finest = [setting_of(options.method, t * length, t) for t in REFERENCE_TOLERANCES]
     return Trial(
         name,
-        f"ik, {first.problem.degrees} degrees of freedom, {frames} frames",
+        f"ik, {chosen_result.problem.degrees} degrees of freedom, {frames} frames",
         float(clock.duration),
         chosen,
         lambda: settings,
@@ -117,7 +117,7 @@ def solve_trial(
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
-        where=lambda shot, point: _where(first, shot, point),
+        where=lambda shot, point: _where(chosen_result, shot, point),
         lines=lambda setting: scene_text(options_of(setting)),
     )
 
@@ -134,25 +134,29 @@ def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
     for i, track in enumerate(solved.tracks.goals):
         goal, joint = track.goal, solved.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
-        arms = REACH * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
-        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
+        arm_offsets = (
+            ORIENTATION_ARM * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
+        )
+        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arm_offsets)]
     return points
 
 
 def _outcome(solved: TakeIk) -> TrialOutcome:
     """Return the positions of the effectors and their errors."""
-    take, compared = solved.take, _compared(solved)
-    joints = [joint for _, joint, _ in compared]
-    offsets = np.array([offset for _, _, offset in compared])
+    take, compared_points = solved.take, _compared(solved)
+    joints = [joint for _, joint, _ in compared_points]
+    offsets = np.array([offset for _, _, offset in compared_points])
     world = take.world()
-    turned = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
-    shots = [Snapshot(points) for points in world.positions[:, joints] + turned]
+    rotated_offsets = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
+    shots = [
+        Snapshot(points) for points in world.positions[:, joints] + rotated_offsets
+    ]
     misses = np.where(solved.active, solved.misses, 0.0)
-    reached = [status is IkStatus.CONVERGED for status in solved.statuses]
+    has_converged = [status is IkStatus.CONVERGED for status in solved.statuses]
     figures = {
         Figure.MISS: float(misses[..., 0].max(initial=0.0)),
         Figure.MISS_ANGLE: float(misses[..., 1:].max(initial=0.0)),
-        Figure.REACHED: float(np.mean(reached)),
+        Figure.REACHED: float(np.mean(has_converged)),
     }
     steps = int(solved.iterations.sum())
     return TrialOutcome(solved.seconds, steps, shots, figures=figures)

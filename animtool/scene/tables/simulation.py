@@ -49,11 +49,11 @@ from animtool.systems.attach.bodies import (
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
 
-METHOD = "xpbd"
-# Factors of steps around the chosen setting, which is mostly finer than needed.
-COARSEST = 8.0
+ATTACH_METHOD = "xpbd"
+# Step factors around the chosen setting, which is usually finer than needed.
+MAX_STEP_RATIO = 8.0
 
-# Frames that are compared, evenly over the range.
+# Maximum number of compared frames, evenly over the range.
 MAX_INSTANTS = 100
 
 
@@ -70,21 +70,21 @@ def simulation_trials(
     """Return the trials of a scene's systems and passes, in order.
 
     Args:
-        scene: It has systems, or passes that simulate or bring to targets.
-        options: Of the bake: of systems, which frames.
+        scene: A scene with systems, or with passes that simulate or solve IK.
+        options: Bake options: for systems, the frames.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
-        OptionError: An option makes no sense.
+        OptionError: An option is invalid.
     """
     trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
         trials += _pass_trials(scene, MAX_INSTANTS)
     if scene.systems:
         times, character = _times(scene, options or BakeOptions())
-        picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
-        looked = times[picked.astype(np.int64)]
-        for members, trial in system_trials(scene.systems, looked, character):
+        frame_numbers = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
+        compared_times = times[frame_numbers.astype(np.int64)]
+        for members, trial in system_trials(scene.systems, compared_times, character):
             write = partial(_write_systems, scene, members, trial)
             trials.append((members[0].location, replace(trial, write=write)))
     return trials
@@ -119,11 +119,11 @@ def _write_pass(
 
 
 def _write(scene: Scene, output: Path) -> None:
-    # Chunks are files of their own.
+    # Chunks are separate files.
     first = scene.outputs[0]
-    plain = replace(first, bake=replace(first.bake, chunk=None))
+    without_chunks = replace(first, bake=replace(first.bake, chunk=None))
     plan = plan_stage(
-        replace(scene, outputs=(plain,)), output, BakeOptions(overwrite=True)
+        replace(scene, outputs=(without_chunks,)), output, BakeOptions(overwrite=True)
     )
     run_stage(plan)
 
@@ -132,10 +132,10 @@ def _times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
     """Return the compared times of systems [s], and the scene's character."""
-    # Nothing is written: chunks would need a file.
+    # Nothing is written, and chunks would need a file.
     first = scene.outputs[0]
-    plain = replace(first, bake=replace(first.bake, chunk=None))
-    plan = plan_stage(replace(scene, outputs=(plain,)), STDOUT, options)
+    without_chunks = replace(first, bake=replace(first.bake, chunk=None))
+    plan = plan_stage(replace(scene, outputs=(without_chunks,)), STDOUT, options)
     if plan.takes:
         character = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(character.times, plan), character
@@ -150,8 +150,8 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     if frame_range is None:
         return times
     codes = float(plan.start) + times * float(plan.fps)
-    inside = (codes >= frame_range.first) & (codes <= frame_range.last)
-    return times[inside] if inside.any() else times
+    is_inside = (codes >= frame_range.first) & (codes <= frame_range.last)
+    return times[is_inside] if is_inside.any() else times
 
 
 def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
@@ -162,16 +162,18 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
         OptionError: An option does not apply to the source.
     """
     full_scene = scene
-    measured = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
-    scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
+    measured_passes = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
+    scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
             with entry.location.located():
-                asked = rig_and_tracks(take, entry.options, scene.path.resolve().parent)
+                tracks = rig_and_tracks(
+                    take, entry.options, scene.path.resolve().parent
+                )
                 trials.append(
-                    (entry.location, pass_trial(*asked, settings_of(entry.options)))
+                    (entry.location, pass_trial(*tracks, settings_of(entry.options)))
                 )
         if not _simulates(entry):
             continue
@@ -203,17 +205,17 @@ def _attach_trial(
 ) -> Trial:
     """Return the trial of a spring attachment, with more and fewer steps."""
     clock = take.clock
-    spread = np.linspace(0, clock.count - 1, min(clock.count, instants))
-    frames = np.unique(spread.astype(np.int64))
+    frame_positions = np.linspace(0, clock.count - 1, min(clock.count, instants))
+    frames = np.unique(frame_positions.astype(np.int64))
 
     def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
         """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
-        changed = replace(entry.options, **options)
-        done = scene.passed(stream, replace(entry, options=changed))
-        simulated = Motion.concatenate(list(done.blocks))
-        (report,) = done.simulated
-        return simulated, report
+        changed_options = replace(entry.options, **options)
+        passed_stream = scene.passed(stream, replace(entry, options=changed_options))
+        result = Motion.concatenate(list(passed_stream.blocks))
+        (report,) = passed_stream.simulated
+        return result, report
 
     _, report = passed(take.motion.select(slice(0, 1)))
     frame_rate = float(clock.rate)
@@ -223,21 +225,21 @@ def _attach_trial(
         # A frame has a whole number of steps.
         steps = [math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in shares]
         counts = dict.fromkeys(steps)
-        return [Setting.of(METHOD, rate=count * frame_rate) for count in counts]
+        return [Setting.of(ATTACH_METHOD, rate=count * frame_rate) for count in counts]
 
     def run(setting: Setting) -> TrialOutcome:
-        began = time.perf_counter()
+        started = time.perf_counter()
         motion, report = passed(take.motion, rate=setting["rate"])
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - started
         points = _attached(take.rig, body, motion.select(frames))
-        shots = [Snapshot(each) for each in points]
-        sound = bool(np.isfinite(points).all())
+        shots = [Snapshot(shot_points) for shot_points in points]
+        is_valid = bool(np.isfinite(points).all())
         return TrialOutcome(
             seconds,
             report["steps"] * motion.frames,
             shots,
-            Status.OK if sound else Status.UNSTABLE,
-            "" if sound else "its state is not finite",
+            Status.OK if is_valid else Status.UNSTABLE,
+            "" if is_valid else "its state is not finite",
             figures=_figures(report),
         )
 
@@ -245,8 +247,8 @@ def _attach_trial(
         body.name,
         str(body.kind),
         float(clock.duration),
-        Setting.of(METHOD, rate=rate),
-        lambda: settings((COARSEST, *STEP_FACTORS)),
+        Setting.of(ATTACH_METHOD, rate=rate),
+        lambda: settings((MAX_STEP_RATIO, *STEP_FACTORS)),
         lambda: [settings(REFERENCE_FACTORS)],
         run,
         lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
@@ -269,7 +271,7 @@ def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
     assert isinstance(body, ChainBody)
     world = motion.world(rig)
     shell = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
-    turned = world.linear[:, body.joints, None] * shell
-    points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
+    rotated_shell = world.linear[:, body.joints, None] * shell
+    points = world.positions[:, body.joints, None] + rotated_shell.sum(axis=-1)
     all_points: FloatArray = points.reshape(motion.frames, -1, 3)
     return all_points

@@ -46,14 +46,16 @@ from animtool.sim.trials.trial import (
 )
 from animtool.usd.rigs.skinned import played_world
 
-# Sample rates over the source's own. A source of samples is exact at its own.
+# Sample rates relative to the source's. A sampled source is exact at its own rate.
 CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))
 SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))
-# Tolerances over the size of the skeleton, rounded down to a power of ten.
+# Tolerances relative to the size of the skeleton, rounded down to a power of ten.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-# Instants between two frames of a curve; samples at the highest rate have one between.
-FINE = 8
-# UsdSkel plays so many instants in about a second, and so many points are compared.
+# Instants between two frames of a curve; at the highest rate, one is between two
+# samples.
+CURVE_INSTANTS = 8
+# Limits so that UsdSkel evaluates all instants in about a second, and of compared
+# points.
 MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
@@ -63,9 +65,9 @@ SOURCE = Setting("source", ())  # the source in float64
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
     """Return the trials of a take as USD samples and as keys.
 
-    Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
-    interpolation included. A clip is compared with its curves between the frames, a
-    source of samples with these.
+    Stages are written to a temporary folder and evaluated by UsdSkel, including
+    rounding and interpolation. A clip is also compared between frames, with its curves;
+    a sampled source is compared at its samples.
 
     Raises:
         FormatError: The source is malformed.
@@ -82,32 +84,32 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         message = f"is simulated, but {argument('table')} measures joints"
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
-    curved = stream.curve is not None and not stream.altered
+    is_curved = stream.curve is not None and not stream.altered
     full_take = stream.collect()
     take = _in_range(full_take, plan)
     rate = plan.options.fps or take.clock.rate
-    known = _Known.of(take, rate, curved=curved)
+    reference = _Known.of(take, rate, is_curved=is_curved)
     frames = plan.options.frame_range
     step = 1 if frames is None else frames.step
     rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
-    beyond = tuple(
+    outside_notices = tuple(
         notice.in_file(path)
         for notice in take.notices
         if notice not in full_take.notices
     )
 
     def opened() -> Source:
-        # What passes made is made once.
+        # Results of passes are computed once.
         stream = TakeStream.of(take)
-        if curved:
+        if is_curved:
             stream = replace(stream, altered=False, count=take.clock.count)
         return OpenTake(path, stream)
 
     return [
         replace(
-            _samples(path, opened, plan, take, known, rate, curved=curved),
-            notices=beyond,
+            _samples(path, opened, plan, take, reference, rate, curved=is_curved),
+            notices=outside_notices,
         ),
         _keys(
             path,
@@ -122,14 +124,18 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
     frames, clock = plan.options.frame_range, take.clock
     if frames is None:
         return take
-    codes = clock.fps / plan.fps  # of the take in one of the output
+    # Time codes of the take per frame of the output.
+    codes_per_frame = clock.fps / plan.fps
     first, last = (
-        float(clock.start + (frame - plan.start) * codes)
+        float(clock.start + (frame - plan.start) * codes_per_frame)
         for frame in (frames.first, frames.last)
     )
     start, end = (clock.start + n * clock.step for n in (0, clock.count - 1))
     if first > end or last < start:
-        ends = (plan.start + (frame - clock.start) / codes for frame in (start, end))
+        ends = (
+            plan.start + (frame - clock.start) / codes_per_frame
+            for frame in (start, end)
+        )
         raise OptionError(
             replace(outside_take(frames, *ends), path=str(plan.takes[0].source))
         )
@@ -145,20 +151,20 @@ class _Known:
     snapshots: list[Snapshot]
 
     @staticmethod
-    def of(take: Take, rate: Fraction, *, curved: bool) -> _Known:
+    def of(take: Take, rate: Fraction, *, is_curved: bool) -> _Known:
         clock = take.clock
-        curve = take.curve if curved else None
-        # Of a curve there are some between two samples at the highest rate, too.
-        fine = math.ceil(FINE * max(Fraction(1), rate / clock.rate))
-        per_frame = fine if curve is not None else 1
+        curve = take.curve if is_curved else None
+        # For a curve there are also instants between two samples at the highest rate.
+        instants = math.ceil(CURVE_INSTANTS * max(Fraction(1), rate / clock.rate))
+        per_frame = instants if curve is not None else 1
         count = (clock.count - 1) * per_frame + 1
         points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
-        most = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
-        picked = np.unique(np.linspace(0, count - 1, most).astype(np.int64))
-        frames = picked / per_frame
+        max_count = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
+        frame_indices = np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
+        frames = frame_indices / per_frame
         motion: Motion
         if curve is None:
-            motion = take.motion.select(picked)
+            motion = take.motion.select(frame_indices)
         else:
             motion = curve(float(clock.start) + frames * float(clock.step))
         snapshots = _shots(take.rig, motion.world(take.rig))
@@ -166,18 +172,22 @@ class _Known:
 
     def where(self, shot: int, point: int) -> str:
         """Return the joint of a point, and the time."""
-        each = len(self.snapshots[shot].points) // max(1, len(self.rig.joints))
-        return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
+        points_per_joint = len(self.snapshots[shot].points) // max(
+            1, len(self.rig.joints)
+        )
+        return (
+            f"{self.rig.names[point // points_per_joint]} at {self.seconds[shot]:.2f} s"
+        )
 
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, at each time."""
-    attached = attached_points(rig, SHELL_DISTANCE)
+    attached_offsets = attached_points(rig, SHELL_DISTANCE)
     return [
         Snapshot(
-            (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(
-                -1, 3
-            )
+            (
+                position[:, None] + np.einsum("jab,jpb->jpa", linear, attached_offsets)
+            ).reshape(-1, 3)
         )
         for position, linear in zip(world.positions, world.linear, strict=True)
     ]
@@ -191,50 +201,50 @@ def _tolerances(rig: Rig) -> list[float]:
 
 def _samples(
     path: Path,
-    opened: Callable[[], Source],
+    open_source_stream: Callable[[], Source],
     plan: BakePlan,
     take: Take,
-    known: _Known,
+    reference: _Known,
     rate: Fraction,
     *,
     curved: bool,
 ) -> Trial:
     """Return the trial of a take's samples in USD."""
-    requested = plan.options
-    plain = BakeOptions(source=requested.source, to_up=requested.to_up)
-    fps = requested.fps if rate in {requested.fps, take.clock.rate} else rate
+    bake_options = plan.options
+    trial_options = BakeOptions(source=bake_options.source, to_up=bake_options.to_up)
+    fps = bake_options.fps if rate in {bake_options.fps, take.clock.rate} else rate
     rates = [rate * fraction for fraction in (CURVE_RATES if curved else SAMPLE_RATES)]
-    by_label = {float(one): one for one in rates}
+    by_label = {float(sample_rate): sample_rate for sample_rate in rates}
 
     def options_of(setting: Setting) -> BakeOptions:
-        named = dict(setting.options)
+        setting_options = dict(setting.options)
         if setting.method == RATE:
-            return replace(plain, fps=by_label[named["fps"]])
-        return replace(plain, fps=fps, reduce=named["reduce"])
+            return replace(trial_options, fps=by_label[setting_options["fps"]])
+        return replace(trial_options, fps=fps, reduce=setting_options["reduce"])
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return TrialOutcome(0.0, take.clock.count, known.snapshots)
+            return TrialOutcome(0.0, take.clock.count, reference.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
-            began = time.perf_counter()
-            report = _bake(opened(), output, options_of(setting))
-            seconds = time.perf_counter() - began
-            codes = float(report.start) + known.seconds * float(report.fps)
+            started = time.perf_counter()
+            report = _bake(open_source_stream(), output, options_of(setting))
+            seconds = time.perf_counter() - started
+            codes = float(report.start) + reference.seconds * float(report.fps)
             world = played_world(output, codes)
-        snapshots = _shots(known.rig, world)
+        snapshots = _shots(reference.rig, world)
         return TrialOutcome(seconds, report.samples, snapshots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
-        _bake(opened(), output, options_of(setting))
+        _bake(open_source_stream(), output, options_of(setting))
 
     chosen = (
         Setting.of(RATE, fps=float(rate))
-        if requested.reduce is None
-        else Setting.of(SAMPLES, reduce=requested.reduce)
+        if bake_options.reduce is None
+        else Setting.of(SAMPLES, reduce=bake_options.reduce)
     )
-    settings = [Setting.of(RATE, fps=float(one)) for one in rates]
-    tolerances = {*_tolerances(take.rig), *filter(None, [requested.reduce])}
+    settings = [Setting.of(RATE, fps=float(sample_rate)) for sample_rate in rates]
+    tolerances = {*_tolerances(take.rig), *filter(None, [bake_options.reduce])}
     settings += [Setting.of(SAMPLES, reduce=t) for t in sorted(tolerances)[::-1]]
     return Trial(
         path.name,
@@ -247,10 +257,10 @@ def _samples(
         ErrorMeasure.LARGEST,
         CostMeasure.BYTES,
         "samples",
-        where=known.where,
+        where=reference.where,
         lines=lambda setting: [_scene_text(path, setting, by_label)],
         write=write,
-        size=extent_of(known.snapshots[:1]),
+        size=extent_of(reference.snapshots[:1]),
     )
 
 
@@ -281,7 +291,7 @@ class _Baked:
 
 def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
     plan = plan_stage(source, output, replace(options, overwrite=True))
-    # What is simulated beside the take has no joints to measure.
+    # Systems next to the take have no joints to measure.
     result = run_stage(replace(plan, prims=plan.prims[:1], watch=None)).result
     return _Baked(result.samples, result.bytes, plan.start, plan.fps)
 
@@ -292,13 +302,13 @@ def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
             return TrialOutcome(0.0, take.clock.count, [Snapshot(np.zeros((0, 3)))])
-        began = time.perf_counter()
+        started = time.perf_counter()
         reduction = reduce_motion(take, setting["reduce"], joint_tolerances=others)
-        seconds = time.perf_counter() - began
-        at = reduction.frame / float(take.clock.rate)
+        seconds = time.perf_counter() - started
+        seconds_at = reduction.frame / float(take.clock.rate)
         error = PointDistances(reduction.error, reduction.error, reduction.error)
-        where = f"{reduction.joint} at {at:.2f} s"
-        return TrialOutcome(seconds, reduction.keys, [], error=error, worst=where)
+        location = f"{reduction.joint} at {seconds_at:.2f} s"
+        return TrialOutcome(seconds, reduction.keys, [], error=error, worst=location)
 
     default = parse_length(KEY_TOLERANCE)
     tolerances = sorted({*_tolerances(take.rig), default}, reverse=True)
@@ -307,7 +317,9 @@ def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
         "keys of a clip",
         float(take.clock.duration),
         Setting.of(KEYS, reduce=default),
-        lambda: [Setting.of(KEYS, reduce=each) for each in tolerances],
+        lambda: [
+            Setting.of(KEYS, reduce=tolerance_value) for tolerance_value in tolerances
+        ],
         lambda: [[SOURCE]],
         run,
         ErrorMeasure.LARGEST,

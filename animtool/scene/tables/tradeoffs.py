@@ -33,10 +33,10 @@ class Tradeoffs:
     """Tables of an input, one for each result.
 
     Attributes:
-        source: The file.
-        tables: In the order in which a bake makes them.
-        notices: Warnings about them.
-        budget: The largest error that will do [m]; None asks for none.
+        source: Input file.
+        tables: Tables in the order in which a bake produces the results.
+        notices: Warnings about the tables.
+        budget: Largest acceptable error [m]; None if unspecified.
     """
 
     source: Path
@@ -52,9 +52,9 @@ class Pair:
     """Two settings of a table as stages, for comparison by eye."""
 
     table: int  # index of the table
-    settings: tuple[Setting, Setting]  # the current one, and another
+    settings: tuple[Setting, Setting]  # the current setting, and another
     files: tuple[Path, Path]
-    size: float  # of the figure in them [m]; 0 is not known
+    size: float  # size of the figure in the stages [m]; 0 if unknown
 
 
 def measure_tradeoffs(
@@ -67,23 +67,23 @@ def measure_tradeoffs(
 ) -> Tradeoffs:
     """Measure time against error for all results of an input.
 
-    That is the integrator, step and tolerance of what a scene simulates, method and
-    tolerance of what it brings to targets, and the sample rate, the thinning and the
-    keys of the take that it writes. Each is compared with its finest setting.
+    The settings are integrator, step and tolerance of simulations, method and tolerance
+    of IK, and sample rate, reduction and keys of the written take. Each is compared
+    with its finest setting.
 
     Args:
-        source: A scene, or a file of motion.
-        options: Of the bake.
-        budget: The largest error that will do [m]: the cheapest setting within is
-            recommended. None recommends what is as exact as the current one.
-        folder: Where stages of two settings of each table are written, to be looked at:
-            the current one, and the recommended or the next cheaper one. None writes
+        source: Scene or motion file.
+        options: Bake options.
+        budget: Largest acceptable error [m]: the cheapest setting within it is
+            recommended. None recommends a setting as accurate as the current one.
+        folder: Folder for stages of two settings of each table, to compare by eye: the
+            current setting, and the recommended or the next cheaper one. None writes
             none.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         FormatError: The source is malformed, or a pass cannot be applied to it.
-        OptionError: An option makes no sense, or nothing can be traded (SCN071).
+        OptionError: An option is invalid, or nothing can be traded (SCN071).
     """
     trials = _trials(source, options)
     report = _measured(source_file(source), trials, budget, progress)
@@ -97,16 +97,17 @@ def suite_tradeoffs(
 ) -> Tradeoffs:
     """Measure animtool's own examples; see `measure_tradeoffs`.
 
-    They are comets by each integrator, a rope by each solver, an arm that reaches by
-    each method, and a wave of it as samples and keys: what this machine makes of them.
+    They are comets with each integrator, a rope with each solver, a reaching arm with
+    each method, and a wave of the arm as samples and keys. Times are those of this
+    machine.
     """
     tables: list[TrialTable] = []
     notices: list[Fault] = []
     for i, name in enumerate(SUITE):
         path = SUITE_FOLDER / name
         source = load_scene(path) if is_named(path, "scene") else path
-        shown = part_progress(progress, i, len(SUITE))
-        report = measure_tradeoffs(source, budget=budget, progress=shown)
+        example_progress = part_progress(progress, i, len(SUITE))
+        report = measure_tradeoffs(source, budget=budget, progress=example_progress)
         tables += report.tables
         notices += report.notices
     return Tradeoffs(Path("suite"), tables, notices, budget)
@@ -158,12 +159,12 @@ def _measured(
         raise OptionError(Fault("SCN071", message, str(path), (), hint))
     tables = []
     for i, (location, trial) in enumerate(trials):
-        shown = part_progress(progress, i, len(trials))
+        trial_progress = part_progress(progress, i, len(trials))
         if location is None:
-            tables.append(measure(trial, budget=budget, progress=shown))
+            tables.append(measure(trial, budget=budget, progress=trial_progress))
             continue
         with location.located():
-            table = measure(trial, budget=budget, progress=shown)
+            table = measure(trial, budget=budget, progress=trial_progress)
         notices = [location.locate(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
     notices = [notice for table in tables for notice in table.notices]
@@ -178,10 +179,10 @@ def _pairs(
     """Write two settings of each table as stages."""
     pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
-        other = _other(table)
-        if trial.write is None or other is None:
+        other_setting = _other(table)
+        if trial.write is None or other_setting is None:
             continue
-        settings = (table.chosen.setting, other.setting)
+        settings = (table.chosen.setting, other_setting.setting)
         names = (f"table{i + 1}_present.usdc", f"table{i + 1}_other.usdc")
         files = (folder / names[0], folder / names[1])
         for setting, file in zip(settings, files, strict=True):
@@ -210,11 +211,11 @@ def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
         errors = [
             error for row in table.rows if (error := table.error_of(row)) is not None
         ]
-        least = length_text(min(errors, default=float("inf")))
+        smallest_error = length_text(min(errors, default=float("inf")))
         message = (
             f"{table.name}, {table.kind}: no setting is within "
             f"{length_text(table.budget)}: the smallest {table.error} error is "
-            f"{least}"
+            f"{smallest_error}"
         )
         hint = "raise the budget, or try finer settings than the file's"
         faults.append(Fault("SIM176", message, str(path), (), hint, Severity.WARNING))

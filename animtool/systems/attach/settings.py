@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import LARGEST, range_faults, ranges_of, within
+from animtool.core.options import MAX_NUMBER, range_faults, ranges_of, within
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.motion.keyed import KeyInterpolation, Weight, parse_choice, weights_at
@@ -65,7 +65,7 @@ class SimulateOptions:
     stretch: Annotated[float | None, within(0.0, "SIM004", reached=False)] = None
     # Downwards along the rig's up axis [m/s²]. 0 leaves a still character's attachments
     # where they are.
-    gravity: Annotated[float, within(-LARGEST, "SIM004")] = 9.81
+    gravity: Annotated[float, within(-MAX_NUMBER, "SIM004")] = 9.81
     # How fast the air takes speed [1/s]; of cloth, the coefficient of drag of its faces
     # [1].
     drag: Annotated[float, within(0.0, "SIM004")] = 0.5

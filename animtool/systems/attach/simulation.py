@@ -22,8 +22,8 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import (
     Actor,
-    PosePaths,
     AttachedSurroundings,
+    PosePaths,
     rigidly_moved,
     upwards,
 )

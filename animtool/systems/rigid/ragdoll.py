@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import LARGEST, within
+from animtool.core.options import MAX_NUMBER, within
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -64,7 +64,7 @@ class RagdollOptions:
     # Whether fingers without colliders get capsules attached to the hand.
     fingers: bool = True
     # Along the rig's negative up axis [m/s²].
-    gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
+    gravity: Annotated[float, within(-MAX_NUMBER, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
     colliders: ColliderEntries = ()  # what it collides with
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]

@@ -22,7 +22,7 @@ from pxr import Sdf, Usd
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
 from animtool.core.names import similar
-from animtool.core.rates import LARGEST_FRAME
+from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
@@ -84,7 +84,7 @@ def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
         x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in stored_ends
     ]
     numbers = [float(x) for x in stored_ends if isinstance(x, (int, float))]
-    if len(numbers) < 2 or not all(abs(x) <= LARGEST_FRAME for x in numbers):
+    if len(numbers) < 2 or not all(abs(x) <= MAX_FRAME for x in numbers):
         return None
     first_code, last_code = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
     return (first_code, last_code) if first_code <= last_code else None

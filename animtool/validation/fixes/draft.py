@@ -18,7 +18,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 class FileDraft(Protocol):
-    """Content of a file; a step returns a new draft."""
+    """Content of a file under repair; a step returns a new draft."""
 
     @property
     def checked(self) -> CheckedFile:
@@ -58,9 +58,9 @@ class FileDraft(Protocol):
 class FixStep:
     """The result of one step."""
 
-    draft: FileDraft  # the content after it
-    done: Sequence[tuple[Fault, str]] = ()  # findings that were fixed, and how
-    refused: Sequence[tuple[Fault, str]] = ()  # findings that were not, and why
+    draft: FileDraft  # the content after the step
+    done: Sequence[tuple[Fault, str]] = ()  # fixed findings, and how
+    refused: Sequence[tuple[Fault, str]] = ()  # findings that were not fixed, and why
 
 
 # Fixes of documents by code; USD layers have a separate table.
@@ -82,13 +82,13 @@ class NotMendedError(Exception):
 class Mend:
     """Edits that fix a finding."""
 
-    remedy: str  # what the fix does, for the report
-    edits: tuple[Edit, ...]  # of the file's text
-    # Of new npz files, by file and name.
+    remedy: str  # description of the fix for the report
+    edits: tuple[Edit, ...]  # edits of the file's text
+    # Arrays of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
 
 
-# Raises NotMendedError where it would not be safe.
+# Raises NotMendedError if the fix would not be safe.
 Fix = Callable[[CheckedFile, Fault], Mend]
 
 

@@ -24,8 +24,8 @@ class LayerDraft:
     """The content of a USD layer; composed layers stay unchanged."""
 
     path: Path  # the file
-    content: Any = None  # the layer's content; None is that of the file
-    edits: tuple[str, ...] = ()  # what it differs by, a line each
+    content: Any = None  # content of the layer; None uses the file's
+    edits: tuple[str, ...] = ()  # descriptions of the edits, one line each
 
     @cached_property
     def checked(self) -> CheckedFile:
@@ -43,27 +43,29 @@ class LayerDraft:
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings of the first code to fix, deepest prims first.
 
-        The extent of a prim depends on those below it.
+        The extent of a prim depends on its descendants.
         """
         codes = {fault.code for fault in cases}
-        first = next(code for code in EDITS if code in codes)
-        chosen = (fault for fault in cases if fault.code == first)
-        return sorted(chosen, key=lambda fault: -(fault.where or "").count("/"))
+        first_code = next(code for code in EDITS if code in codes)
+        with_code = (fault for fault in cases if fault.code == first_code)
+        return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the layer with findings fixed if they are local to it."""
         from animtool.usd.fixes.target import edited_layer
 
-        done: list[tuple[Fault, str]] = []
-        refused: list[tuple[Fault, str]] = []
+        fixed: list[tuple[Fault, str]] = []
+        refused_findings: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 reason, remedy = _applied(layer, fault)
-                (refused if reason else done).append((fault, reason or remedy))
+                (refused_findings if reason else fixed).append(
+                    (fault, reason or remedy)
+                )
             content = layer.content()
-        lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in done]
-        other = LayerDraft(self.path, content, (*self.edits, *lines))
-        return FixStep(other if done else self, done, refused)
+        edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixed]
+        edited = LayerDraft(self.path, content, (*self.edits, *edit_lines))
+        return FixStep(edited if fixed else self, fixed, refused_findings)
 
     def finish(self, _: Sequence[Fault], /) -> FixStep:
         """Return the layer unchanged: no fix is deferred."""
@@ -100,8 +102,8 @@ def _applied(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
     """Apply the fix of a finding; return why not, or what changed."""
     from animtool.usd.fixes.target import NotFixableError
 
-    where = "" if fault.where in {None, "/"} else f"{fault.where}: "
+    prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "
     try:
-        return "", f"{where}{layer.edit_of(fault)()}"
+        return "", f"{prefix}{layer.edit_of(fault)()}"
     except NotFixableError as error:
-        return f"{where}{error}", ""
+        return f"{prefix}{error}", ""

@@ -1,4 +1,4 @@
-"""Renames entries whose names USD forbids or cannot distinguish, and references."""
+"""Renames entries that USD forbids or cannot distinguish, and references to them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
     try:
         value = document_of(text, path).value
     except AnimtoolError:
-        # What cannot be parsed may use any name in it.
+        # A file that cannot be parsed may use any name in it.
         return next(name for name in names if name in text)
     if not _may_mean(path, value, rig):
         return None
@@ -86,12 +86,12 @@ def _documents(rig: Path) -> Iterator[Path]:
 
 def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
     """Return whether names in a file may refer to a rig."""
-    stated = value.get("rig")
-    if not isinstance(stated, str):
+    rig_name = value.get("rig")
+    if not isinstance(rig_name, str):
         return True
-    if stated.startswith("animtool/"):
+    if rig_name.startswith("animtool/"):
         return "from" in value
-    return _has_names_of((path.parent / stated).resolve(), rig)
+    return _has_names_of((path.parent / rig_name).resolve(), rig)
 
 
 def _has_names_of(other: Path, rig: Path) -> bool:
@@ -106,8 +106,8 @@ def _has_names_of(other: Path, rig: Path) -> bool:
         return True
 
 
-# Where a rig file has the names of each list; * is every entry, {} every key.
-USES = {
+# Locations of names in a rig file; * is every entry, {} every key.
+NAME_PATHS = {
     "joints": (
         *("joints/*/name", "joints/*/parent", "joints/*/mirror"),
         *("joints/*/mimic/joint", "bind/{}", "meshes/*/skin/joints/*"),
@@ -118,10 +118,14 @@ USES = {
     "meshes": ("meshes/*/name", "shapes/*/mesh", "attach/*/mesh"),
     "shapes": ("shapes/*/name", "shapes/*/combine/*", "controls/*/drives/*/shape"),
 }
-# Where expressions read joints.
-FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
-# Names of the lists in the locations of `ignore`.
-_LISTS = {
+# Expressions that read joints.
+EXPRESSION_PATHS = (
+    "joints/*/driven/expr",
+    "shapes/*/driven/expr",
+    "controls/*/driven/expr",
+)
+# List names in the locations of `ignore`.
+_LIST_NAMES = {
     "joints": ("joints", "colliders", "masses"),
     "meshes": ("meshes",),
     "shapes": ("shapes",),
@@ -139,17 +143,17 @@ def allowed(checked: CheckedFile, fault: Fault) -> Mend:
 def distinct(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with one of two names renamed that are equal in USD.
 
-    Of the two the one that USD does not allow, or the second of these.
+    Renames the one that USD does not allow, or else the second.
     """
     rig = _complete_rig(checked)
     key, number = pointer_of(fault)[:2]
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        equal = [other for other in names if name and legal(other) == legal(name)]
-        if len(equal) > 1:
-            renamed = [other for other in equal if legal(other) != other]
-            return _renamed(rig, str(key), renamed[-1:])
+        equal_names = [other for other in names if name and legal(other) == legal(name)]
+        if len(equal_names) > 1:
+            forbidden = [other for other in equal_names if legal(other) != other]
+            return _renamed(rig, str(key), forbidden[-1:])
     raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 
 
@@ -164,21 +168,21 @@ def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
     for path, name in naming(rig.document.path, old):
         raise NotMendedError(f"{path.name} also uses {name!r}")
     new = _fresh(old, names_in(rig, key))
-    pairs = [f"{name!r} to {new[name]!r}" for name in old]
-    remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"
+    renamings = [f"{name!r} to {new[name]!r}" for name in old]
+    remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(renamings, 3)}"
     return Mend(remedy, tuple(renaming(rig.document.value, key, new)))
 
 
 def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
     """Return a unique USD name for each old one."""
     new: dict[str, str] = {}
-    kept = {legal(name) for name in names if name not in old} | {*names}
+    other_names = {legal(name) for name in names if name not in old} | {*names}
     for name in old:
-        taken = {*kept, *new.values()}
-        proposed, number = legal(name), 2
-        while proposed in taken:
-            proposed, number = f"{legal(name)}_{number}", number + 1
-        new[name] = proposed
+        used_names = {*other_names, *new.values()}
+        candidate, number = legal(name), 2
+        while candidate in used_names:
+            candidate, number = f"{legal(name)}_{number}", number + 1
+        new[name] = candidate
     return new
 
 
@@ -186,7 +190,7 @@ def renaming(
     value: Mapping[str, Any], key: str, new: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename entries of a list, wherever a rig file names them."""
-    for use in USES[key]:
+    for use in NAME_PATHS[key]:
         for at, name in _named(value, tuple(use.split("/")), ()):
             if use.endswith("{}"):
                 if name in new:
@@ -204,7 +208,7 @@ def renaming(
     for at, where in _named(value, ("ignore", "*", "where"), ()):
         location = where
         for old, name in new.items():
-            lists = "|".join(_LISTS[key])
+            lists = "|".join(_LIST_NAMES[key])
             location = re.sub(
                 rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", location
             )
@@ -214,28 +218,30 @@ def renaming(
 
 def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:
     """Yield the edits that rename joints in expressions of drivers."""
-    for use in FORMULAS:
+    for use in EXPRESSION_PATHS:
         for at, text in _named(value, tuple(use.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
-            changed = expression.renamed(renamed_coordinates(expression.names, new))
-            if changed != expression:
-                yield Replace(at, changed.text)
+            new_expression = expression.renamed(
+                renamed_coordinates(expression.names, new)
+            )
+            if new_expression != expression:
+                yield Replace(at, new_expression.text)
 
 
 def _named(
     node: Any, steps: tuple[str, ...], at: Location
 ) -> Iterator[tuple[Location, str]]:
-    """Yield the names at a path of `USES`, and their locations."""
+    """Yield the names at a path of `NAME_PATHS`, and their locations."""
     if not steps:
         if isinstance(node, str):
             yield at, node
         return
-    step, *rest = steps
+    step, *later_steps = steps
     if step == "{}":
         for key in node if isinstance(node, dict) else ():
             yield (*at, key), key
     elif step == "*":
         for i, entry in enumerate(node if isinstance(node, list) else ()):
-            yield from _named(entry, tuple(rest), (*at, i))
+            yield from _named(entry, tuple(later_steps), (*at, i))
     elif isinstance(node, dict) and step in node:
-        yield from _named(node[step], tuple(rest), (*at, step))
+        yield from _named(node[step], tuple(later_steps), (*at, step))

@@ -20,10 +20,10 @@ class FileMend:
     """A file and its fixed content."""
 
     path: Path  # the file
-    after: FileDraft  # its content when mended
-    # Findings in the order they were fixed, and the fix.
+    after: FileDraft  # its content after the fixes
+    # Fixed findings in order, with their fixes.
     mended: list[tuple[Fault, str]] = field(default_factory=list)
-    # Findings of a code that has a fix, and why they stay.
+    # Findings with a fix that remain, and why.
     left: list[tuple[Fault, str]] = field(default_factory=list)
 
     def difference(self) -> str:
@@ -34,7 +34,7 @@ class FileMend:
 def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     """Return a file with all safe fixes applied in memory.
 
-    A mend is kept where its finding is gone and none has come.
+    A fix is kept if its finding disappears and no new one appears.
     """
     plan = FileMend(path, _open_draft(path))
     options = options.with_profile(plan.after.checked.profile)
@@ -42,20 +42,20 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     while cases := list(_open_cases(plan.after.findings, options, unfixable)):
         batch = plan.after.batch(cases)
         step = plan.after.step(batch)
-        worse = _worse(plan.after, step)
-        if step.done and not worse:
+        reason = _worse(plan.after, step)
+        if step.done and not reason:
             plan.after = step.draft
             plan.mended.extend(step.done)
-            # The others may have moved, and succeed now.
+            # Other findings may have moved, and may be fixable now.
             unfixable.clear()
             plan.left.clear()
             continue
         unfixable.update(map(_key, batch))
         plan.left.extend(step.refused)
-        plan.left.extend((fault, worse) for fault, _ in step.done)
-    last = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
-    plan.after = last.draft
-    plan.mended.extend(last.done)
+        plan.left.extend((fault, reason) for fault, _ in step.done)
+    final = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
+    plan.after = final.draft
+    plan.mended.extend(final.done)
     return plan
 
 
@@ -118,12 +118,12 @@ def _open_draft(path: Path) -> FileDraft:
 def _open_cases(
     faults: Sequence[Fault],
     options: ValidateOptions,
-    unfixable: set[tuple[str, str | None, str]],
+    known_unfixable: set[tuple[str, str | None, str]],
 ) -> Iterator[Fault]:
-    """Yield findings that count, have a fix, and were not tried yet."""
+    """Yield selected findings that have a fix and were not tried yet."""
     for fault in faults:
         fixable = has_fix(fault.code) and options.counts(fault.code)
-        if fixable and _key(fault) not in unfixable:
+        if fixable and _key(fault) not in known_unfixable:
             yield fault
 
 
@@ -135,11 +135,11 @@ def _worse(before: FileDraft, step: FixStep) -> str:
     """Return why a step is rejected: findings remain or appear; empty if accepted."""
     if not step.done:
         return ""
-    old = Counter(fault.code for fault in before.findings)
-    new = Counter(fault.code for fault in step.draft.findings)
-    more = sorted(code for code in new if new[code] > old[code])
-    if more:
-        return f"the fix would cause {more[0]}"
-    if any(new[fault.code] >= old[fault.code] for fault, _ in step.done):
+    old_counts = Counter(fault.code for fault in before.findings)
+    new_counts = Counter(fault.code for fault in step.draft.findings)
+    added = sorted(code for code in new_counts if new_counts[code] > old_counts[code])
+    if added:
+        return f"the fix would cause {added[0]}"
+    if any(new_counts[fault.code] >= old_counts[fault.code] for fault, _ in step.done):
         return "the finding would remain"
     return ""

@@ -27,9 +27,9 @@ from animtool.validation.run import Report, validate_files
 class Fixes:
     """Result of fixing files."""
 
-    files: tuple[FileMend, ...]  # those with findings of a code that has a fix
+    files: tuple[FileMend, ...]  # files with findings of codes that have a fix
     report: Report  # validation after the fixes
-    notes: tuple[str, ...] = ()  # notes on complete files
+    notes: tuple[str, ...] = ()  # notes about entire files
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:
@@ -56,33 +56,37 @@ def fix_files(
     """Apply all safe fixes to files, and validate them again.
 
     Args:
-        files: Of any kind that is checked.
-        options: Which codes count.
-        overwrite: Whether USD files are replaced; else they stay.
+        files: Files of any kind that is validated.
+        options: Selected codes.
+        overwrite: Whether to replace USD files; else they stay unchanged.
 
     Raises:
         OutputError: A file cannot be written.
     """
     options = (options or ValidateOptions()).resolved()
     report = validate_files(files, options)
-    named = _with_fixes(report)
-    kept = [path for path in named if is_layer(path) and not overwrite]
-    # A file and a link to it are one.
-    targets = {path.resolve(): path for path in reversed(named) if path not in kept}
-    changed = list(reversed(targets.values()))
-    check_outputs(changed, [], overwrite=True)
-    plans = [_plan(path, options) for path in changed]
+    fixable_files = _with_fixes(report)
+    kept_files = [path for path in fixable_files if is_layer(path) and not overwrite]
+    # A file and a link to it are the same file.
+    targets = {
+        path.resolve(): path
+        for path in reversed(fixable_files)
+        if path not in kept_files
+    }
+    changed_files = list(reversed(targets.values()))
+    check_outputs(changed_files, [], overwrite=True)
+    plans = [_plan(path, options) for path in changed_files]
     with atomic_outputs():
         for plan in plans:
             if plan.mended:
                 plan.after.write(plan.path)
     unpack = "packages are not edited: unpack it, and fix its layers"
     packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
-    notes = (*_kept(report, kept), *packages)
+    notes = (*_kept(report, kept_files), *packages)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
-    mended = tuple(entry for plan in plans for entry in plan.mended)
-    return Fixes(tuple(plans), replace(report, mended=mended), notes)
+    fixed_findings = tuple(entry for plan in plans for entry in plan.mended)
+    return Fixes(tuple(plans), replace(report, mended=fixed_findings), notes)
 
 
 def fix_copy(
@@ -94,18 +98,18 @@ def fix_copy(
 ) -> Fixes:
     """Write a fixed copy of a USD layer, and validate the copy.
 
-    A layer with nothing to fix is copied as it is.
+    A layer with nothing to fix is copied unchanged.
 
     Args:
-        source: The layer, which stays as it is.
+        source: The layer, which stays unchanged.
         output: The copy.
-        options: Which codes count.
+        options: Selected codes.
         overwrite: Whether the copy may replace a file.
 
     Raises:
         FormatError: The layer cannot be read.
-        OptionError: The copy exists (OUT001), is the layer or one that it brings in
-            (OUT003), or one of the two is no plain layer (OUT004).
+        OptionError: The copy exists (OUT001), is the layer itself or one that it
+            includes (OUT003), or one of the two is not a plain layer (OUT004).
         OutputError: It cannot be written.
     """
     from animtool.usd.fixes.target import check_copy, refuse_composed_layers
@@ -126,8 +130,8 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
 
 def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
     """Return files, or packages, with fixable findings."""
-    named = {fault.path for fault in report.findings if has_fix(fault.code)}
-    fixable = (path for path in report.files if str(path) in named)
+    named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
+    fixable = (path for path in report.files if str(path) in named_paths)
     return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
 
 

@@ -73,8 +73,8 @@ def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
 def summed(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with normalized weights in a new npz.
 
-    That is what every reader of the file does with them. The npz that holds them now
-    may be another rig's too, and stays as it is.
+    Every reader of the file normalises the weights anyway. The npz that contains them
+    now may belong to another rig too, and stays unchanged.
     """
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
@@ -97,11 +97,11 @@ def _free(path: Path, key: str) -> Path:
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
-    number, free = 2, path.with_name(f"{path.stem}_{key}.npz")
-    while free.exists():
-        free = path.with_name(f"{path.stem}_{key}_{number}.npz")
+    number, candidate = 2, path.with_name(f"{path.stem}_{key}.npz")
+    while candidate.exists():
+        candidate = path.with_name(f"{path.stem}_{key}_{number}.npz")
         number += 1
-    return free
+    return candidate
 
 
 def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:
@@ -115,10 +115,12 @@ class TextDraft:
 
     path: Path  # the file
     text: str  # its content
-    before: str  # the file's own text
-    # Of new npz files that the text names, by file and name.
+    before: str  # the file's original text
+    # Arrays of new npz files that the text refers to, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
-    awaited: frozenset[str] = frozenset()  # codes of findings that these files fix
+    fixed_by_arrays: frozenset[str] = (
+        frozenset()
+    )  # codes of findings that these files fix
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:
@@ -143,7 +145,8 @@ class TextDraft:
     def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the text with a finding fixed, unless that writes arrays.
 
-        What writes arrays comes last, as the rest is checked on files that are there.
+        Fixes that write arrays come last, since other fixes are validated with existing
+        files.
         """
         fault = faults[0]
         try:
@@ -151,17 +154,17 @@ class TextDraft:
             text = edited(self.text, self.path, mend.edits)
             if mend.arrays:
                 return FixStep(self)
-            other = replace(self, text=text)
-            # That it can be read is looked at here.
-            _ = other.findings
+            new_draft = replace(self, text=text)
+            # Check that it can be read.
+            _ = new_draft.findings
         except (NotMendedError, EditError, AnimtoolError) as error:
             return FixStep(self, refused=[(fault, str(error))])
-        return FixStep(other, [(fault, mend.remedy)])
+        return FixStep(new_draft, [(fault, mend.remedy)])
 
     def finish(self, cases: Sequence[Fault]) -> FixStep:
-        """Return the text with the findings fixed that need new arrays."""
-        text, done = self.text, []
-        added = {path: dict(arrays) for path, arrays in self.arrays.items()}
+        """Return the text with those findings fixed that need new arrays."""
+        text, fixed = self.text, []
+        new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
             try:
                 mend = self._mend(fault)
@@ -170,11 +173,13 @@ class TextDraft:
                 text = edited(text, self.path, mend.edits)
             except (NotMendedError, EditError):
                 continue
-            done.append((fault, mend.remedy))
+            fixed.append((fault, mend.remedy))
             for path, arrays in mend.arrays.items():
-                added.setdefault(path, {}).update(arrays)
-        codes = frozenset(fault.code for fault, _ in done)
-        return FixStep(replace(self, text=text, arrays=added, awaited=codes), done)
+                new_arrays.setdefault(path, {}).update(arrays)
+        codes = frozenset(fault.code for fault, _ in fixed)
+        return FixStep(
+            replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes), fixed
+        )
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
@@ -207,8 +212,8 @@ class TextDraft:
                 for path, arrays in self.arrays.items():
                     write_arrays(path, dict(arrays))
                 self._check_arrays()
-            mark = read_input(output).startswith(codecs.BOM_UTF8)
-            encoding = "utf-8-sig" if mark else "utf-8"
+            has_bom = read_input(output).startswith(codecs.BOM_UTF8)
+            encoding = "utf-8-sig" if has_bom else "utf-8"
             write_parts(output, [self.text.encode(encoding)])
         return ()
 
@@ -216,9 +221,9 @@ class TextDraft:
         """Refuse arrays that do not read back equal."""
         if not self.arrays:
             return
-        unread = {*self.awaited, "RIG018", "RIG019"}
-        again = replace(self, arrays={})
-        if any(fault.code in unread for fault in again.findings):
+        findings = {*self.fixed_by_arrays, "RIG018", "RIG019"}
+        without_arrays = replace(self, arrays={})
+        if any(fault.code in findings for fault in without_arrays.findings):
             path = next(iter(self.arrays))
             raise output_error(path, "it would not be read back as written")
 
@@ -230,7 +235,7 @@ class TextDraft:
 
 
 def _lines(text: str) -> list[str]:
-    r"""Return lines with their ends; only \n counts."""
+    r"""Return lines including their ends; only \n separates lines."""
     return [line + "\n" for line in text.split("\n")[:-1]] + [
-        rest for rest in text.split("\n")[-1:] if rest
+        last_line for last_line in text.split("\n")[-1:] if last_line
     ]

@@ -27,11 +27,11 @@ def written(
     """Return a report in one of `FORMATS`.
 
     Args:
-        report: What was found.
-        form: Of `FORMATS`.
-        repeats: Print each finding as text, repeats in one file too. Other forms have
-            all of them in any case.
-        calling: What arguments are called.
+        report: The report.
+        form: Name in `FORMATS`.
+        repeats: Print repeated findings of a file as text, too. Other formats always
+            contain all findings.
+        calling: Spelling of arguments.
     """
     if form == "text":
         return text_report(report, repeats=repeats, calling=calling)

@@ -1,6 +1,6 @@
 """Findings as text, JSON and JUnit XML.
 
-No times: the same files give the same bytes.
+Contains no times, so that the same files give the same bytes.
 
 References:
     GitHub Docs, "Workflow commands for GitHub Actions", setting an error message; the
@@ -38,8 +38,8 @@ class ShownFinding:
     """A finding as printed."""
 
     fault: Fault
-    more: int = 0  # others of its file that say the same
-    excerpt: tuple[str, ...] = ()  # its line, and what points into that
+    repeats: int = 0  # number of equal findings in its file that are not shown
+    excerpt: tuple[str, ...] = ()  # its source line, and a caret line
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ FINDINGS = Template(
         Each(
             "shown",
             (
-                f"{{fault}}[{{?more}} ({{more}} more like it{_SEE})]",
+                f"{{fault}}[{{?repeats}} ({{repeats}} more like it{_SEE})]",
                 Each("excerpt", ("{self}",)),
             ),
         ),
@@ -84,16 +84,16 @@ def text_report(
 
 
 def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
-    """Return the findings to print; without line, only the first of a kind."""
+    """Return the findings to print; without a line, only the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
-    first: dict[_Kind, Fault] = {}
+    index_of_kind: dict[_Kind, Fault] = {}
     shown = []
     for fault in report.findings:
         kind = _kind(fault)
         if repeats or fault.lines:
             shown.append(ShownFinding(fault, excerpt=excerpt_lines(fault, sources)))
-        elif first.setdefault(kind, fault) is fault:
+        elif index_of_kind.setdefault(kind, fault) is fault:
             shown.append(ShownFinding(fault, counts[kind] - 1))
     return shown
 
@@ -133,14 +133,14 @@ def _command(fault: Fault) -> str:
         if fault.column is not None:
             properties["col"] = fault.column
     properties["title"] = fault.code
-    listed = ",".join(
+    property_text = ",".join(
         f"{key}={_data(str(value)).replace(':', '%3A').replace(',', '%2C')}"
         for key, value in properties.items()
     )
-    where = f"{fault.where}: " if fault.where else ""
+    location = f"{fault.where}: " if fault.where else ""
     hint = f"; {fault.hint}" if fault.hint else ""
-    text = _data(f"{where}{fault.message}{hint}")
-    return f"::{_LEVELS[fault.severity]} {listed}::{text}"
+    text = _data(f"{location}{fault.message}{hint}")
+    return f"::{_LEVELS[fault.severity]} {property_text}::{text}"
 
 
 def _data(text: str) -> str:
@@ -157,25 +157,25 @@ def junit_report(report: Report) -> str:
     by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
         by_file[fault.path or "animtool"].append(fault)
-    named = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
+    names = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
     unreadable = report.unreadable()
     cases = (
-        _case(name, by_file[name], unreadable=name in unreadable) for name in named
+        _case(name, by_file[name], unreadable=name in unreadable) for name in names
     )
     return junit_xml("animtool validate", cases)
 
 
 def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
-    wrong = [fault for fault in faults if fault.severity is Severity.ERROR]
-    unexpected = [fault for fault in faults if fault.severity is not Severity.ERROR]
-    text = "\n".join(map(str, unexpected))
-    if not wrong:
+    errors = [fault for fault in faults if fault.severity is Severity.ERROR]
+    others = [fault for fault in faults if fault.severity is not Severity.ERROR]
+    text = "\n".join(map(str, others))
+    if not errors:
         return JunitCase(name, output=text)
     return JunitCase(
         name,
         "error" if unreadable else "failure",
-        wrong[0].code,
-        wrong[0].message,
-        "\n".join(map(str, wrong)),
+        errors[0].code,
+        errors[0].message,
+        "\n".join(map(str, errors)),
         text,
     )

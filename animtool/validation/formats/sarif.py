@@ -22,7 +22,7 @@ from animtool.core.source_lines import Sources
 from animtool.validation.run import Report
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
-LONGEST_SNIPPET = 1000
+MAX_SNIPPET = 1000
 _LEVELS = {
     Severity.ERROR: "error",
     Severity.WARNING: "warning",
@@ -35,19 +35,19 @@ def sarif_report(report: Report) -> str:
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = Sources()
-    described = [_rule(rules[code]) for code in codes if code in rules]
+    rule_objects = [_rule(rules[code]) for code in codes if code in rules]
     driver = {
         "name": "animtool",
         "version": version("animtool"),
-        "rules": described,
+        "rules": rule_objects,
     }
-    rule_index = {rule["id"]: i for i, rule in enumerate(described)}
+    rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
     results = [_result(fault, rule_index, sources) for fault in report.findings]
     _number_equal(results)
-    named = dict.fromkeys(map(str, report.files))
+    file_names = dict.fromkeys(map(str, report.files))
     run = {
         "tool": {"driver": driver},
-        "artifacts": [{"location": _location(path)} for path in named],
+        "artifacts": [{"location": _location(path)} for path in file_names],
         "results": results,
         "columnKind": "unicodeCodePoints",
     }
@@ -63,8 +63,8 @@ def _rule(rule: Rule) -> dict[str, Any]:
     }
     text = page_text(rule.code)
     if text is not None:
-        plain = re.sub(r"(?m)^#+ |^```\w*\n|`", "", text)
-        rule_object["help"] = {"text": plain, "markdown": text}
+        plain_text = re.sub(r"(?m)^#+ |^```\w*\n|`", "", text)
+        rule_object["help"] = {"text": plain_text, "markdown": text}
     return rule_object
 
 
@@ -76,7 +76,7 @@ def _result(
         "ruleId": fault.code,
         **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
         "level": _LEVELS[fault.severity],
-        # Doubled, no brace is that of a placeholder (3.11.5).
+        # Doubled braces are not placeholders (3.11.5).
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
@@ -97,8 +97,8 @@ def _region(fault: Fault, line: str | None) -> dict[str, Any]:
     region: dict[str, Any] = {"startLine": fault.lines[0]}
     if fault.column is not None:
         region["startColumn"] = fault.column
-    # For a one-line file, every finding would contain all of it.
-    if line is not None and len(line) <= LONGEST_SNIPPET:
+    # In a one-line file, every finding would contain the entire file.
+    if line is not None and len(line) <= MAX_SNIPPET:
         region["snippet"] = {"text": line}
     return region
 
@@ -122,7 +122,7 @@ def _number_equal(results: Sequence[dict[str, Any]]) -> None:
     """Number results with equal fingerprints."""
     counts: dict[str, int] = {}
     for result in results:
-        marks = result["partialFingerprints"]
-        mark = marks["animtool/v1"]
-        counts[mark] = counts.get(mark, 0) + 1
-        marks["animtool/v1"] = f"{mark}:{counts[mark]}"
+        fingerprints = result["partialFingerprints"]
+        fingerprint = fingerprints["animtool/v1"]
+        counts[fingerprint] = counts.get(fingerprint, 0) + 1
+        fingerprints["animtool/v1"] = f"{fingerprint}:{counts[fingerprint]}"

@@ -9,17 +9,17 @@ import numpy as np
 from animtool.core.array_types import BoolArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
-# Words for feet, alone or in compound names, but not flyWHEEL.
+# Words for feet, alone or in compounds, but not as in flyWHEEL.
 _WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
 _FOOT = re.compile(
     rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"
     rf"|(?<![A-Za-z])(?:{_WORDS.upper()})"
 )
-# Share of the joints that hang from the one that carries the body; targets and props
-# beside it have less [1].
-BODY = 0.6
-# Share of them that hang from a joint of the trunk [1].
-TRUNK = 0.4
+# Fraction of the joints below the one that carries the body; targets and props next to
+# it have fewer [1].
+BODY_FRACTION = 0.6
+# Fraction of these that are below a joint of the trunk [1].
+TRUNK_FRACTION = 0.4
 
 
 def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
@@ -35,8 +35,8 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 def carriers(subject: MotionSubject) -> tuple[int, ...]:
     """Return the joints that move the complete body, from the first root to the hips.
 
-    Below a static root, or one with the path of a walk, another joint carries the body.
-    Other children of these are targets and props.
+    Below a static root, or a root with the path of a walk, another joint carries the
+    body. Other children of these are targets and props.
     """
     rig = subject.take.rig
     if not rig.roots:
@@ -44,21 +44,21 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
     steps = _totals(rig.parents, feet)
     joints = _totals(rig.parents, np.ones(len(feet), bool))
-    chain, count = [int(rig.roots[0])], 1
+    chain, size = [int(rig.roots[0])], 1
     moving = set(subject.moving.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
         bodies = [
             child
             for child in children
-            if joints[child] >= BODY * joints[chain[0]]
+            if joints[child] >= BODY_FRACTION * joints[chain[0]]
             and 2 * steps[child] > np.count_nonzero(feet)
         ]
         if not bodies:
-            return tuple(chain[:count])
+            return tuple(chain[:size])
         chain.append(bodies[0])
         if bodies[0] in moving:
-            count = len(chain)
+            size = len(chain)
 
 
 def hips_of(subject: MotionSubject) -> int:
@@ -88,17 +88,17 @@ def limbs_of(parents: IntArray) -> IntArray:
     counts = _totals(parents, np.ones(len(parents), bool))
     limbs = np.full(len(parents), -1)
     for joint in range(len(parents)):
-        if counts[joint] <= TRUNK * len(parents):
-            above = int(parents[joint])
-            known = -1 if above < 0 else int(limbs[above])
-            limbs[joint] = joint if known < 0 else known
+        if counts[joint] <= TRUNK_FRACTION * len(parents):
+            parent = int(parents[joint])
+            parent_limb = -1 if parent < 0 else int(limbs[parent])
+            limbs[joint] = joint if parent_limb < 0 else parent_limb
     return limbs
 
 
 def placed(subject: MotionSubject) -> BoolArray:
-    """Return the joints whose translation is a position, not a bone ``(J,)``.
+    """Return the joints whose translation is a position, not a bone offset ``(J,)``.
 
-    Roots, what carries the body, and what hangs from a joint above that.
+    These are roots, joints that carry the body, and the children of these.
     """
     parents = subject.take.rig.parents
     carrying = carriers(subject)

@@ -15,27 +15,28 @@ from animtool.validation.motion.subject import MotionSubject
 
 Scalar = TypeVar("Scalar", np.float64, np.bool_)
 
-# A foot is planted this close to its lowest resting height, of the size [1].
-NEAR = 0.025
-# A planted foot moves less than this distance over this time [s], [size].
+# Height above its lowest resting height within which a foot is planted [size].
+PLANTED_HEIGHT = 0.025
+# A planted foot moves less than this distance in this time [s], [size].
 STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
-# Fewer static frames, or a smaller fraction of all frames, show no ground: feet pause
-# in the air, too [1].
-MIN_CONTACTS, SELDOM = 4, 0.1
-# A foot that is seldom static slides throughout: it is planted at the height that it
-# is near for this fraction of the frames [1].
+# Fewer static frames, or a smaller fraction of all frames, do not show the ground: feet
+# also pause in the air [1].
+MIN_CONTACTS, RARE_FRACTION = 4, 0.1
+# A foot that is rarely static slides throughout: it is planted at the height that it is
+# near in this fraction of the frames [1].
 MOSTLY_LOW = 0.25
-# A foot carries the body if no other joint is lower by more, of the size [1].
-LOWEST = 0.05
-# A body also crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk
-# is this close to the ground: joints that rest this far above the feet [size].
-LIES, ABOVE_FEET = 0.12, 0.15
-# The same before and after: feet take or release the weight while a body goes down or
-# gets up [s]. The ground is the lowest foot height in this time: in the air a knee may
-# be as low as the feet.
-GOES_DOWN, STRIDE = 0.15, 0.3
-# Fraction of a foot's contacts at one height if its ground is flat; and at two heights,
-# each, if part of the take floats or is on a step [1].
+# A foot carries the body if no other joint is lower by more than this [size].
+CARRYING_HEIGHT = 0.05
+# A body crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk is
+# this close to the ground; considered are joints that rest this far above the feet
+# [size].
+LYING_HEIGHT, ABOVE_FEET = 0.12, 0.15
+# The same applies this long before and after: feet take or release the weight while a
+# body goes down or gets up [s]. The ground is the lowest foot height within the second
+# interval, since in the air a knee may be as low as the feet.
+TRANSITION_SECONDS, STRIDE_SECONDS = 0.15, 0.3
+# Fraction of a foot's contacts at one height if its ground is flat; and at two heights
+# together and each, if part of the take floats or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 
@@ -44,12 +45,12 @@ class FootStances:
     """Foot contacts of a take.
 
     Attributes:
-        feet: Indices of the joints ``(E,)``.
-        partners: The opposite foot, or itself ``(E,)``.
+        feet: Indices of the foot joints ``(E,)``.
+        partners: Column of the opposite foot, or the foot's own ``(E,)``.
         ground: Contact height of each foot ``(E,)`` [m].
-        level: Whether most of its contacts are at that height ``(E,)``.
-        flat: Whether a foot and its opposite have one contact height ``(E,)``.
-        floor: The lower of two common contact heights; else the ground; infinite for
+        level: Whether most contacts of a foot are at that height ``(E,)``.
+        flat: Whether a foot and its opposite have the same contact height ``(E,)``.
+        floor: The lower of two common contact heights, else the ground; infinite for
             more than two ``(E,)`` [m].
         carries: Whether no other joint is much lower ``(F, E)``.
         near: Whether a foot carries the body near flat ground ``(F, E)``.
@@ -74,83 +75,89 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
         return None
     heights = subject.heights[:, feet]
     lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
-    carries = heights < lowest + LOWEST * subject.size
+    carries = heights < lowest + CARRYING_HEIGHT * subject.size
     carries &= ~_lies(subject, feet)[:, None]
     static = carries & _static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
-        stands = heights[static[:, e], e]
-        if len(stands) >= max(MIN_CONTACTS, SELDOM * subject.frames):
-            ground[e], fraction = _level(stands, NEAR * subject.size)
+        is_static = heights[static[:, e], e]
+        if len(is_static) >= max(MIN_CONTACTS, RARE_FRACTION * subject.frames):
+            ground[e], fraction = _level(is_static, PLANTED_HEIGHT * subject.size)
             flat[e] = fraction > AT_ONE_HEIGHT
-            floor[e] = _floor(stands, NEAR * subject.size)
+            floor[e] = _floor(is_static, PLANTED_HEIGHT * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
-            low = np.abs(heights[:, e] - ground[e]) < NEAR * subject.size
-            flat[e] = low.mean() > MOSTLY_LOW
+            is_low = np.abs(heights[:, e] - ground[e]) < PLANTED_HEIGHT * subject.size
+            flat[e] = is_low.mean() > MOSTLY_LOW
             floor[e] = ground[e] if flat[e] else np.inf
     partners = _partners(subject, feet)
-    level, within = flat, NEAR * subject.size
-    flat = level & _agrees(ground, partners, within)
-    floor[~_agrees(floor, partners, within)] = np.inf
-    near = carries & flat & (np.abs(heights - ground) < within)
+    level, tolerance = flat, PLANTED_HEIGHT * subject.size
+    flat = level & _agrees(ground, partners, tolerance)
+    floor[~_agrees(floor, partners, tolerance)] = np.inf
+    is_near = carries & flat & (np.abs(heights - ground) < tolerance)
     return FootStances(
-        feet, partners, ground, level, flat, floor, carries, near, static
+        feet, partners, ground, level, flat, floor, carries, is_near, static
     )
 
 
-def _level(heights: FloatArray, within: float) -> tuple[float, float]:
+def _level(heights: FloatArray, tolerance: float) -> tuple[float, float]:
     """Return the most common height, and the fraction of values near it.
 
     >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
     """
     ordered = np.sort(heights)
-    ends = np.searchsorted(ordered, ordered + 2.0 * within, "right")
-    many = ends - np.arange(len(ordered))
-    first = int(many.argmax())
-    chosen = ordered[first : first + int(many[first])]
-    return float(np.median(chosen)), len(chosen) / len(ordered)
+    range_ends = np.searchsorted(ordered, ordered + 2.0 * tolerance, "right")
+    range_counts = range_ends - np.arange(len(ordered))
+    best_start = int(range_counts.argmax())
+    values_near = ordered[best_start : best_start + int(range_counts[best_start])]
+    return float(np.median(values_near)), len(values_near) / len(ordered)
 
 
-def _floor(heights: FloatArray, within: float) -> float:
-    """Return the lower of two heights that nearly all values are near; else infinity.
+def _floor(heights: FloatArray, tolerance: float) -> float:
+    """Return the lower of two heights near nearly all values; else infinity.
 
     >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
     """
-    one, fraction = _level(heights, within)
-    rest = heights[np.abs(heights - one) > 2.0 * within]
-    if len(rest) < AT_EACH * len(heights):
-        return one if fraction > AT_ONE_HEIGHT else np.inf
-    other, part = _level(rest, within)
-    part *= len(rest) / len(heights)
-    if part < AT_EACH:
-        return one if fraction > AT_ONE_HEIGHT else np.inf
-    return min(one, other) if fraction + part > AT_TWO_HEIGHTS else np.inf
+    first_height, fraction = _level(heights, tolerance)
+    other_heights = heights[np.abs(heights - first_height) > 2.0 * tolerance]
+    if len(other_heights) < AT_EACH * len(heights):
+        return first_height if fraction > AT_ONE_HEIGHT else np.inf
+    second_height, second_fraction = _level(other_heights, tolerance)
+    second_fraction *= len(other_heights) / len(heights)
+    if second_fraction < AT_EACH:
+        return first_height if fraction > AT_ONE_HEIGHT else np.inf
+    return (
+        min(first_height, second_height)
+        if fraction + second_fraction > AT_TWO_HEIGHTS
+        else np.inf
+    )
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
     """Return frames in which joints other than feet are near the ground ``(F,)``."""
     parents = subject.take.rig.parents
-    others = body(subject)
+    other_joints = body(subject)
     leg = set(feet.tolist())
     for joint in range(len(parents)):
         if parents[joint] in leg:
             leg.add(joint)
-    others[list(leg)] = False
+    other_joints[list(leg)] = False
     if subject.has_rest:
-        rests = subject.rest @ subject.up
-        others &= rests > rests[feet].min() + ABOVE_FEET * subject.rest_size
-    if not others.any():
+        rest_heights = subject.rest @ subject.up
+        other_joints &= (
+            rest_heights > rest_heights[feet].min() + ABOVE_FEET * subject.rest_size
+        )
+    if not other_joints.any():
         return np.zeros(subject.frames, bool)
     lowest = subject.heights[:, feet].min(axis=1)
-    trunk = subject.heights[:, others].min(axis=1)
-    ground = _windows(lowest, STRIDE / subject.interval).min(axis=1)
-    lies = trunk < ground + LIES * subject.size
-    return np.asarray(_windows(lies, GOES_DOWN / subject.interval).any(axis=1))
+    trunk = subject.heights[:, other_joints].min(axis=1)
+    ground = _windows(lowest, STRIDE_SECONDS / subject.interval).min(axis=1)
+    lies = trunk < ground + LYING_HEIGHT * subject.size
+    return np.asarray(_windows(lies, TRANSITION_SECONDS / subject.interval).any(axis=1))
 
 
 def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
@@ -167,10 +174,10 @@ def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
     return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
 
 
-def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
-    """Return whether each foot stands as high as its opposite ``(E,)``."""
+def _agrees(ground: FloatArray, partners: IntArray, tolerance: float) -> BoolArray:
+    """Return whether each foot's contact height equals its opposite's ``(E,)``."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(ground - ground[partners]) < within)
+        return np.asarray(np.abs(ground - ground[partners]) < tolerance)
 
 
 def moves_over(
@@ -178,18 +185,19 @@ def moves_over(
 ) -> tuple[FloatArray, IntArray]:
     """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
 
-    span: about how long [s]. Moves ``(F, E, 3)`` [m] and frames ``(F,)``.
+    span: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
+    counts ``(F,)``.
     """
-    count, reach = len(points), max(1, round(0.5 * span / subject.interval))
-    before = np.clip(np.arange(count) - reach, 0, count - 1)
-    behind = np.clip(np.arange(count) + reach, 0, count - 1)
-    return points[behind] - points[before], behind - before
+    count, half_span = len(points), max(1, round(0.5 * span / subject.interval))
+    frames_before = np.clip(np.arange(count) - half_span, 0, count - 1)
+    frames_after = np.clip(np.arange(count) + half_span, 0, count - 1)
+    return points[frames_after] - points[frames_before], frames_after - frames_before
 
 
 def _static(subject: MotionSubject, points: FloatArray) -> BoolArray:
     """Return where points ``(F, E, 3)`` are nearly static ``(F, E)``."""
     moves, frames = moves_over(subject, points, STATIC_SECONDS)
-    # At low rates a frame is longer than the time to look at.
-    allowed = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
+    # At low rates a frame is longer than that interval.
+    max_lengths = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
     lengths = np.linalg.norm(moves, axis=2)
-    return np.asarray(lengths < allowed[:, None] * subject.size)
+    return np.asarray(lengths < max_lengths[:, None] * subject.size)

@@ -21,38 +21,40 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Body travel relative to foot travel.
 
-# Time over which velocities are measured [s].
-SPAN = 0.1
-# Slower hips [size/s], or a shorter time [s], show no ratio. Feet that slide less in
-# total are not reported [size].
-SLOW, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
-# With scaled travel, the planted foot moves with the hips, or against them, at a nearly
-# constant fraction of their speed. The 15th percentile of this ratio is above the first
-# value, or the median and the 75th are below the others [1]: a rolling foot moves along
-# a little.
-ALONG, AGAINST, MOSTLY_AGAINST = 0.1, -0.15, -0.05
-# From the 15th percentile to the median the ratio changes by less than this, along and
-# against [1]: feet that slide on purpose, as in a dance, have no constant ratio.
+# Interval for measuring velocities [s].
+VELOCITY_SECONDS = 0.1
+# Hips slower than this [size/s], or a shorter time [s], show no ratio. Feet that slide
+# less in total are not reported [size].
+MIN_HIP_SPEED, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
+# With wrongly scaled travel, the planted foot moves with the hips, or against them, at
+# a nearly constant fraction of their speed. The 15th percentile of this ratio is then
+# above the first value, or the median and the 75th percentile are below the others [1];
+# a rolling foot moves along a little.
+MIN_ALONG, MAX_AGAINST, MAX_AGAINST_QUARTILE = 0.1, -0.15, -0.05
+# Largest change of the ratio from the 15th percentile to the median, along and against
+# [1]: feet that slide intentionally, as in a dance, have no constant ratio.
 EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
 def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
-    """Return the ratio of hip travel to foot travel, if it is consistently off.
+    """Return the ratio of hip travel to foot travel, if it is consistently wrong.
 
-    Over 1 feet are dragged along, and below they slip back.
+    Above 1 the feet are dragged along; below 1 they slip back.
     """
     ratios, weights = _ratios(subject, contacts)
     path = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_SECONDS:
         return None
-    order = np.argsort(ratios, kind="stable")
-    totals = np.cumsum(weights[order]) / weights.sum()
-    quartiles = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
-    low, middle, high = ratios[order][quartiles].tolist()
-    along = low > ALONG and middle - low < EVEN_ALONG and middle < 1.0
-    against = middle < AGAINST and high < MOSTLY_AGAINST
-    against &= middle - low < EVEN_AGAINST * max(1.0, -middle)
-    if path * abs(middle) < MIN_SLIDE or not (along or against):
+    sort_order = np.argsort(ratios, kind="stable")
+    totals = np.cumsum(weights[sort_order]) / weights.sum()
+    quartiles = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(sort_order) - 1)
+    low_quartile, middle, high_quartile = ratios[sort_order][quartiles].tolist()
+    is_dragged = (
+        low_quartile > MIN_ALONG and middle - low_quartile < EVEN_ALONG and middle < 1.0
+    )
+    slips_back = middle < MAX_AGAINST and high_quartile < MAX_AGAINST_QUARTILE
+    slips_back &= middle - low_quartile < EVEN_AGAINST * max(1.0, -middle)
+    if path * abs(middle) < MIN_SLIDE or not (is_dragged or slips_back):
         return None
     return float(1.0 / (1.0 - middle))
 
@@ -62,90 +64,98 @@ def _ratios(
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocities of the stance foot relative to the hips ``(N,)``.
 
-    Along the hips' velocity, and their speeds [m/s]. Of feet near to the ground the
-    slowest one counts.
+    These are the components along the hips' velocity, and the hips' speeds [m/s]. Of
+    the feet near the ground, the slowest one counts.
     """
     points = subject.level(np.append(contacts.feet, hips_of(subject)))
-    travels, steps = moves_over(subject, points, SPAN)
+    travels, steps = moves_over(subject, points, VELOCITY_SECONDS)
     velocities = travels / (steps * subject.interval)[:, None, None]
     feet, hips = velocities[:, :-1], velocities[:, -1]
     speeds = np.where(contacts.near, np.linalg.norm(feet, axis=2), np.inf)
-    slowest = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
-    pace = np.linalg.norm(hips, axis=1)
-    known = contacts.near.any(axis=1) & (pace > SLOW * subject.size)
-    along = np.einsum("fc,fc->f", slowest, hips)[known]
-    return np.asarray(along / pace[known] ** 2), np.asarray(pace[known])
+    stance_velocity = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
+    hip_speed = np.linalg.norm(hips, axis=1)
+    is_used = contacts.near.any(axis=1) & (hip_speed > MIN_HIP_SPEED * subject.size)
+    foot_along_hips = np.einsum("fc,fc->f", stance_velocity, hips)[is_used]
+    return np.asarray(foot_along_hips / hip_speed[is_used] ** 2), np.asarray(
+        hip_speed[is_used]
+    )
 
 
-# A take that travels less is in place, and its feet slide on purpose [size].
-TRAVEL = 0.2
+# A take that travels less is in place, and its feet slide intentionally [size].
+MIN_TRAVEL = 0.2
 # Minimum speed of a sliding planted foot [size/s], and minimum duration [s].
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
-# One slide of the first length, or this many of the second [size], [1].
-SLIDE_LENGTH, OFTEN_LENGTH, OFTEN = 0.08, 0.035, 3
-# The speed is the lower of those over this time before and after [s]: a landing foot
-# decelerates, and a lifting one was planted just before. Shorter times are noise.
+# Length of a single reported slide, or of each of several, and their number [size],
+# [1].
+SLIDE_LENGTH, REPEATED_LENGTH, MIN_SLIDES = 0.08, 0.035, 3
+# The speed is the lower of those over this interval before and after [s]: a landing
+# foot decelerates, and a lifting foot was planted just before. Shorter intervals show
+# noise.
 SPEED_SECONDS = 0.1
 # A landing foot decelerates at least to this fraction of its speed [1] while it falls
-# by this height [size]; a lifting one does the reverse.
-LANDS, LIFTS = 0.6, 0.005
-# After a jump a body skids on and decelerates [1]: the skid starts this soon after
-# landing [s], and lasts at most this long [s].
-SKIDS, SKID_SECONDS, SKID_LASTS = 0.75, 0.15, 0.25
-# Motion of a foot that rotates about a point under it, of the size per radian, or that
-# rises or falls this many times as far, is not slide [1].
-LEVER, STEEP = 0.07, 2.0
+# by this height [size]; for a lifting foot it is reversed.
+LANDING_RATIO, LANDING_HEIGHT = 0.6, 0.005
+# After a jump a body skids and decelerates to this fraction [1]: the skid starts this
+# soon after landing [s], and lasts at most this long [s].
+SKID_RATIO, SKID_SECONDS, MAX_SKID = 0.75, 0.15, 0.25
+# Motion of a foot that rotates about a point below it, up to this distance [size per
+# radian], or that rises or falls this many times as far, is not a slide [1].
+ROLL_LEVER, LIFT_RATIO = 0.07, 2.0
 
 
 def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the foot that carries the body slides (MOT208).
 
-    The slowest foot on the ground counts: one may drag while the other is planted, and
-    a heel rotates about its toes.
+    The slowest foot on the ground counts: one foot may drag while the other is planted,
+    and a heel rotates about its toes.
     """
     subject = subject.main
     contacts = contacts_of(subject)
     if (
         contacts is None
         or body_axis(subject)
-        or _travel(subject) < TRAVEL * subject.size
+        or _travel(subject) < MIN_TRAVEL * subject.size
     ):
         return
     speeds, slides = _speeds(subject, contacts.feet)
     speeds = np.where(contacts.carries, speeds, np.inf)
     slowest = speeds.min(axis=1)
     slides = _slowest_slides(subject, contacts, speeds, slides)
-    fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
-    sliding = contacts.near.any(axis=1) & fast
-    lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
+    is_fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
+    is_sliding = contacts.near.any(axis=1) & is_fast
+    lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     long_slides = []
-    for first, end in runs(sliding):
-        last, seconds = end - 1, (end - first) * subject.interval
-        if _lands(slowest[first:end], lowest[first:end]):
+    for first, end in runs(is_sliding):
+        last_frame, seconds = end - 1, (end - first) * subject.interval
+        if _lands(slowest[first:end], lowest_heights[first:end]):
             continue
-        if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
+        if seconds <= MAX_SKID and _skids(
+            subject, contacts, slowest, first, last_frame
+        ):
             continue
-        length = _slide_length(subject, contacts, first, last)
-        if length >= OFTEN_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
-            long_slides.append((length, first, last))
-    if len(long_slides) < OFTEN and not any(
-        w >= SLIDE_LENGTH * subject.size for w, *_ in long_slides
+        length = _slide_length(subject, contacts, first, last_frame)
+        if length >= REPEATED_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
+            long_slides.append((length, first, last_frame))
+    if len(long_slides) < MIN_SLIDES and not any(
+        weight >= SLIDE_LENGTH * subject.size for weight, *_ in long_slides
     ):
         yield from _scaled_travel(subject, contacts)
         return
-    length, first, last = max(long_slides)
-    foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
-    more = (
+    length, first, last_frame = max(long_slides)
+    joint = int(
+        contacts.feet[int(speeds[first : last_frame + 1].mean(axis=0).argmin())]
+    )
+    repeat_text = (
         f"; feet slide {len(long_slides) - 1} more times"
         if len(long_slides) > 1
         else ""
     )
     message = (
-        f"planted foot {subject.take.rig.joints[foot].name!r} slides {length:.3g} m "
-        f"from frame {subject.at(first)} to {subject.at(last)}{more}"
+        f"planted foot {subject.take.rig.joints[joint].name!r} slides {length:.3g} m "
+        f"from frame {subject.at(first)} to {subject.at(last_frame)}{repeat_text}"
     )
     hint = "hold it with IK, or make the cycle in place"
-    yield subject.fault("MOT208", foot, first, message, hint)
+    yield subject.fault("MOT208", joint, first, message, hint)
 
 
 def _slowest_slides(
@@ -156,24 +166,24 @@ def _slowest_slides(
 ) -> FloatArray:
     """Return the slide speed of the slowest foot on the ground ``(F,)``.
 
-    All joints of a foot near the ground count: a planted toe makes the foot slow, and
-    a heel that rotates about it does not count as slide.
+    All joints of a foot near the ground count: a planted toe makes the foot slow, and a
+    heel that rotates about it does not slide.
     """
     feet, parents = contacts.feet.tolist(), subject.take.rig.parents
     column_of = {foot: e for e, foot in enumerate(feet)}
-    tops: list[int] = []
+    top_columns: list[int] = []
     for e, foot in enumerate(feet):
-        above = column_of.get(int(parents[foot]))
-        tops.append(e if above is None else tops[above])
-    resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
-    for top in sorted(set(tops)):
-        columns = np.flatnonzero(np.array(tops) == top)
-        near = contacts.near[:, columns]
-        speed = np.where(near, speeds[:, columns], np.inf).min(axis=1)
-        slide = np.where(near, slides[:, columns], 0.0).max(axis=1)
-        resting = np.where(speed < slowest, slide, resting)
+        parent_column = column_of.get(int(parents[foot]))
+        top_columns.append(e if parent_column is None else top_columns[parent_column])
+    is_resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
+    for top_column in sorted(set(top_columns)):
+        columns = np.flatnonzero(np.array(top_columns) == top_column)
+        is_near = contacts.near[:, columns]
+        speed = np.where(is_near, speeds[:, columns], np.inf).min(axis=1)
+        slide = np.where(is_near, slides[:, columns], 0.0).max(axis=1)
+        is_resting = np.where(speed < slowest, slide, is_resting)
         slowest = np.minimum(slowest, speed)
-    return resting
+    return is_resting
 
 
 def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
@@ -188,8 +198,8 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
     """
     rises = float(heights[-1] - heights[0])
     changes = np.diff(speeds) * np.sign(rises)
-    slows = float(speeds.min()) < LANDS * float(speeds.max())
-    return abs(rises) > LIFTS and slows and bool((changes >= 0.0).all())
+    slows = float(speeds.min()) < LANDING_RATIO * float(speeds.max())
+    return abs(rises) > LANDING_HEIGHT and slows and bool((changes >= 0.0).all())
 
 
 def _skids(
@@ -201,13 +211,19 @@ def _skids(
 ) -> bool:
     """Return whether feet decelerate after a flight, or accelerate before one.
 
-    ``speeds`` of the slowest foot ``(F,)`` [m/s].
+    ``speeds``: of the slowest foot ``(F,)`` [m/s].
     """
-    air = ~np.asarray(contacts.near.any(axis=1))
-    reach = max(1, round(SKID_SECONDS / subject.interval))
-    start, end = float(speeds[first]), float(speeds[last])
-    lands = bool(air[max(first - reach, 0) : first].any()) and end < SKIDS * start
-    leaves = bool(air[last + 1 :][:reach].any()) and start < SKIDS * end
+    is_airborne = ~np.asarray(contacts.near.any(axis=1))
+    window = max(1, round(SKID_SECONDS / subject.interval))
+    start_speed, end_speed = float(speeds[first]), float(speeds[last])
+    lands = (
+        bool(is_airborne[max(first - window, 0) : first].any())
+        and end_speed < SKID_RATIO * start_speed
+    )
+    leaves = (
+        bool(is_airborne[last + 1 :][:window].any())
+        and start_speed < SKID_RATIO * end_speed
+    )
     return lands or leaves
 
 
@@ -216,10 +232,10 @@ def _slide_length(
 ) -> float:
     """Return the shortest path of a foot near the ground over a run [m].
 
-    With half of the time that its speed is that of, before and after.
+    The run is extended by half the interval of its speeds, before and after.
     """
-    reach = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
-    part = slice(max(first - reach, 0), last + reach + 1)
+    half_window = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
+    part = slice(max(first - half_window, 0), last + half_window + 1)
     feet = contacts.feet[contacts.near[first : last + 1].any(axis=0)]
     level = subject.level(feet)[part]
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
@@ -231,14 +247,15 @@ def _scaled_travel(subject: MotionSubject, contacts: FootStances) -> Iterator[Fa
     if scale is None:
         return
     frame = int(contacts.near.any(axis=1).argmax())
-    foot = int(contacts.feet[int(contacts.near[frame].argmax())])
-    how = "along with" if scale > 1.0 else "back against"
+    joint = int(contacts.feet[int(contacts.near[frame].argmax())])
+    direction = "along with" if scale > 1.0 else "back against"
     message = (
-        f"planted feet slide {how} the body: it travels {scale:.2g} times as far as "
-        f"they step, such as {subject.take.rig.joints[foot].name!r}"
+        f"planted feet slide {direction} the body: it travels {scale:.2g} times as far "
+        "as "
+        f"they step, such as {subject.take.rig.joints[joint].name!r}"
     )
     hint = "scale the root motion to the legs, or hold planted feet with IK"
-    yield subject.fault("MOT208", foot, frame, message, hint)
+    yield subject.fault("MOT208", joint, frame, message, hint)
 
 
 def _travel(subject: MotionSubject) -> float:
@@ -250,27 +267,30 @@ def _travel(subject: MotionSubject) -> float:
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
 
-    The lower of the distances a short time before and after each frame counts: a foot
-    that reverses is not planted. Slide excludes rotating and lifting the foot.
+    The lower of the distances a short time before and after each frame counts, since a
+    foot that reverses is not planted. Slides exclude rotation and lifting of the foot.
     """
     count = subject.frames
-    reach = max(1, round(SPEED_SECONDS / subject.interval))
-    level, heights = subject.level(feet), subject.heights[:, feet]
+    max_offset = max(1, round(SPEED_SECONDS / subject.interval))
+    ground_positions, heights = subject.level(feet), subject.heights[:, feet]
     rotations = subject.world.rotations[:, feet]
     speeds = np.full((2, count, len(feet)), np.inf)
     for sign in (-1, 1):
         lengths = np.zeros((2, count, len(feet)))
-        for offset in range(1, reach + 1):
-            ends = np.clip(np.arange(count) + sign * offset, 0, count - 1)
-            length = np.linalg.norm(level[ends] - level, axis=2)
-            explained = STEEP * np.abs(heights[ends] - heights)
-            angles = so3.angle_between(rotations[ends], rotations)
-            explained += LEVER * subject.size * angles
-            lengths = np.maximum(lengths, np.stack([length, length - explained]))
+        for frame_offset in range(1, max_offset + 1):
+            other_frames = np.clip(np.arange(count) + sign * frame_offset, 0, count - 1)
+            length = np.linalg.norm(
+                ground_positions[other_frames] - ground_positions, axis=2
+            )
+            lift = LIFT_RATIO * np.abs(heights[other_frames] - heights)
+            angles = so3.angle_between(rotations[other_frames], rotations)
+            lift += ROLL_LEVER * subject.size * angles
+            lengths = np.maximum(lengths, np.stack([length, length - lift]))
         # The first frame has nothing before it, and the last one nothing after it.
-        seconds = np.abs(ends - np.arange(count)) * subject.interval
-        known = seconds > 0.0
-        speeds[:, known] = np.minimum(
-            speeds[:, known], lengths[:, known] / seconds[known, None]
+        seconds = np.abs(other_frames - np.arange(count)) * subject.interval
+        has_neighbour = seconds > 0.0
+        speeds[:, has_neighbour] = np.minimum(
+            speeds[:, has_neighbour],
+            lengths[:, has_neighbour] / seconds[has_neighbour, None],
         )
     return speeds[0], speeds[1]

@@ -12,35 +12,37 @@ from animtool.maths.runs import runs
 from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
-    NEAR,
+    PLANTED_HEIGHT,
     FootStances,
     contacts_of,
 )
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# A foot is sunk if it is this far below its ground [size], for this long [s].
-SUNK, SUNK_SECONDS = 0.04, 0.05
+# A foot is below ground if it is this far below its contact height [size], for this
+# long [s].
+SUNK_DEPTH, SUNK_SECONDS = 0.04, 0.05
 # Longest jump [s] of a person-sized character (2.2 m); for others it scales with the
 # square root of their size.
 LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
-# In the air no joint is closer to the ground than this [size].
-AIR = 0.05
-# On stairs one foot is on a step within this time of the other on the ground [s], and
-# steps have this height at least [size].
+# Minimum height of all joints in the air [size].
+AIR_HEIGHT = 0.05
+# On stairs, one foot is on a step within this interval of the other on the ground [s],
+# and steps have at least this height [size].
 STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
-# If the rig rests on 0 of the up axis within this, its feet stand at their rest height
-# [size]. Contacts this far above it float; sunk ones are below it.
-STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
-# Otherwise 0 counts as the ground too, but contacts this far from it have another
-# origin, such as the hips [size].
-OTHER_ORIGIN = 0.25
-# A leg hangs at rest if it reaches down by this fraction of its length; spread legs do
-# not show the height of feet [1]. Then these are no higher than this [size], and no
-# lower than this fraction of it [1].
-HANGS, ANKLE, TOE, FLAT = 0.95, 0.08, 0.03, 0.3
-# Fewer seconds of contacts do not show that a complete take is off the ground.
-SHOWN_SECONDS = 0.3
+# If the rig rests on 0 of the up axis within this distance, its feet are planted at
+# their rest height [size]. Contacts this far above it float; contacts this far below it
+# are underground.
+ZERO_TOLERANCE, ZERO_OFFSET = 0.06, 0.05
+# Otherwise 0 is assumed to be the ground too, but contacts this far from it have
+# another origin, such as the hips [size].
+OTHER_ORIGIN_OFFSET = 0.25
+# A leg hangs at rest if it extends downwards by this fraction of its length; spread
+# legs do not show the height of feet [1]. Then ankles and toes are at most this high
+# [size], and at least this fraction of it [1].
+HANGING_FRACTION, MAX_ANKLE, MAX_TOE, MIN_HEIGHT_FRACTION = 0.95, 0.08, 0.03, 0.3
+# Contacts must last this long to show that a complete take is off the ground [s].
+MIN_CONTACT_SECONDS = 0.3
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
@@ -61,35 +63,43 @@ def _full_take(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]
     """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
-    often = contacts.static.sum(axis=0)
-    fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
-    shown = np.flatnonzero((often >= fewest) & contacts.flat)
-    if not len(shown):
+    contact_counts = contacts.static.sum(axis=0)
+    min_contacts = max(MIN_CONTACTS, round(MIN_CONTACT_SECONDS / subject.interval))
+    feet_with_contacts = np.flatnonzero(
+        (contact_counts >= min_contacts) & contacts.flat
+    )
+    if not len(feet_with_contacts):
         return
-    least, most, rests_at_zero = _clearances(subject, contacts.feet[shown])
-    ground = contacts.ground[shown]
-    offs = np.where(ground < least, ground - least, np.maximum(ground - most, 0.0))
-    # A heel may be up for good: the foot nearest to the ground counts. Where how high
-    # feet stand is not known, the lowest one shows it best.
-    nearest = int((np.abs(offs) if rests_at_zero else ground).argmin())
-    off = float(offs[nearest])
-    if -SUNK * subject.size < off < OFF_ZERO * subject.size:
+    min_clearance, max_clearance, rests_at_zero = _clearances(
+        subject, contacts.feet[feet_with_contacts]
+    )
+    ground = contacts.ground[feet_with_contacts]
+    offsets = np.where(
+        ground < min_clearance,
+        ground - min_clearance,
+        np.maximum(ground - max_clearance, 0.0),
+    )
+    # A heel may stay up: the foot nearest to the ground counts. If the contact heights
+    # of feet are unknown, the lowest foot shows them best.
+    nearest_foot = int((np.abs(offsets) if rests_at_zero else ground).argmin())
+    offset = float(offsets[nearest_foot])
+    if -SUNK_DEPTH * subject.size < offset < ZERO_OFFSET * subject.size:
         return
     lowest = subject.heights[:, contacts.feet].min(axis=1)
-    slack = NEAR * subject.size if rests_at_zero else 0.0
-    if off > 0.0 and float(np.percentile(lowest, 5)) < off - slack:
+    slack = PLANTED_HEIGHT * subject.size if rests_at_zero else 0.0
+    if offset > 0.0 and float(np.percentile(lowest, 5)) < offset - slack:
         return
-    if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
+    if not rests_at_zero and abs(offset) > OTHER_ORIGIN_OFFSET * subject.size:
         return
-    foot = int(contacts.feet[shown[nearest]])
-    frame = int(np.flatnonzero(contacts.static[:, shown].any(axis=1))[0])
-    how = "below" if off < 0.0 else "above"
+    joint = int(contacts.feet[feet_with_contacts[nearest_foot]])
+    frame = int(np.flatnonzero(contacts.static[:, feet_with_contacts].any(axis=1))[0])
+    side = "below" if offset < 0.0 else "above"
     message = (
-        f"the feet are {abs(off):.3g} m {how} the ground, 0 of the up axis; "
-        f"{subject.take.rig.joints[foot].name!r} is nearest to it"
+        f"the feet are {abs(offset):.3g} m {side} the ground, 0 of the up axis; "
+        f"{subject.take.rig.joints[joint].name!r} is nearest to it"
     )
     hint = "lift or lower the root, or convert the take's units"
-    yield subject.fault("MOT209", foot, frame, message, hint)
+    yield subject.fault("MOT209", joint, frame, message, hint)
 
 
 def _clearances(
@@ -98,31 +108,36 @@ def _clearances(
     """Return the heights of foot joints above the ground in stance.
 
     Minimum and maximum ``(E,)`` [m], and whether the rig rests on 0 of the up axis.
-    Legs that hang at rest show it; for others only flat feet are assumed.
+    Legs that hang at rest define the height; for others only flat feet are assumed.
     """
-    rig, size = subject.take.rig, subject.rest_size
-    scale = subject.size / size
-    rest = subject.rest
-    heights = rest @ subject.up
+    rig, rest_size = subject.take.rig, subject.rest_size
+    scale = subject.size / rest_size
+    rest_positions = subject.rest
+    heights = rest_positions @ subject.up
     lowest = float(heights.min())
     parents, hips = rig.parents, hips_of(subject)
-    least = np.zeros(len(feet))
-    most = np.zeros(len(feet))
+    min_clearance = np.zeros(len(feet))
+    max_clearance = np.zeros(len(feet))
     hangs = True
-    known = set(feet_of(rig.names).tolist())
-    for e, foot in enumerate(feet.tolist()):
-        is_toe = int(parents[foot]) in known
-        most[e] = (TOE if is_toe else ANKLE) * size
-        if _hangs(rest, heights, _leg(parents.tolist(), known, hips, foot)):
-            least[e] = heights[foot] - lowest
+    foot_joints = set(feet_of(rig.names).tolist())
+    for e, joint in enumerate(feet.tolist()):
+        is_toe = int(parents[joint]) in foot_joints
+        max_clearance[e] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
+        if _hangs(
+            rest_positions, heights, _leg(parents.tolist(), foot_joints, hips, joint)
+        ):
+            min_clearance[e] = heights[joint] - lowest
         else:
             hangs = False
-    on_zero = hangs and -SUNK < 2.0 * lowest / size < 2.0 * STANDS_AT_ZERO
+    on_zero = hangs and -SUNK_DEPTH < 2.0 * lowest / rest_size < 2.0 * ZERO_TOLERANCE
     if on_zero:
-        least = most = heights[feet]
+        min_clearance = max_clearance = heights[feet]
     else:
-        least, most = np.maximum(least, FLAT * most), np.maximum(least, most)
-    return least * scale, most * scale, on_zero
+        min_clearance, max_clearance = (
+            np.maximum(min_clearance, MIN_HEIGHT_FRACTION * max_clearance),
+            np.maximum(min_clearance, max_clearance),
+        )
+    return min_clearance * scale, max_clearance * scale, on_zero
 
 
 def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
@@ -144,34 +159,37 @@ def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
 def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
     """Return whether a leg hangs straight down at rest."""
     bones = np.linalg.norm(np.diff(rest[leg], axis=0), axis=1)
-    return bool(heights[leg[-1]] - heights[leg[0]] > HANGS * bones.sum() > 0.0)
+    return bool(
+        heights[leg[-1]] - heights[leg[0]] > HANGING_FRACTION * bones.sum() > 0.0
+    )
 
 
 def _sunk(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
-    ground, known = _ground_of_pairs(subject, contacts)
-    below = (ground - heights) * known
-    deep = below > SUNK * subject.size
-    fewest = max(2, round(SUNK_SECONDS / subject.interval))
+    ground, has_ground = _ground_of_pairs(subject, contacts)
+    depths = (ground - heights) * has_ground
+    is_deep = depths > SUNK_DEPTH * subject.size
+    min_frames = max(2, round(SUNK_SECONDS / subject.interval))
     sunk = []
     for e in range(len(contacts.feet)):
-        for first, end in runs(deep[:, e]):
-            if end - first >= fewest:
-                depth = float(below[first:end, e].max())
+        for first, end in runs(is_deep[:, e]):
+            if end - first >= min_frames:
+                depth = float(depths[first:end, e].max())
                 sunk.append((depth, e, first, end - 1))
     if not sunk:
         return
-    depth, e, first, last = max(sunk)
-    foot = int(contacts.feet[e])
-    who = "it" if contacts.flat[e] else "the other one"
+    depth, e, first, deepest = max(sunk)
+    joint = int(contacts.feet[e])
+    foot_text = "it" if contacts.flat[e] else "the other one"
     message = (
-        f"{subject.take.rig.joints[foot].name!r} is up to {depth:.3g} m below the "
-        f"ground from frame {subject.at(first)} to {subject.at(last)}; the ground is "
-        f"at the height of {who} in other frames, {ground[e]:.3g} m"
+        f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
+        f"ground from frame {subject.at(first)} to {subject.at(deepest)}; the ground "
+        "is "
+        f"at the height of {foot_text} in other frames, {ground[e]:.3g} m"
     )
     hint = "lift the root there, or hold the foot with IK"
-    yield subject.fault("MOT209", foot, first, message, hint)
+    yield subject.fault("MOT209", joint, first, message, hint)
 
 
 def _ground_of_pairs(
@@ -182,16 +200,16 @@ def _ground_of_pairs(
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
     """
-    ground, known = contacts.ground.copy(), contacts.flat.copy()
-    if not subject.has_rest or known.all():
-        return ground, known
-    _, common, rests_at_zero = _clearances(subject, contacts.feet)
+    ground, has_ground = contacts.ground.copy(), contacts.flat.copy()
+    if not subject.has_rest or has_ground.all():
+        return ground, has_ground
+    _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
     higher = np.maximum(ground, ground[contacts.partners])
-    split = contacts.level & contacts.level[contacts.partners] & ~known
-    split &= np.abs(higher - common) < NEAR * subject.size
+    split = contacts.level & contacts.level[contacts.partners] & ~has_ground
+    split &= np.abs(higher - shared_ground) < PLANTED_HEIGHT * subject.size
     if rests_at_zero:
-        ground, known = np.where(split, higher, ground), known | split
-    return ground, known
+        ground, has_ground = np.where(split, higher, ground), has_ground | split
+    return ground, has_ground
 
 
 def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
@@ -200,50 +218,64 @@ def _floating(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     if not flat.any():
         return
     ground = float(contacts.floor[flat].min())
-    above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
+    clearance = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
     lowest = subject.heights[:, body(subject)].min(axis=1) - ground
-    air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
+    is_airborne = (clearance.min(axis=1) > AIR_HEIGHT * subject.size) & (
+        lowest > AIR_HEIGHT * subject.size
+    )
     static = contacts.static[:, flat]
-    # A file without units may be of a person, whatever its numbers are.
-    tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
-    longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
-    for first, end in runs(air):
-        last, seconds = end - 1, (end - first) * subject.interval
-        if seconds <= longest or _climbs(subject, static, above, first, last):
+    # A file without units may contain a person, whatever its numbers.
+    body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
+    max_frames = LONGEST_JUMP * np.sqrt(body_size / PERSON_SIZE)
+    for first, end in runs(is_airborne):
+        last_frame, seconds = end - 1, (end - first) * subject.interval
+        if seconds <= max_frames or _climbs(
+            subject, static, clearance, first, last_frame
+        ):
             continue
-        height = float(lowest[first : last + 1].min())
-        foot = int(contacts.feet[flat][above[first].argmin()])
+        height = float(lowest[first : last_frame + 1].min())
+        joint = int(contacts.feet[flat][clearance[first].argmin()])
         message = (
             f"no foot is closer than {height:.3g} m to the ground from frame "
-            f"{subject.at(first)} to {subject.at(last)}, for {seconds:.2g} s; the "
+            f"{subject.at(first)} to {subject.at(last_frame)}, for {seconds:.2g} s; "
+            "the "
             f"ground is at their height in other frames, {ground:.3g} m"
         )
         hint = "lower the root there; no jump lasts that long"
-        yield subject.fault("MOT209", foot, first, message, hint)
+        yield subject.fault("MOT209", joint, first, message, hint)
         return
 
 
 def _climbs(
-    subject: MotionSubject, static: BoolArray, above: FloatArray, first: int, last: int
+    subject: MotionSubject,
+    static: BoolArray,
+    clearance: FloatArray,
+    first: int,
+    last: int,
 ) -> bool:
     """Return whether the feet climb one by one, as on stairs and ladders.
 
     Their first or last contacts in a run are at several heights; or shortly before or
-    after it one foot is high and the other one on the ground. ``static`` and ``above``
-    ``(F, E)`` [m].
+    after the run, one foot is high and the other on the ground. ``static`` and
+    ``clearance`` ``(F, E)`` [m].
     """
     size = subject.size
-    reach = max(1, round(STEP_SECONDS / subject.interval))
-    high, low = above > AIR * size, np.abs(above) < NEAR * size
-    steps = (static & high).any(axis=1) & (static & low).any(axis=1)
+    window = max(1, round(STEP_SECONDS / subject.interval))
+    is_high, is_low = (
+        clearance > AIR_HEIGHT * size,
+        np.abs(clearance) < PLANTED_HEIGHT * size,
+    )
+    steps = (static & is_high).any(axis=1) & (static & is_low).any(axis=1)
     steps = np.asarray(steps)
-    if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
+    if steps[max(first - window, 0) : first].any() or steps[last + 1 :][:window].any():
         return True
-    within, heights = static[first : last + 1], above[first : last + 1]
-    stands = np.flatnonzero(within.any(axis=0))
-    for rows in (slice(None), slice(None, None, -1)):
-        at = np.argmax(within[rows], axis=0)
-        contacts = heights[rows][at, np.arange(within.shape[1])][stands]
-        if len(stands) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
+    contacts_within, heights = static[first : last + 1], clearance[first : last + 1]
+    has_contact = np.flatnonzero(contacts_within.any(axis=0))
+    for direction in (slice(None), slice(None, None, -1)):
+        first_contacts = np.argmax(contacts_within[direction], axis=0)
+        contacts = heights[direction][
+            first_contacts, np.arange(contacts_within.shape[1])
+        ][has_contact]
+        if len(has_contact) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
             return True
     return False

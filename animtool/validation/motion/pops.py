@@ -14,10 +14,10 @@ from animtool.maths.pops import rotation_pops, translation_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject
 
-# Moves of joints against their parents that are seen, of the rig's size, where rigs
-# that slide and stretch do so on purpose; and of a root, which is seen sooner [1].
+# Visible displacement of joints against their parents, where rigs may slide and stretch
+# intentionally, and of a root, which is visible sooner [size].
 MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
-# What the noise of captures moves joints by [size].
+# Displacement of joints by capture noise [size].
 SHIFT_NOISE = 0.002
 
 
@@ -25,9 +25,9 @@ SHIFT_NOISE = 0.002
 class _Pops:
     """Steps with pops."""
 
-    joints: IntArray  # of the columns ``(N,)``
-    flags: BoolArray  # where ``(S, N)``
-    amounts: FloatArray  # how far each step is from the motion around ``(S, N)``
+    joints: IntArray  # joints of the columns ``(N,)``
+    flags: BoolArray  # steps with a pop ``(S, N)``
+    amounts: FloatArray  # distance of each step from the surrounding motion ``(S, N)``
     unit: str  # ``rad`` or ``m``
 
     def worst(self) -> tuple[int, int]:
@@ -58,14 +58,17 @@ def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     yield from _reported(subject, "MOT203", pops, hint)
 
 
-def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
+def _pops(subject: MotionSubject, min_shift: float, *, roots: bool) -> list[_Pops]:
     """Return rotation and translation pops, of roots or of all other joints."""
     moving_joints = [*subject.take.rig.roots, *carriers(subject)]
-    turning, moving = (
+    rotating_joints, translating_joints = (
         np.flatnonzero(np.isin(joints, moving_joints) == roots)
         for joints in (subject.turning, subject.moving)
     )
-    return [_rotation_pops(subject, turning), _shift_pops(subject, moving, least)]
+    return [
+        _rotation_pops(subject, rotating_joints),
+        _shift_pops(subject, translating_joints, min_shift),
+    ]
 
 
 def _reported(
@@ -90,11 +93,11 @@ def _reported(
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
         f"to {subject.at(step + 1)}, unlike the motion around it"
     )
-    others = [other for other in names if other != name]
+    other_names = [other for other in names if other != name]
     if often > 1:
         message += f"; there are {often} such steps in total"
-    if others:
-        message += f"; also {listed(others)}"
+    if other_names:
+        message += f"; also {listed(other_names)}"
     yield subject.fault(code, joint, step, message, hint)
 
 
@@ -105,13 +108,13 @@ def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
     return _Pops(subject.turning[columns], flags, amounts, "rad")
 
 
-def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
+def _shift_pops(subject: MotionSubject, columns: IntArray, min_shift: float) -> _Pops:
     size = subject.size
     flags, amounts = translation_pops(
         subject.shifts[:, columns],
         subject.interval,
         _ignored(subject),
-        least * size,
+        min_shift * size,
         SHIFT_NOISE * size,
     )
     return _Pops(subject.moving[columns], flags, amounts, "m")
@@ -129,10 +132,10 @@ def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
     pose = subject.posing
     if not len(pose):
         return
-    first, second = subject.at(0), subject.at(1)
+    first_code, second_code = subject.at(0), subject.at(1)
     message = (
-        f"frame {first} is an isolated pose: {len(pose)} joints jump to that of "
-        f"frame {second}"
+        f"frame {first_code} is an isolated pose: {len(pose)} joints jump to that of "
+        f"frame {second_code}"
     )
-    hint = f"the pass trim: {{first: {second}}} removes it"
+    hint = f"the pass trim: {{first: {second_code}}} removes it"
     yield subject.fault("MOT204", int(pose[0]), 0, message, hint)

@@ -13,17 +13,17 @@ from animtool.maths import so3
 from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Shorter takes show only a pose, in which a foot may be static [s].
+# Shorter takes only show a pose, in which a foot may be static [frame].
 POSE_FRAMES = 2
-# A smaller scale is invisible [1].
-ZERO = 1e-4
-# Weights beyond 1 exaggerate; larger ones are percent, or a fault [1].
+# A smaller scale makes geometry invisible [1].
+MIN_SCALE = 1e-4
+# Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
 LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
-PERCENT = 10.0
-# Bones may differ by this factor between bind and rest, for this fraction of them; and
-# the bind pose may be this many sizes away [1].
-OTHER_LENGTH, MAX_BONES, AWAY = 2.0, 0.5, 1.5
-SHORT = 0.02
+PERCENT_WEIGHT = 10.0
+# Largest length ratio of bones between bind and rest pose, and the fraction of bones
+# that may exceed it; and the largest distance of the bind pose [size].
+MAX_LENGTH_RATIO, MAX_BONES, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
+SHORT_BONE = 0.02
 
 
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
@@ -46,12 +46,12 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
     if scales is None:
         return
     values = scales.dense()
-    gone = np.asarray(np.abs(values).min(axis=2) < ZERO)
-    joints = np.flatnonzero(gone.any(axis=0))
+    is_zero = np.asarray(np.abs(values).min(axis=2) < MIN_SCALE)
+    joints = np.flatnonzero(is_zero.any(axis=0))
     if not len(joints):
         return
     names = [subject.take.rig.joints[j].name for j in joints.tolist()]
-    frames = np.flatnonzero(gone.any(axis=1))
+    frames = np.flatnonzero(is_zero.any(axis=1))
     message = (
         f"{listed([repr(name) for name in names])} scaled to 0 in "
         f"{counted(len(frames), 'frame')}, first at {subject.at(int(frames[0]))}"
@@ -66,22 +66,25 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     if weights is None:
         return
     values = weights.dense()[..., 0]
-    far = (values > LARGEST_WEIGHT) | (values < SMALLEST_WEIGHT)
-    if not far.any():
+    is_large = (values > LARGEST_WEIGHT) | (values < SMALLEST_WEIGHT)
+    if not is_large.any():
         return
-    frame, shape = np.unravel_index(int(np.where(far, np.abs(values), 0).argmax()),
+    frame, shape = np.unravel_index(int(np.where(is_large, np.abs(values), 0).argmax()),
                                     values.shape)  # fmt: skip
-    names = [subject.take.rig.shapes[s].name for s in np.flatnonzero(far.any(axis=0))]
+    names = [
+        subject.take.rig.shapes[shape_index].name
+        for shape_index in np.flatnonzero(is_large.any(axis=0))
+    ]
     name = subject.take.rig.shapes[int(shape)].name
-    others = [repr(other) for other in names if other != name]
+    other_names = [repr(other) for other in names if other != name]
     message = (
         f"shape {name!r} has weight {values[frame, shape]:.4g} at frame "
         f"{subject.at(int(frame))}"
     )
-    message += f"; also {listed(others)}" if others else ""
-    percent = float(np.abs(values).max()) > PERCENT
+    message += f"; also {listed(other_names)}" if other_names else ""
+    is_percent = float(np.abs(values).max()) > PERCENT_WEIGHT
     hint = "weights must be from 0 to 1" + (
-        "; these look like percentages" if percent else ""
+        "; these look like percentages" if is_percent else ""
     )
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
@@ -90,36 +93,43 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind is None or not subject.has_rest:
         return
-    rig, bind, rest = subject.take.rig, subject.bind, subject.rest
-    away = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
+    rig, bind_positions, rest_positions = subject.take.rig, subject.bind, subject.rest
+    distance = float(
+        np.linalg.norm(bind_positions.mean(axis=0) - rest_positions.mean(axis=0))
+    )
     parents = rig.parents
     bones = np.flatnonzero(parents >= 0)
-    lengths = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
-    kept = lengths > SHORT * subject.size
-    bones, lengths = bones[kept], lengths[kept]
-    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / lengths
-    other = (ratios > OTHER_LENGTH) | (ratios < 1.0 / OTHER_LENGTH)
+    lengths = np.linalg.norm(
+        rest_positions[bones] - rest_positions[parents[bones]], axis=1
+    )
+    is_measured = lengths > SHORT_BONE * subject.size
+    bones, lengths = bones[is_measured], lengths[is_measured]
+    ratios = (
+        np.linalg.norm(bind_positions[bones] - bind_positions[parents[bones]], axis=1)
+        / lengths
+    )
+    is_different = (ratios > MAX_LENGTH_RATIO) | (ratios < 1.0 / MAX_LENGTH_RATIO)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
-    if len(bones) and float(other.mean()) > MAX_BONES:
-        worst = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
-        joint = int(bones[worst])
+    if len(bones) and float(is_different.mean()) > MAX_BONES:
+        most_different = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
+        joint = int(bones[most_different])
         message = (
-            f"{np.count_nonzero(other)} of {len(bones)} bones have a different "
+            f"{np.count_nonzero(is_different)} of {len(bones)} bones have a different "
             f"length in the bind pose; that to {rig.joints[joint].name!r} is "
-            f"{ratios[worst]:.3g} times its rest length"
+            f"{ratios[most_different]:.3g} times its rest length"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return
-    if away > AWAY * subject.size:
+    if distance > MAX_BIND_DISTANCE * subject.size:
         message = (
-            f"the bind pose is {away:.3g} m from the rest pose, of a skeleton that "
+            f"the bind pose is {distance:.3g} m from the rest pose, of a skeleton that "
             f"spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
-    offsets = np.linalg.norm(bind - rest, axis=1)
+    offsets = np.linalg.norm(bind_positions - rest_positions, axis=1)
     joint = int(offsets.argmax())
-    if offsets[joint] > AWAY * subject.size:
+    if offsets[joint] > MAX_BIND_DISTANCE * subject.size:
         message = (
             f"{rig.joints[joint].name!r} is {offsets[joint]:.3g} m from its rest "
             f"position in the bind pose, of a skeleton that spans {subject.size:.3g} "
@@ -144,29 +154,29 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)
 
 
-# A joint is static if it rotates less in all frames; its opposite is active if it
-# rotates more [rad].
-STATIC_ANGLE, ALIVE = 1e-6, math.radians(20.0)
-# Fewer frames are a pose.
-SHORTEST = 0.2
-# Fraction of the frames with left on the right, for a swap [1].
-MOSTLY = 0.9
-# Frames count with the hips above the feet within 26 degrees, if there are enough
-# of them [1].
-UPRIGHT, KNOWN = 0.9, 0.3
-# Toes point forward, and knees bend, by at least this much of the size [1].
+# A joint is static if it rotates by less in all frames; its opposite is active if it
+# rotates by more [rad].
+STATIC_ANGLE, ACTIVE_ANGLE = 1e-6, math.radians(20.0)
+# Shorter takes are a pose [s].
+MIN_SECONDS = 0.2
+# Fraction of the frames with left joints on the right side, for a swap [1].
+SWAP_FRACTION = 0.9
+# Frames with the hips above the feet within 26 degrees are used, if this fraction of
+# all frames has it [1].
+MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
+# Toes must point forward, and knees bend, by at least this distance [size].
 MIN_FACING = 0.01
-# Swapped joints rotate by this much at least, and all of them together by more [rad].
+# Minimum rotation of each swapped joint, and of all of them together [rad].
 MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
-# Fewer frames do not show that both sides move before and after.
+# Minimum number of steps, so that both sides move before and after a swap.
 MIN_STEPS = 5
-# Fewer pairs that swap at once are just a pose.
+# Fewer pairs that swap simultaneously are just a pose.
 MIN_PAIRS = 2
-# When two joints swap, continuing as the other leaves this fraction of the deviation
-# from continuing as itself [1].
-EXCHANGED = 0.35
+# When two joints swap, continuing the other's motion leaves at most this fraction of
+# the deviation from continuing the own motion [1].
+MAX_SWAP_RATIO = 0.35
 # For a single pair the fraction is lower, and the step larger [1], [rad].
-SURELY, SURE_EXCHANGE = 0.1, math.radians(20.0)
+MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
@@ -191,45 +201,50 @@ def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     hips = _hips(subject, pairs)
     if facing is None or hips is None:
         return
-    left, right = hips
+    left_hip, right_hip = hips
     positions = subject.positions
     feet = feet_of(subject.take.rig.names)
-    trunk = 0.5 * (positions[:, left] + positions[:, right])
-    upwards = trunk - positions[:, feet].mean(axis=1)
-    across = np.cross(upwards, facing)
-    side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
-    known = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
-    # A crawling or lying body has feet beside its hips that point anywhere.
-    known &= upwards @ subject.up > UPRIGHT * np.linalg.norm(upwards, axis=1)
-    if np.count_nonzero(known) < max(1.0, KNOWN * len(known)):
+    trunk_direction = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
+    upwards = trunk_direction - positions[:, feet].mean(axis=1)
+    left_direction = np.cross(upwards, facing)
+    left_distance = np.einsum(
+        "fc,fc->f", left_direction, positions[:, left_hip] - positions[:, right_hip]
+    )
+    is_used = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
+    # The feet of a crawling or lying body are next to its hips and point anywhere.
+    is_used &= upwards @ subject.up > MIN_UPRIGHT * np.linalg.norm(upwards, axis=1)
+    if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
         return
-    wrong = known & (side < 0.0)
-    if np.count_nonzero(wrong) <= MOSTLY * np.count_nonzero(known):
+    is_swapped = is_used & (left_distance < 0.0)
+    if np.count_nonzero(is_swapped) <= SWAP_FRACTION * np.count_nonzero(is_used):
         return
     names = subject.take.rig.names
     message = (
-        f"{names[left]!r} is on the right of the body, and {names[right]!r} on the "
-        f"left, in {np.count_nonzero(wrong)} of {subject.frames} frames, by the "
+        f"{names[left_hip]!r} is on the right of the body, and {names[right_hip]!r} on "
+        "the "
+        f"left, in {np.count_nonzero(is_swapped)} of {subject.frames} frames, by the "
         "direction of the feet"
     )
     hint = "the names are swapped, or the motion is mirrored: the pass mirror swaps it"
-    yield subject.fault("MOT210", left, int(np.flatnonzero(wrong)[0]), message, hint)
+    yield subject.fault(
+        "MOT210", left_hip, int(np.flatnonzero(is_swapped)[0]), message, hint
+    )
 
 
 def _facing(subject: MotionSubject) -> FloatArray | None:
     """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
-    ends = [i for i in feet if rig.joints[i].parent in feet]
-    ends = [i for i in ends if "toe" in rig.names[i].lower()]
-    if not ends:
+    toe_joints = [i for i in feet if rig.joints[i].parent in feet]
+    toe_joints = [i for i in toe_joints if "toe" in rig.names[i].lower()]
+    if not toe_joints:
         return None
-    toes = np.array(ends)
+    toes = np.array(toe_joints)
     bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
-    rises = bones @ subject.up
-    level = bones - rises[..., None] * subject.up
-    # Toes of a foot that hangs, or is lifted behind, point down.
-    lies = np.abs(rises) < np.linalg.norm(level, axis=2)
+    rising = bones @ subject.up
+    level = bones - rising[..., None] * subject.up
+    # Toes of a hanging or raised foot point down.
+    lies = np.abs(rising) < np.linalg.norm(level, axis=2)
     return np.asarray(np.where(lies[..., None], level, 0.0).mean(axis=1))
 
 
@@ -262,104 +277,124 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     pairs = [pair for pair in pairs if moves.issuperset(pair)]
     if not pairs or subject.frames < MIN_STEPS:
         return
-    left = rotations.gather(np.array([pair[0] for pair in pairs]))
-    right = rotations.gather(np.array([pair[1] for pair in pairs]))
-    steps = so3.angle_between(left[1:], left[:-1])
-    steps = np.minimum(steps, so3.angle_between(right[1:], right[:-1]))
-    same_side, across = _offs(left, right)
-    same_side_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
-    across = np.minimum(across, across_back)
-    swaps = (same_side > MIN_EXCHANGE) & (across < EXCHANGED * same_side)
-    swaps &= (
-        _neighbor_moves(steps, same_side, same_side_back) & ~subject.cuts()[:, None]
+    left_rotations = rotations.gather(np.array([pair[0] for pair in pairs]))
+    right_rotations = rotations.gather(np.array([pair[1] for pair in pairs]))
+    steps = so3.angle_between(left_rotations[1:], left_rotations[:-1])
+    steps = np.minimum(
+        steps, so3.angle_between(right_rotations[1:], right_rotations[:-1])
     )
-    far = np.where(swaps, same_side, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
-    many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
-    sure = (same_side > SURE_EXCHANGE) & (across < SURELY * same_side)
-    swaps &= (far & many)[:, None] | sure
-    steps_swapped = np.flatnonzero(swaps.any(axis=1))
-    if not len(steps_swapped):
+    from_same_side, from_other_side = _deviations(left_rotations, right_rotations)
+    same_side_back, across_back = (
+        reverse_deviation[::-1]
+        for reverse_deviation in _deviations(
+            left_rotations[::-1], right_rotations[::-1]
+        )
+    )
+    from_other_side = np.minimum(from_other_side, across_back)
+    swaps = (from_same_side > MIN_EXCHANGE) & (
+        from_other_side < MAX_SWAP_RATIO * from_same_side
+    )
+    swaps &= (
+        _neighbor_moves(steps, from_same_side, same_side_back)
+        & ~subject.cuts()[:, None]
+    )
+    is_far = np.where(swaps, from_same_side, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
+    are_many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
+    is_certain = (from_same_side > MIN_SINGLE_EXCHANGE) & (
+        from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
+    )
+    swaps &= (is_far & are_many)[:, None] | is_certain
+    swap_steps = np.flatnonzero(swaps.any(axis=1))
+    if not len(swap_steps):
         return
-    step = int(steps_swapped[0])
+    step = int(swap_steps[0])
     names = [
         f"{subject.take.rig.names[pairs[i][0]]!r} and "
         f"{subject.take.rig.names[pairs[i][1]]!r}"
         for i in np.flatnonzero(swaps[step]).tolist()
     ]
-    until = (
-        f", until frame {subject.at(int(steps_swapped[1]))}"
-        if len(steps_swapped) > 1
-        else ""
+    until_text = (
+        f", until frame {subject.at(int(swap_steps[1]))}" if len(swap_steps) > 1 else ""
     )
-    message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until}"
+    message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until_text}"
     hint = "swap their channels there; markers of the two sides were mixed up"
     joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
-def _offs(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far sides are from continuing as themselves, and as each other."""
-    same_side = np.minimum(_off(left, left), _off(right, right))
-    return same_side, np.maximum(_off(left, right), _off(right, left))
+def _deviations(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the deviation of sides from their own motion, and from each other's."""
+    same_side = np.minimum(
+        _extrapolation_error(left, left), _extrapolation_error(right, right)
+    )
+    return same_side, np.maximum(
+        _extrapolation_error(left, right), _extrapolation_error(right, left)
+    )
 
 
-def _off(side: FloatArray, other: FloatArray) -> FloatArray:
+def _extrapolation_error(side: FloatArray, other: FloatArray) -> FloatArray:
     """Return the angle of rotations from the extrapolation of others.
 
-    ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others stay, or turn on as in
-    the step before: the smaller difference counts.
+    ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others either stay or continue
+    to rotate as in the previous step: the smaller difference counts.
     """
-    turned = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
+    rotations_per_step = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
     predicted = other[:-1].copy()
-    predicted[1:] = so3.multiply(turned, other[1:-1])
-    off = so3.angle_between(side[1:], predicted)
-    return np.minimum(off, so3.angle_between(side[1:], other[:-1]))
+    predicted[1:] = so3.multiply(rotations_per_step, other[1:-1])
+    errors = so3.angle_between(side[1:], predicted)
+    return np.minimum(errors, so3.angle_between(side[1:], other[:-1]))
 
 
-def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> BoolArray:
+def _neighbor_moves(
+    steps: FloatArray, deviation: FloatArray, reverse_deviation: FloatArray
+) -> BoolArray:
     """Return where the neighbor steps are continuous motion ``(F - 1, P)``.
 
-    Poses of a library that are held, or take turns, exchange sides by intent. ``off``
-    is from what was before each step, and ``back`` from what comes after it.
+    Held poses of a library, and alternating ones, swap sides intentionally.
+    ``deviation`` is relative to the motion before each step, ``reverse_deviation`` to
+    the motion after it.
     """
-    rows = np.pad(steps, ((1, 1), (0, 0)))
-    moving = np.minimum(rows[:-2], rows[2:]) > STATIC_ANGLE
-    rest = np.zeros((1, steps.shape[1]))
-    before = np.concatenate([rest, off[:-1]])
-    after = np.concatenate([back[1:], rest])
-    return np.asarray(moving & (np.maximum(before, after) < EXCHANGED * off))
+    padded = np.pad(steps, ((1, 1), (0, 0)))
+    moving = np.minimum(padded[:-2], padded[2:]) > STATIC_ANGLE
+    zero_row = np.zeros((1, steps.shape[1]))
+    deviation_before = np.concatenate([zero_row, deviation[:-1]])
+    deviation_after = np.concatenate([reverse_deviation[1:], zero_row])
+    return np.asarray(
+        moving
+        & (np.maximum(deviation_before, deviation_after) < MAX_SWAP_RATIO * deviation)
+    )
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never rotate while their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = {*subject.take.rig.roots, *carriers(subject)}
-    # Where the root stays put, parts were keyed one by one, and one arm may wave.
-    if (subject.frames - 1) * subject.interval < SHORTEST or roots.isdisjoint(
+    # With a static root, parts were keyed one by one, and one arm may wave alone.
+    if (subject.frames - 1) * subject.interval < MIN_SECONDS or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]
     ):
         return
-    spreads = np.zeros(len(subject.take.rig.joints))
-    away = so3.angle_between(channel.values, channel.values[:1])
-    # One frame that is off is no motion.
-    spreads[channel.animated] = np.maximum(
-        np.percentile(away, 90, axis=0) if len(channel.animated) else 0.0,
-        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
+    ranges = np.zeros(len(subject.take.rig.joints))
+    angles = so3.angle_between(channel.values, channel.values[:1])
+    # A single deviating frame is no motion.
+    ranges[channel.animated] = np.maximum(
+        np.percentile(angles, 90, axis=0) if len(channel.animated) else 0.0,
+        np.minimum(angles.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
     pairs: list[tuple[int, int]] = []
     for left, right in _pairs(subject):
-        for mine, other in ((left, right), (right, left)):
-            if spreads[mine] <= STATIC_ANGLE and spreads[other] >= ALIVE:
-                pairs.append((mine, other))
+        for joint_index, opposite in ((left, right), (right, left)):
+            if ranges[joint_index] <= STATIC_ANGLE and ranges[opposite] >= ACTIVE_ANGLE:
+                pairs.append((joint_index, opposite))
     if not pairs:
         return
     names = subject.take.rig.names
-    mine, other = pairs[0]
-    more = [names[i] for i, _ in pairs[1:]]
+    joint_index, opposite = pairs[0]
+    other_names = [names[i] for i, _ in pairs[1:]]
     message = (
-        f"{names[mine]!r} never rotates, but {names[other]!r} does, by "
-        f"{math.degrees(spreads[other]):.0f}°"
+        f"{names[joint_index]!r} never rotates, but {names[opposite]!r} does, by "
+        f"{math.degrees(ranges[opposite]):.0f}°"
     )
-    message += f"; nor do {listed(more)}" if more else ""
+    message += f"; nor do {listed(other_names)}" if other_names else ""
     hint = "its sensor or its channels were lost"
-    yield subject.fault("MOT211", mine, None, message, hint)
+    yield subject.fault("MOT211", joint_index, None, message, hint)

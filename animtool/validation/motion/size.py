@@ -20,31 +20,32 @@ from animtool.validation.motion.body import body, feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
 # Fraction by which a bone's length may change, and length below which a bone counts as
-# zero, of the rig's size [1].
-GROWS, SHORT = 0.5, 0.02
-# Factors between units that are often confused: m, cm, mm, in; and the tolerance [1].
-FACTORS = (10.0, 100.0, 1000.0, 39.37)
-NEAR_FACTOR = 0.15
-# A root this many times higher than at rest is in another unit [1].
-HIGH = (25.0, 4000.0)
-# Otherwise, in the unit of its numbers, the lowest joint is this close to 0 of the up
-# axis in most frames [size], [1]; or sometimes, as on stairs, and is then static in
-# this many frames [size], [size/s], [1].
-ON_ZERO, ON_ZERO_FRACTION = 0.06, 0.5
-AT_TIMES, TREADS, TREADS_FRACTION = 0.05, 0.12, 0.4
+# zero [size].
+MAX_STRETCH, SHORT_BONE = 0.5, 0.02
+# Ratios of units that are often confused: m, cm, mm, in; and the tolerance [1].
+UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
+FACTOR_TOLERANCE = 0.15
+# Range of ratios of a root's height to its rest height that mean another unit [1].
+HIGH_RATIOS = (25.0, 4000.0)
+# Otherwise, in the correct unit, the lowest joint is this close to 0 of the up axis in
+# most frames [size], [1]; or sometimes, as on stairs, and is then static in this
+# fraction of frames [size], [size/s], [1].
+ZERO_HEIGHT, MIN_ZERO_FRACTION = 0.06, 0.5
+MIN_TREAD_FRACTION, TREAD_SPEED, STATIC_TREAD_FRACTION = 0.05, 0.12, 0.4
 # Fraction of animated bones that must share one factor [1].
-MAX_BONES = 0.8
-# Diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
-CHARACTER = (0.1, 25.0)
-# People and most animals [m]; a corrected unit must give this size.
-LIKELY = (0.3, 5.0)
-# A rig of which more joints than this are fingers is a hand, not a body [1].
-DIGITS, HAND = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE), 0.8
-# Extent of any skeleton, with feet or without [m]: from an insect to a ship.
-ANYTHING = (0.004, 400.0)
-# Fewer joints are a prop, of any size.
+MIN_BONE_FRACTION = 0.8
+# Plausible diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
+CHARACTER_SIZE = (0.1, 25.0)
+# Size of people and most animals [m]; a corrected unit must give such a size.
+LIKELY_SIZE = (0.3, 5.0)
+# A rig with a larger fraction of finger joints is a hand, not a body [1].
+DIGITS = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
+HAND_FRACTION = 0.8
+# Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
+SKELETON_SIZE = (0.004, 400.0)
+# With fewer joints, a rig is a prop of any size.
 MIN_JOINTS = 10
-# Fewer frames are a pose, which may lie.
+# With fewer frames, a take is a pose, which may lie.
 MIN_FRAMES = 8
 
 
@@ -54,29 +55,35 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
     locations = placed(subject)
-    worst: tuple[float, int, int, float, float] | None = None
+    largest: tuple[float, int, int, float, float] | None = None
     count = 0
     channel = subject.take.motion.translations
     for a, j in enumerate(channel.animated.tolist()):
         joint = subject.take.rig.joints[j]
-        rest = math.hypot(*joint.translation)
+        rest_length = math.hypot(*joint.translation)
         slides = joint.type is JointType.PRISMATIC
-        if slides or locations[j] or rest <= SHORT * subject.rest_size:
+        if slides or locations[j] or rest_length <= SHORT_BONE * subject.rest_size:
             continue
         lengths = np.linalg.norm(channel.values[:, a], axis=1)
-        off = np.abs(lengths / rest - 1.0)
-        frame = int(off.argmax())
-        if off[frame] > GROWS:
+        strains = np.abs(lengths / rest_length - 1.0)
+        frame = int(strains.argmax())
+        if strains[frame] > MAX_STRETCH:
             count += 1
-            strain = (float(off[frame]), j, frame, float(lengths[frame]), rest)
-            worst = strain if worst is None or strain[0] > worst[0] else worst
-    if worst is None:
+            strain = (
+                float(strains[frame]),
+                j,
+                frame,
+                float(lengths[frame]),
+                rest_length,
+            )
+            largest = strain if largest is None or strain[0] > largest[0] else largest
+    if largest is None:
         return
-    _, j, frame, length, rest = worst
-    more = f"; {count - 1} more bones change too" if count > 1 else ""
+    _, j, frame, length, rest_length = largest
+    repeat_text = f"; {count - 1} more bones change too" if count > 1 else ""
     message = (
         f"the bone to {subject.take.rig.joints[j].name!r} is {length:.3g} m long at "
-        f"frame {subject.at(frame)}, but {rest:.3g} m at rest{more}"
+        f"frame {subject.at(frame)}, but {rest_length:.3g} m at rest{repeat_text}"
     )
     hint = "translations replace those of the rest pose; they are not added"
     yield subject.fault("MOT212", j, frame, message, hint)
@@ -86,13 +93,13 @@ def _bone_factor(subject: MotionSubject) -> float | None:
     """Return the ratio of animated to rest bones, if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
     bones = np.flatnonzero(~placed(subject))
-    rest = np.linalg.norm(rig.rest_translations[bones], axis=1)
-    kept = rest > SHORT * subject.rest_size
-    bones, rest = bones[kept], rest[kept]
+    rest_lengths = np.linalg.norm(rig.rest_translations[bones], axis=1)
+    is_measured = rest_lengths > SHORT_BONE * subject.rest_size
+    bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
     if not len(bones):
         return None
     lengths = np.linalg.norm(translations.gather(bones), axis=2)
-    ratios = np.median(lengths, axis=0) / rest
+    ratios = np.median(lengths, axis=0) / rest_lengths
     return _unit_factor(ratios)
 
 
@@ -100,9 +107,9 @@ def _unit_factor(ratios: FloatArray) -> float | None:
     """Return the unit conversion factor that most ratios are near."""
     if not len(ratios):
         return None
-    for factor in (*FACTORS, *(1.0 / factor for factor in FACTORS)):
-        near = np.abs(ratios / factor - 1.0) < NEAR_FACTOR
-        if float(near.mean()) >= MAX_BONES:
+    for factor in (*UNIT_FACTORS, *(1.0 / factor for factor in UNIT_FACTORS)):
+        is_near = np.abs(ratios / factor - 1.0) < FACTOR_TOLERANCE
+        if float(is_near.mean()) >= MIN_BONE_FRACTION:
             return factor
     return None
 
@@ -119,9 +126,9 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
         return
-    off = _root_factor(subject)
-    if off is not None:
-        root, factor = off
+    root_and_factor = _root_factor(subject)
+    if root_and_factor is not None:
+        root, factor = root_and_factor
         message = (
             f"the root {subject.take.rig.joints[root].name!r} is {_times(factor)} as "
             "high as at rest: its translation uses another unit"
@@ -129,14 +136,21 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         hint = "convert the root's translations to the unit of the rig"
         yield subject.fault("MOT213", root, 0, message, hint)
         return
-    low, high = CHARACTER
+    smallest, largest = CHARACTER_SIZE
     size = subject.size
-    if not subject.has_units or not _is_character(subject) or low <= size <= high:
+    if (
+        not subject.has_units
+        or not _is_character(subject)
+        or smallest <= size <= largest
+    ):
         return
     fitting = [
         factor
-        for factor in (*FACTORS[:3], *(1.0 / factor for factor in FACTORS[:3]))
-        if LIKELY[0] <= size * factor <= LIKELY[1]
+        for factor in (
+            *UNIT_FACTORS[:3],
+            *(1.0 / factor for factor in UNIT_FACTORS[:3]),
+        )
+        if LIKELY_SIZE[0] <= size * factor <= LIKELY_SIZE[1]
     ]
     if not fitting:
         return
@@ -152,25 +166,25 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
     """Return a root that moves at many times its rest height, and the factor.
 
-    Where the rig rests at its hips, these are as high as its legs are long.
+    If the rig rests at its hips, their height is the length of its legs.
     """
     if not subject.has_rest or not _is_character(subject):
         return None
     rig = subject.take.rig
-    moving = set(subject.moving.tolist())
+    moving_roots = set(subject.moving.tolist())
     heights = subject.rest @ subject.up
     legs = float(heights[hips_of(subject)] - heights[feet_of(rig.names)].min())
-    least = 0.1 * subject.rest_size
-    for root in sorted({*rig.roots, hips_of(subject)} & moving):
-        rest = float(heights[root])
-        at_hips = rest < least
-        if max(rest, legs) < least:
+    min_height = 0.1 * subject.rest_size
+    for root in sorted({*rig.roots, hips_of(subject)} & moving_roots):
+        rest_height = float(heights[root])
+        rests_at_hips = rest_height < min_height
+        if max(rest_height, legs) < min_height:
             continue
         height = float(np.median(subject.heights[:, root]))
-        ratio = height / (legs if at_hips else rest)
-        # At 1/100 of its height a root is at 0, where one of another origin is, too.
+        ratio = height / (legs if rests_at_hips else rest_height)
+        # At 1/100 of its height, a root is at 0, like a root with another origin.
         factor = _low_factor(subject, root) if ratio < 1.0 else _high(ratio)
-        if factor is None and not at_hips:
+        if factor is None and not rests_at_hips:
             factor = _unit_factor(np.array([ratio]))
         if factor is not None and abs(math.log10(factor)) > 1.5:
             return int(root), factor
@@ -180,23 +194,32 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
     """Return the unit factor by which a root is too low, if its feet show that.
 
-    Multiplied back, its translation puts the lowest joint on the ground, however the
-    body crouches or crawls.
+    Multiplied by that factor, its translation puts the lowest joint on the ground,
+    however the body crouches or crawls.
     """
     joints = subject.positions[:, body(subject)]
     lowest = (joints @ subject.up).argmin(axis=1)
     points = joints[np.arange(len(joints)), lowest]
-    for factor in FACTORS:
+    for factor in UNIT_FACTORS:
         lift = (factor - 1.0) * subject.positions[:, root]
-        above = (points + lift) @ subject.up
-        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_FRACTION:
+        heights_above = (points + lift) @ subject.up
+        if (
+            float((np.abs(heights_above) < ZERO_HEIGHT * subject.size).mean())
+            > MIN_ZERO_FRACTION
+        ):
             return 1.0 / factor
-        if abs(float(np.percentile(above, 5))) > AT_TIMES * subject.size:
+        if (
+            abs(float(np.percentile(heights_above, 5)))
+            > MIN_TREAD_FRACTION * subject.size
+        ):
             continue
-        before = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
-        steps = before + lift[1:] - points[:-1] - lift[:-1]
-        slow = np.linalg.norm(steps, axis=1) < TREADS * subject.size * subject.interval
-        if float(slow.mean()) > TREADS_FRACTION:
+        previous_positions = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
+        steps = previous_positions + lift[1:] - points[:-1] - lift[:-1]
+        is_slow = (
+            np.linalg.norm(steps, axis=1)
+            < TREAD_SPEED * subject.size * subject.interval
+        )
+        if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
             return 1.0 / factor
     return None
 
@@ -204,14 +227,15 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
 def _high(ratio: float) -> float | None:
     """Return the unit conversion factor nearest to a height, if any.
 
-    Who crawls or climbs is lower or higher than at rest, and nobody so many times.
+    Crawling or climbing bodies are lower or higher than at rest, but never by such
+    factors.
 
     >>> _high(45.0), _high(1700.0), _high(12.0), _high(1e6)
     (39.37, 1000.0, None, None)
     """
-    if not HIGH[0] < ratio < HIGH[1]:
+    if not HIGH_RATIOS[0] < ratio < HIGH_RATIOS[1]:
         return None
-    return min(FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
+    return min(UNIT_FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
 
 def _is_character(subject: MotionSubject) -> bool:
@@ -244,17 +268,17 @@ def _length(meters: float) -> str:
 
 def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a skeleton of implausible size (MOT215)."""
-    low, high = ANYTHING
+    smallest, largest = SKELETON_SIZE
     if not subject.has_units:
         return
     # A watch in millimetres is meant.
-    low = min(low, subject.take.rig.meters_per_unit)
-    if len(subject.take.rig.joints) < 2 or low <= subject.size <= high:
+    smallest = min(smallest, subject.take.rig.meters_per_unit)
+    if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
         return
     if _is_character(subject) and next(other_units(subject), None) is not None:
         return
-    if subject.size * 1e3 < low * 1e-3:
-        # All joints are at one position: a rig of controls, or one joint.
+    if subject.size * 1e3 < smallest * 1e-3:
+        # All joints are at one position: a rig of controls, or a single joint.
         return
     message = f"the skeleton spans {_length(subject.size)}"
     unit = subject.take.rig.meters_per_unit
@@ -267,14 +291,14 @@ def body_axis(subject: MotionSubject) -> Stance | None:
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
-    if sum(map(bool, map(DIGITS.search, rig.names))) > HAND * len(rig.joints):
+    if sum(map(bool, map(DIGITS.search, rig.names))) > HAND_FRACTION * len(rig.joints):
         return None
     rest = rest_world(rig).positions[0] if subject.has_rest else None
-    stance_axis = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
+    body_stance = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
     return (
         None
-        if stance_axis.axis is None and not stance_axis.upside_down
-        else stance_axis
+        if body_stance.axis is None and not body_stance.upside_down
+        else body_stance
     )
 
 
@@ -283,10 +307,11 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
         return
-    where = "upside down" if axis.axis is None else f"along {axis.axis}"
+    direction = "upside down" if axis.axis is None else f"along {axis.axis}"
     percent_of_frames = 100.0 * axis.fraction
     message = (
-        f"the body is {where} in {percent_of_frames:.0f}% of the frames; up is {rig.up}"
+        f"the body is {direction} in {percent_of_frames:.0f}% of the frames; up is "
+        f"{rig.up}"
     )
     hint = "rotate the root"
     if axis.axis is not None:

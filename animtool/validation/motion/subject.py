@@ -18,18 +18,18 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 
-# Code, joint (empty: the take), frame (None: all), message, hint.
+# Code, joint (empty for the take), frame (None for all), message, hint.
 FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 
 # A smaller rig has no reference size [m].
-SMALLEST_SIZE = 1e-9
-# Shorter bones show no scale, of the rig's size [1]; this many frames do.
-SHORT, SCALE_FRAMES = 0.02, 32
-# Bones whose length changes less than this stretch; they are not scaled [1].
-SCALED = 1.5
+MIN_SIZE = 1e-9
+# Bones shorter than this do not define the scale [size]; number of frames that do.
+SHORT_BONE, SCALE_FRAMES = 0.02, 32
+# Length ratio below which bones stretch, and are not scaled [1].
+SCALE_RATIO = 1.5
 # A first frame is a reference pose if this many joints leave it, each by this angle
-# [rad], and by this many times the steps after it, of which so many count [1].
-POSE_JOINTS, POSE_ANGLE, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
+# [rad] and by this multiple of the following steps, of which so many are used [1].
+POSE_JOINTS, POSE_ANGLE, POSE_RATIO, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,26 +37,25 @@ class MotionSubject:
     """One take of a file of any format."""
 
     take: Take  # F frames, J joints
-    fault_at: FaultAt  # makes a fault with its location in the file
-    # Time code of each sample as the file has it ``(F,)``; None where the take's clock
-    # is exact.
+    fault_at: FaultAt  # creates a fault with its location in the file
+    # Time code of each sample in the file ``(F,)``; None if the take's clock is exact.
     codes: FloatArray | None = None
-    # First and last time code that the file states for the motion.
+    # First and last time code of the motion as stated in the file.
     frame_range: tuple[float, float] | None = None
-    # Steps from a frame to the next that are cuts on purpose ``(F - 1,)``.
-    meant: BoolArray | None = None
+    # Intentional cuts between frames ``(F - 1,)``.
+    intended_cuts: BoolArray | None = None
     # Whether the rig's rest pose is known; a USD layer alone has none.
     has_rest: bool = True
     # Whether the file states its unit and up axis; a BVH does not.
     has_units: bool = True
-    # Joints that move points of a mesh, themselves or through a joint below; None where
+    # Joints that influence points of a mesh, directly or through a descendant; None if
     # no skinned mesh is known.
     influencing: frozenset[str] | None = None
-    # Positions of the joints in the bind pose, world ``(J, 3)`` [m].
+    # World positions of the joints in the bind pose ``(J, 3)`` [m].
     bind: FloatArray | None = None
     # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
-    # Whether samples were left out on purpose, which others give back.
+    # Whether samples were intentionally left out, to be restored by interpolation.
     reduced: bool = False
 
     def fault(
@@ -64,9 +63,9 @@ class MotionSubject:
     ) -> Fault:
         """Return a fault of a joint at a frame, both by index."""
         name = "" if joint is None else self.take.rig.joints[joint].name
-        at = None if frame is None else float(self.times[frame])
-        fault = self.fault_at(code, name, at, message, hint)
-        return replace(fault, frame=at, joint=name or None)
+        time_code = None if frame is None else float(self.times[frame])
+        fault = self.fault_at(code, name, time_code, message, hint)
+        return replace(fault, frame=time_code, joint=name or None)
 
     @property
     def frames(self) -> int:
@@ -105,7 +104,7 @@ class MotionSubject:
     def rotation_steps(self) -> FloatArray:
         """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
 
-        In the parent's space, and per usual interval where samples are uneven.
+        In the parent's space, and per typical interval if samples are uneven.
         """
         values = self.take.motion.rotations.values
         vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
@@ -121,7 +120,8 @@ class MotionSubject:
     def speeds(self) -> FloatArray:
         """Total motion of all joints from each frame to the next ``(F - 1,)``.
 
-        The root of the sum of squares of turns [rad] and of moves [half the size].
+        The root of the sum of squares of rotations [rad] and of translations [half the
+        size].
         """
         rotation_steps = np.einsum(
             "fjc,fjc->f", self.rotation_steps, self.rotation_steps
@@ -133,19 +133,19 @@ class MotionSubject:
     def posing(self) -> IntArray:
         """Indices of the joints that leave a first frame that is a reference pose.
 
-        Empty where it is a part of the motion.
+        Empty if that frame is part of the motion.
         """
         if self.frames < POSE_STEPS or not len(self.turning) or self.cuts()[0]:
             return np.zeros(0, np.int64)
         sizes = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
-        after = sizes[1:].max(axis=0)
-        away = (sizes[0] > POSE_ANGLE) & (sizes[0] > POSE_STANDS_OUT * after)
-        joints = np.asarray(self.turning[away])
+        largest_after = sizes[1:].max(axis=0)
+        leaves_pose = (sizes[0] > POSE_ANGLE) & (sizes[0] > POSE_RATIO * largest_after)
+        joints = np.asarray(self.turning[leaves_pose])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 
     @cached_property
     def main(self) -> MotionSubject:
-        """The take without a first frame that is a reference pose."""
+        """The take, without a first frame that is a reference pose."""
         if not len(self.posing):
             return self
         clock = self.take.clock
@@ -156,12 +156,14 @@ class MotionSubject:
             self,
             take=take,
             codes=None if self.codes is None else self.codes[1:],
-            meant=None if self.meant is None else self.meant[1:],
+            intended_cuts=None
+            if self.intended_cuts is None
+            else self.intended_cuts[1:],
         )
 
     @cached_property
     def world(self) -> WorldTransforms:
-        """Transforms of the joints, world."""
+        """World transforms of the joints."""
         return self.take.world()
 
     @property
@@ -183,14 +185,14 @@ class MotionSubject:
     def rest_size(self) -> float:
         """Diagonal of the joints' bounds at rest [m]."""
         if not len(self.rest):
-            return SMALLEST_SIZE
-        span = self.rest.max(axis=0) - self.rest.min(axis=0)
-        return max(float(np.linalg.norm(span)), SMALLEST_SIZE)
+            return MIN_SIZE
+        extent = self.rest.max(axis=0) - self.rest.min(axis=0)
+        return max(float(np.linalg.norm(extent)), MIN_SIZE)
 
     @cached_property
     def size(self) -> float:
         """Diagonal of the joints' bounds at rest, at the animated scale [m]."""
-        return max(self.rest_size * self._scale, SMALLEST_SIZE)
+        return max(self.rest_size * self._scale, MIN_SIZE)
 
     @cached_property
     def _scale(self) -> float:
@@ -199,16 +201,22 @@ class MotionSubject:
         bones = np.flatnonzero(parents >= 0)
         if not self.has_rest or not len(bones) or not self.frames:
             return 1.0
-        rest = np.linalg.norm(self.rest[bones] - self.rest[parents[bones]], axis=1)
-        kept = rest > SHORT * self.rest_size
-        bones, rest = bones[kept], rest[kept]
+        rest_lengths = np.linalg.norm(
+            self.rest[bones] - self.rest[parents[bones]], axis=1
+        )
+        is_measured = rest_lengths > SHORT_BONE * self.rest_size
+        bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
         if not len(bones):
             return 1.0
-        some = np.unique(np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int))
-        posed = self.positions[some]
-        lengths = np.linalg.norm(posed[:, bones] - posed[:, parents[bones]], axis=2)
-        scale = float(np.median(lengths / rest))
-        return scale if max(scale, 1.0 / max(scale, 1e-12)) > SCALED else 1.0
+        sampled_frames = np.unique(
+            np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int)
+        )
+        animated_positions = self.positions[sampled_frames]
+        lengths = np.linalg.norm(
+            animated_positions[:, bones] - animated_positions[:, parents[bones]], axis=2
+        )
+        scale = float(np.median(lengths / rest_lengths))
+        return scale if max(scale, 1.0 / max(scale, 1e-12)) > SCALE_RATIO else 1.0
 
     @cached_property
     def up(self) -> FloatArray:
@@ -228,7 +236,11 @@ class MotionSubject:
     def cuts(self) -> BoolArray:
         """Return the steps that rules ignore as cuts ``(F - 1,)``."""
         steps = max(self.frames - 1, 0)
-        return np.zeros(steps, bool) if self.meant is None else self.meant.copy()
+        return (
+            np.zeros(steps, bool)
+            if self.intended_cuts is None
+            else self.intended_cuts.copy()
+        )
 
     def at(self, frame: int) -> str:
         """Return the time code of a frame for a message."""

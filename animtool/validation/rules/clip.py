@@ -39,30 +39,32 @@ def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
                 "add a key between them, or use euler: XYZ, which rotates by the "
                 "written angles"
             )
-            at = ("channels", i, "keys", k + 1, "v")
-            fault = subject.fault("CLIP202", at, message, hint)
+            location = ("channels", i, "keys", k + 1, "v")
+            fault = subject.fault("CLIP202", location, message, hint)
             yield replace(fault, frame=float(channel.times[k]))
 
 
-# Function of how far values exceed a limit, signed or not.
+# Maps values to their excess over a limit, signed or unsigned.
 Excess = Callable[[FloatArray], FloatArray]
 
 # A smaller excess over a limit is rounding in the file [rad], [m], [1].
-SLACK = 1e-6
-# Keys this close [frame] belong to a sampled curve, in which angles wrap by a full
-# rotation without meaning.
-SAMPLED = 2.0
-# Angles that change more between keys, though the rotations are closer, take a detour:
-# by 360 degrees, or by 180 degrees of two of three [rad].
-FAR, NEAR = math.radians(150.0), math.radians(90.0)
-# Keys farther apart in time wrap if angles change by more than this, and the short path
-# is below 60 degrees [rad]; angles flip, two by 180 degrees, if the third is as close.
-ROUND, ROUND_NEAR = math.radians(300.0), math.radians(60.0)
+LIMIT_TOLERANCE = 1e-6
+# Keys this close belong to a sampled curve, in which angles may wrap by a full rotation
+# [frame].
+MAX_SAMPLE_SPACING = 2.0
+# Angles that change by more between keys, although the rotations are closer than the
+# second value, take a detour of 360 degrees, or of 180 degrees in two of three angles
+# [rad].
+FAR_ANGLE, NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
+# Keys farther apart in time wrap if angles change by more than the first value and the
+# short path is below 60 degrees [rad]; two angles flip by 180 degrees if the third is
+# as close.
+WRAP_ANGLE, WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
 # A speed that continues at this fraction before or after is a spin [1].
-SPIN = 0.5
+SPIN_RATIO = 0.5
 DEG = "\N{DEGREE SIGN}"
 # Ends of a cycle that differ by less look equal [rad]; of the value range [1].
-OPEN = 1e-3
+CYCLE_TOLERANCE = 1e-3
 
 
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
@@ -72,31 +74,38 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
         excess = _excess(channel, subject.rig)
         if excess is None or len(channel.times) < 2:
             continue
-        inside = np.abs(excess(_at(channel, channel.times))) <= SLACK
-        over = np.abs(excess(_at(channel, times)))
+        is_inside = np.abs(excess(_at(channel, channel.times))) <= LIMIT_TOLERANCE
+        excess_at_times = np.abs(excess(_at(channel, times)))
         segments = np.searchsorted(channel.times, times, "right") - 1
-        for k in np.flatnonzero(inside[:-1] & inside[1:]).tolist():
-            frames = np.flatnonzero((segments == k) & (over > SLACK))
+        for k in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
+            frames = np.flatnonzero(
+                (segments == k) & (excess_at_times > LIMIT_TOLERANCE)
+            )
             if len(frames):
-                message = _beyond(channel, k, times[frames], over[frames])
+                message = _beyond(channel, k, times[frames], excess_at_times[frames])
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
-                at = ("channels", i, "keys", k)
-                fault = subject.fault("CLIP205", at, message, hint)
+                location = ("channels", i, "keys", k)
+                fault = subject.fault("CLIP205", location, message, hint)
                 yield replace(fault, frame=float(times[frames[0]]))
 
 
-def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
+def _beyond(
+    channel: ClipChannel, k: int, frames: FloatArray, excess: FloatArray
+) -> str:
     """Return text on the frames of a segment that exceed limits."""
-    most = float(over.max())
-    angle = channel.target.endswith((".angle", ".rotation"))
-    much = f"{math.degrees(most):.3g}\N{DEGREE SIGN}" if angle else f"{most:.3g}"
-    ends = f"{channel.times[k]:g} and {channel.times[k + 1]:g}"
-    where = f"frame {frames[0]:g}"
+    largest = float(excess.max())
+    is_angle = channel.target.endswith((".angle", ".rotation"))
+    amount_text = (
+        f"{math.degrees(largest):.3g}\N{DEGREE SIGN}" if is_angle else f"{largest:.3g}"
+    )
+    key_frames = f"{channel.times[k]:g} and {channel.times[k + 1]:g}"
+    frames_text = f"frame {frames[0]:g}"
     if len(frames) > 1:
-        where = f"frames {frames[0]:g} to {frames[-1]:g}"
+        frames_text = f"frames {frames[0]:g} to {frames[-1]:g}"
     return (
-        f"{channel.target!r} is within its limits at the keys of frames {ends}, but "
-        f"exceeds them by up to {much} in between, in {where}"
+        f"{channel.target!r} is within its limits at the keys of frames {key_frames}, "
+        "but "
+        f"exceeds them by up to {amount_text} in between, in {frames_text}"
     )
 
 
@@ -105,10 +114,10 @@ def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(c for c in rig.controls if c.name == name)
-        low, high = control.low, control.high
-        if low is None or high is None:
+        lower, upper = control.low, control.high
+        if lower is None or upper is None:
             return None
-        limits = RangeLimit(low, high)
+        limits = RangeLimit(lower, upper)
         return lambda values: limits.excess(values[:, 0])
     joint, _, part = name.rpartition(".")
     if kind != "joint" or part not in {"angle", "slide", "rotation"}:
@@ -137,26 +146,30 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
         if not len(flips):
             continue
         k = int(flips[0])
-        message = _round(channel, k)
+        message = _round_text(channel, k)
         if len(flips) > 1:
             frames = listed([f"{channel.times[j + 1]:g}" for j in flips[1:].tolist()])
             message += f"; {len(flips) - 1} more times, up to frames {frames}"
-        at = ("channels", i, "keys", k + 1, "v")
+        location = ("channels", i, "keys", k + 1, "v")
         hint = _unwrapping(channel, k, subject.units.angle)
-        fault = subject.fault("CLIP206", at, message, hint)
+        fault = subject.fault("CLIP206", location, message, hint)
         yield replace(fault, frame=float(channel.times[k]))
 
 
-def _round(channel: ClipChannel, k: int) -> str:
+def _round_text(channel: ClipChannel, k: int) -> str:
     """Return text on an angle that rotates a full circle after a key."""
-    one, two = np.degrees(channel.values[k]), np.degrees(channel.values[k + 1])
-    axis = int(np.argmax(np.abs(two - one)))
+    first_angles, second_angles = (
+        np.degrees(channel.values[k]),
+        np.degrees(channel.values[k + 1]),
+    )
+    axis = int(np.argmax(np.abs(second_angles - first_angles)))
     frames = float(channel.times[k + 1] - channel.times[k])
-    angle = abs(float(two[axis] - one[axis]))
+    angle = abs(float(second_angles[axis] - first_angles[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
         f"{channel.target!r}{name} rotates by {angle:.4g}{DEG}, from "
-        f"{one[axis]:.5g}{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} "
+        f"{first_angles[axis]:.5g}{DEG} at frame {channel.times[k]:g} to "
+        f"{second_angles[axis]:.5g}{DEG} "
         f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEG} per frame; the "
         f"shortest path is {math.degrees(_shortest(channel, k)):.3g}{DEG}"
     )
@@ -165,39 +178,40 @@ def _round(channel: ClipChannel, k: int) -> str:
 def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
     """Return how to write the next key so that rotation takes the short path.
 
-    unit: of the file [rad].
+    unit: angle unit of the file [rad].
     """
-    one, two = channel.values[k], channel.values[k + 1]
-    nearer = one + np.remainder(two - one + math.pi, math.tau) - math.pi
-    flipped = _flipped(channel, one, two)
-    if flipped is not None and _far(one, flipped) < _far(one, nearer):
-        nearer = flipped
-    written, better = (
-        ", ".join(f"{value / unit:.6g}" for value in values) for values in (two, nearer)
+    first, second = channel.values[k], channel.values[k + 1]
+    nearer_angles = first + np.remainder(second - first + math.pi, math.tau) - math.pi
+    equivalent = _flipped(channel, first, second)
+    if equivalent is not None and _far(first, equivalent) < _far(first, nearer_angles):
+        nearer_angles = equivalent
+    current_text, nearer_text = (
+        ", ".join(f"{value / unit:.6g}" for value in values)
+        for values in (second, nearer_angles)
     )
     if channel.euler:
-        written, better = f"[{written}]", f"[{better}]"
-    return f"write {written} as {better}, the same pose"
+        current_text, nearer_text = f"[{current_text}]", f"[{nearer_text}]"
+    return f"write {current_text} as {nearer_text}, the same pose"
 
 
-def _far(one: FloatArray, two: FloatArray) -> float:
-    return float(np.abs(two - one).max())
+def _far(first: FloatArray, second: FloatArray) -> float:
+    return float(np.abs(second - first).max())
 
 
 def _flips(channel: ClipChannel) -> IntArray:
     """Return the keys of a sampled curve after which angles wrap."""
-    near = np.diff(channel.times) <= SAMPLED
-    far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
-    flips = np.flatnonzero(near & far & _moving(channel))
-    return flips[[_shortest(channel, k) < NEAR for k in flips.tolist()]]
+    is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
+    is_far = (np.abs(np.diff(channel.values, axis=0)) > FAR_ANGLE).any(axis=1)
+    flips = np.flatnonzero(is_sampled & is_far & _moving(channel))
+    return flips[[_shortest(channel, k) < NEAR_ROTATION for k in flips.tolist()]]
 
 
 def _moving(channel: ClipChannel) -> BoolArray:
-    """Return which keys but the last do not hold until the next ``(K - 1,)``."""
+    """Return which keys, except the last, are not held until the next ``(K - 1,)``."""
     interps = channel.interps[:-1]
     if Interp.STEP not in interps:
         return np.ones(len(interps), bool)
-    return np.array([how is not Interp.STEP for how in interps], bool)
+    return np.array([interp is not Interp.STEP for interp in interps], bool)
 
 
 def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
@@ -207,23 +221,27 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
     before and after.
     """
-    steps, moving = np.diff(channel.values, axis=0), _moving(channel)
-    short = np.remainder(steps + math.pi, math.tau) - math.pi
-    wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & moving[:, None]
+    steps, is_moving = np.diff(channel.values, axis=0), _moving(channel)
+    short_path = np.remainder(steps + math.pi, math.tau) - math.pi
+    is_wrap = (
+        (np.abs(steps) > WRAP_ANGLE)
+        & (np.abs(short_path) > CYCLE_TOLERANCE)
+        & is_moving[:, None]
+    )
     limits = _range_of(channel, rig)
-    far = [
+    wrapping = [
         k
-        for k, axis in np.argwhere(wraps).tolist()
-        if _wrapped(channel, k, axis, float(short[k, axis]), limits)
+        for k, axis in np.argwhere(is_wrap).tolist()
+        if _wrapped(channel, k, axis, float(short_path[k, axis]), limits)
     ]
-    # As `_flipped` needs, whose arithmetic is too slow for every key.
-    twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR
-    flipped = [
+    # Necessary condition of `_flipped`, which is too slow for every key.
+    is_twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR_ANGLE
+    flipping = [
         k
-        for k in np.flatnonzero(moving & twisted).tolist()
+        for k in np.flatnonzero(is_moving & is_twisted).tolist()
         if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
-    return np.unique(np.array([*far, *flipped], np.int64))
+    return np.unique(np.array([*wrapping, *flipping], np.int64))
 
 
 def _wrapped(
@@ -235,16 +253,22 @@ def _wrapped(
 ) -> bool:
     """Return whether an axis wraps after a key; ``short`` is the short path."""
     values = channel.values[:, axis]
-    one, two = float(values[k]), float(values[k + 1])
-    if limits is not None and not limits.low <= one + short <= limits.high:
+    first_value, second_value = float(values[k]), float(values[k + 1])
+    if limits is not None and not limits.low <= first_value + short <= limits.high:
         return False
-    rates = np.diff(values) / np.diff(channel.times)
-    neighbours = [float(rates[j]) for j in (k - 1, k + 1) if 0 <= j < len(rates)]
-    if any(rate / rates[k] >= SPIN for rate in neighbours):
+    rates_around = np.diff(values) / np.diff(channel.times)
+    neighbours = [
+        float(rates_around[j]) for j in (k - 1, k + 1) if 0 <= j < len(rates_around)
+    ]
+    if any(rate / rates_around[k] >= SPIN_RATIO for rate in neighbours):
         return False
-    if one * two < 0 and max(abs(one), abs(two)) <= math.pi + OPEN:
+    if (
+        first_value * second_value < 0
+        and max(abs(first_value), abs(second_value)) <= math.pi + CYCLE_TOLERANCE
+    ):
         return True
-    # Within another turn only what goes on the other way, before and behind, tells.
+    # Within another revolution, only reversed motion before and after is a sign of
+    # wrapping.
     return len(neighbours) == 2 and all(rate * short > 0 for rate in neighbours)
 
 
@@ -258,44 +282,53 @@ def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 
 
 def _flipped(
-    channel: ClipChannel, one: FloatArray, two: FloatArray
+    channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
     """Return the equivalent Euler angles of a rotation, if much nearer to another.
 
-    Two of three differ by half a turn, and the middle one is mirrored; None where
-    that is not so.
+    Two of three differ by half a revolution, and the middle one is mirrored; None for
+    other differences.
     """
-    if len(two) != 3 or len(set(channel.euler)) < 3:
+    if len(second) != 3 or len(set(channel.euler)) < 3:
         return None
-    other = np.array([two[0] + math.pi, math.pi - two[1], two[2] + math.pi])
-    other = one + np.remainder(other - one + math.pi, math.tau) - math.pi
-    steps = np.abs(two - one)
-    twisted = steps[[0, 2]].min() > FAR
-    return other if twisted and _far(one, other) < ROUND_NEAR else None
+    equivalent = np.array(
+        [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
+    )
+    equivalent = first + np.remainder(equivalent - first + math.pi, math.tau) - math.pi
+    steps = np.abs(second - first)
+    is_twisted = steps[[0, 2]].min() > FAR_ANGLE
+    return (
+        equivalent if is_twisted and _far(first, equivalent) < WRAP_SHORT_PATH else None
+    )
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:
     """Return the rotation angle between two keys [rad]."""
     if not channel.euler:
-        step = float(channel.values[k + 1, 0] - channel.values[k, 0])
-        return abs(math.remainder(step, math.tau))
-    one, two = _at(channel, channel.times[k : k + 2])
-    return float(so3.angle_between(one[None], two[None])[0])
+        angle_step = float(channel.values[k + 1, 0] - channel.values[k, 0])
+        return abs(math.remainder(angle_step, math.tau))
+    first, second = _at(channel, channel.times[k : k + 2])
+    return float(so3.angle_between(first[None], second[None])[0])
 
 
 def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
     """Yield channels with a discontinuity where their cycle repeats (CLIP207)."""
     clip = subject.clip
     for i, channel in enumerate(clip.channels):
-        for key, how, reached in (
+        for key, extrapolation, is_reached in (
             ("pre", channel.pre, float(clip.first) < channel.times[0]),
             ("post", channel.post, float(clip.last) > channel.times[-1]),
         ):
-            if how is not Extrapolation.CYCLE or not reached or _meets(channel):
+            if (
+                extrapolation is not Extrapolation.CYCLE
+                or not is_reached
+                or _is_closed(channel)
+            ):
                 continue
-            first, last = channel.times[0], channel.times[-1]
+            first_time, last_time = channel.times[0], channel.times[-1]
             message = (
-                f"{channel.target!r} repeats frames {first:g} to {last:g}, but its "
+                f"{channel.target!r} repeats frames {first_time:g} to {last_time:g}, "
+                "but its "
                 "first and last values differ, so every repeat jumps"
             )
             hint = (
@@ -305,13 +338,24 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
             yield subject.fault("CLIP207", ("channels", i, key), message, hint)
 
 
-def _meets(channel: ClipChannel) -> bool:
+def _is_closed(channel: ClipChannel) -> bool:
     """Return whether a channel ends as it begins, modulo full rotations."""
-    first, last = channel.values[0], channel.values[-1]
-    if channel.target.endswith(".angle") and abs(last[0] - first[0]) > FAR:
-        return abs(math.remainder(float(last[0] - first[0]), math.tau)) <= OPEN
+    first_value, last_value = channel.values[0], channel.values[-1]
+    if (
+        channel.target.endswith(".angle")
+        and abs(last_value[0] - first_value[0]) > FAR_ANGLE
+    ):
+        return (
+            abs(math.remainder(float(last_value[0] - first_value[0]), math.tau))
+            <= CYCLE_TOLERANCE
+        )
     if channel.euler or channel.values.shape[1] == 4:
-        ends = _at(channel, channel.times[[0, -1]])
-        return float(so3.angle_between(ends[:1], ends[1:])[0]) <= OPEN
-    spread = float(np.ptp(channel.values, axis=0).max())
-    return float(np.abs(last - first).max()) <= OPEN * spread
+        end_rotations = _at(channel, channel.times[[0, -1]])
+        return (
+            float(so3.angle_between(end_rotations[:1], end_rotations[1:])[0])
+            <= CYCLE_TOLERANCE
+        )
+    value_range = float(np.ptp(channel.values, axis=0).max())
+    return (
+        float(np.abs(last_value - first_value).max()) <= CYCLE_TOLERANCE * value_range
+    )

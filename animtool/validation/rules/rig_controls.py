@@ -1,4 +1,4 @@
-"""Rules on controls: what they drive over their ranges, and how far."""
+"""Rules on controls: their effect over their ranges."""
 
 from __future__ import annotations
 
@@ -21,46 +21,46 @@ from animtool.rig.skeleton import Joint
 from animtool.validation.rules.rig_joints import shown
 from animtool.validation.subjects.rig import RigSubject
 
-# Sampled values of each control, besides the points of its curves.
+# Sampled values of each control, in addition to the points of its curves.
 SAMPLES = 17
-# Poses of all controls at once, in which a corrective must act in some.
+# Number of sampled poses of all controls, some of which must activate a corrective.
 POSES = 2048
-# Share of the poses in which a control is at an end of its range.
-AT_ENDS = 0.8
+# Fraction of the poses in which a control is at an end of its range.
+END_FRACTION = 0.8
 # Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
-SLACK = 1e-6
-_NONE: FloatArray = np.zeros(1)
+LIMIT_TOLERANCE = 1e-6
+_ZERO: FloatArray = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
     """Every control swept over its range, one after the other."""
 
-    moved: list[Control]  # which control moves in each frame ``(F,)``
-    keyed: dict[str, FloatArray]  # values of all of them ``(F,)``
-    driven: DrivenValues  # what they come to
+    moving_control: list[Control]  # the moving control of each frame ``(F,)``
+    keyed: dict[str, FloatArray]  # values of all controls ``(F,)``
+    driven: DrivenValues  # resulting values
 
     def spread(self, values: FloatArray) -> FloatArray:
         """Return a value for each frame ``(F,)``."""
-        return np.broadcast_to(values, len(self.moved))
+        return np.broadcast_to(values, len(self.moving_control))
 
     def keys(self, frame: int) -> str:
         """Return the control values of a frame."""
-        name = self.moved[frame].name
+        name = self.moving_control[frame].name
         return f"{name!r} at {float(self.keyed[name][frame]):g}"
 
     def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield controls that exceed something, and the worst frame."""
-        # What is not finite is a fault of the expression (RIG207).
-        wide = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
-        worst: dict[str, int] = {}
-        for frame in np.flatnonzero(wide > SLACK).tolist():
-            name = self.moved[frame].name
-            best = worst.get(name)
-            if best is None or wide[frame] > wide[best]:
-                worst[name] = frame
-        for frame in worst.values():
-            yield self.moved[frame], frame
+        """Yield controls with an excess, and their worst frame."""
+        # Values that are not finite are a fault of the expression (RIG207).
+        absolute = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
+        worst_by_control: dict[str, int] = {}
+        for frame in np.flatnonzero(absolute > LIMIT_TOLERANCE).tolist():
+            name = self.moving_control[frame].name
+            largest_so_far = worst_by_control.get(name)
+            if largest_so_far is None or absolute[frame] > absolute[largest_so_far]:
+                worst_by_control[name] = frame
+        for frame in worst_by_control.values():
+            yield self.moving_control[frame], frame
 
 
 def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
@@ -74,9 +74,9 @@ def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
                 f"{sweep.keys(frame)} drives {joint.name!r} {excess_text} beyond its "
             )
             message += "limits"
-            at = _drive(rig, control, f"joint/{joint.name}.")
+            location = _drive(rig, control, f"joint/{joint.name}.")
             hint = "widen the limits, or reduce the drive"
-            yield rig.fault("RIG204", at, message, hint)
+            yield rig.fault("RIG204", location, message, hint)
 
 
 def beyond_range(rig: RigSubject) -> Iterator[Fault]:
@@ -85,18 +85,20 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        reached = sweep.driven.unclamped[control.name]
-        width = max(control.high - control.low, SLACK)
-        excess = (reached - np.clip(reached, control.low, control.high)) / width
-        for by, frame in sweep.worst(excess):
+        unclamped = sweep.driven.unclamped[control.name]
+        range_width = max(control.high - control.low, LIMIT_TOLERANCE)
+        excess = (
+            unclamped - np.clip(unclamped, control.low, control.high)
+        ) / range_width
+        for driving_control, frame in sweep.worst(excess):
             message = (
                 f"{sweep.keys(frame)} drives {control.name!r} to "
-                f"{float(sweep.spread(reached)[frame]):.4g}; its range is "
+                f"{float(sweep.spread(unclamped)[frame]):.4g}; its range is "
                 f"{control.low:g} to {control.high:g}"
             )
-            at = _drive(rig, by, f"control/{control.name}")
+            location = _drive(rig, driving_control, f"control/{control.name}")
             hint = "use clamp(…) in the expression, or a wider range"
-            yield rig.fault("RIG206", at, message, hint)
+            yield rig.fault("RIG206", location, message, hint)
 
 
 def undefined(rig: RigSubject) -> Iterator[Fault]:
@@ -106,70 +108,76 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
     for control in rig.rig.controls:
         for k, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
-                added = drive.evaluate(control.name, values)
-            read = (
+                contribution = drive.evaluate(control.name, values)
+            inputs = (
                 (control.name,) if drive.expression is None else drive.expression.names
             )
-            # A value that comes from another drive without one is its fault.
+            # If another drive's value is undefined, that drive is at fault.
             inputs_finite = np.all(
-                [sweep.spread(np.isfinite(values[n])) for n in read], axis=0
+                [sweep.spread(np.isfinite(values[n])) for n in inputs], axis=0
             )
-            wrong = sweep.spread(~np.isfinite(added)) & inputs_finite
-            if not wrong.any():
+            is_undefined = sweep.spread(~np.isfinite(contribution)) & inputs_finite
+            if not is_undefined.any():
                 continue
-            by_moved = wrong & [moved.name in read for moved in sweep.moved]
-            frame = int((by_moved if by_moved.any() else wrong).argmax())
-            by = sweep.moved[frame]
-            value = float(sweep.keyed[by.name][frame])
+            by_moved = is_undefined & [
+                moving_control.name in inputs for moving_control in sweep.moving_control
+            ]
+            frame = int((by_moved if by_moved.any() else is_undefined).argmax())
+            control_in_frame = sweep.moving_control[frame]
+            value = float(sweep.keyed[control_in_frame.name][frame])
             text = drive.expression.text if drive.expression else ""
-            message = f"{text!r} is undefined where {by.name!r} is {value:g}"
+            message = (
+                f"{text!r} is undefined where {control_in_frame.name!r} is {value:g}"
+            )
             hint = "avoid division by 0; log and sqrt need more than 0"
-            at = (*rig.at("controls", control.name), "drives", k)
-            yield rig.fault("RIG207", at, message, hint)
+            location = (*rig.at("controls", control.name), "drives", k)
+            yield rig.fault("RIG207", location, message, hint)
 
 
 def never_acts(rig: RigSubject) -> Iterator[Fault]:
     """Yield correctives that no control pose activates (RIG208)."""
-    # What coordinates of joints drive moves without controls.
-    moved = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
-    combined = [
+    # Shapes driven by joint coordinates move without controls.
+    moving_control = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
+    correctives = [
         shape
         for shape in rig.rig.shapes
-        if shape.combine and not moved.intersection(shape.combine)
+        if shape.combine and not moving_control.intersection(shape.combine)
     ]
-    driven = {
+    driven_shapes = {
         drive.target.removeprefix("shape/")
         for control in rig.rig.controls
         for drive in control.drives
         if drive.target.startswith("shape/")
     }
-    if not combined or not driven:
+    if not correctives or not driven_shapes:
         return
-    weights = _weights(rig, driven)
-    for shape in combined:
+    weights = _weights(rig, driven_shapes)
+    for shape in correctives:
         undriven = [name for name in shape.combine if name not in weights]
-        at = (*rig.at("shapes", shape.name), "combine")
+        location = (*rig.at("shapes", shape.name), "combine")
         if undriven:
             message = (
                 f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
             )
-            yield rig.fault("RIG208", at, message, "drive it, or remove the shape")
+            yield rig.fault(
+                "RIG208", location, message, "drive it, or remove the shape"
+            )
         elif not _product(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
             hint = f"{' and '.join(shape.combine)} are never both above 0"
-            yield rig.fault("RIG208", at, message, hint)
+            yield rig.fault("RIG208", location, message, hint)
 
 
 def idle(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive nothing and that no expression reads (RIG220)."""
-    read = {
+    read_names = {
         name
         for control in rig.rig.controls
         for drive in control.drives
         if drive.expression is not None
         for name in drive.expression.names
     }
-    read |= {
+    read_names |= {
         name
         for driver in (
             *(joint.driven for joint in rig.rig.joints),
@@ -180,10 +188,10 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
         for name in driver.names
     }
     for control in rig.rig.controls:
-        if not control.drives and control.name not in read:
+        if not control.drives and control.name not in read_names:
             message = f"{control.name!r} drives nothing, and nothing reads it"
-            at = rig.at("controls", control.name)
-            yield rig.fault("RIG220", at, message, "add drives, or remove it")
+            location = rig.at("controls", control.name)
+            yield rig.fault("RIG220", location, message, "add drives, or remove it")
 
 
 @lru_cache(maxsize=1)
@@ -192,25 +200,25 @@ def _sweep(rig: RigSubject) -> _Sweep:
     controls = rig.rig.controls
     ranges = {control.name: _values(control) for control in controls}
     count = sum(map(len, ranges.values()))
-    keyed: dict[str, FloatArray] = {}
-    moved: list[Control] = []
+    keyed_values: dict[str, FloatArray] = {}
+    moving_control: list[Control] = []
     for control in controls:
         values = np.full(count, control.default)
         samples = ranges[control.name]
-        values[len(moved) : len(moved) + len(samples)] = samples
-        moved += [control] * len(samples)
-        keyed[control.name] = values
+        values[len(moving_control) : len(moving_control) + len(samples)] = samples
+        moving_control += [control] * len(samples)
+        keyed_values[control.name] = values
     with np.errstate(all="ignore"):
-        driven = evaluate_controls(controls, keyed)
-    return _Sweep(moved, keyed, driven)
+        driven_values = evaluate_controls(controls, keyed_values)
+    return _Sweep(moving_control, keyed_values, driven_values)
 
 
 def _values(control: Control) -> FloatArray:
     if control.low is None or control.high is None:
         return np.zeros(0)
     corners = [x for drive in control.drives for x, _ in drive.curve]
-    spread = np.linspace(control.low, control.high, SAMPLES)
-    values = np.concatenate([spread, np.array(corners, np.float64)])
+    samples = np.linspace(control.low, control.high, SAMPLES)
+    values = np.concatenate([samples, np.array(corners, np.float64)])
     # `numpy.unique` would import numpy.ma.
     return np.array(sorted(set(np.clip(values, control.low, control.high).tolist())))
 
@@ -220,51 +228,56 @@ def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
     if isinstance(joint.limits, RangeLimit):
         part = "slide" if joint.type == "prismatic" else "angle"
         value = targets.get(f"joint/{joint.name}.{part}")
-        return _NONE if value is None else joint.limits.excess(value)
+        return _ZERO if value is None else joint.limits.excess(value)
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
-        parts = [targets.get(name, _NONE) for name in names]
+        contributions = [targets.get(name, _ZERO) for name in names]
         if not any(name in targets for name in names) or _well_within(
-            joint.limits, parts
+            joint.limits, contributions
         ):
-            return _NONE
-        rotation = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
+            return _ZERO
+        rotation = so3.exp(np.stack(np.broadcast_arrays(*contributions), axis=-1))
         finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
         return joint.limits.excess(np.where(finite, rotation, so3.IDENTITY))
-    return _NONE
+    return _ZERO
 
 
-def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
+def _well_within(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
     """Return whether rotations are too small to exceed swing and twist limits.
 
-    Neither is larger than the turn itself. Most are, and the whole way is slow.
+    Swing and twist are at most as large as the rotation. Most rotations are small, and
+    the full computation is slow.
     """
-    most = float(np.sqrt(sum(np.abs(part).max() ** 2 for part in parts)))
-    low, high = limits.twist or (-np.inf, np.inf)
-    return most <= min(*(limits.swing or (np.inf, np.inf)), -low, high)
+    largest_angle = float(np.sqrt(sum(np.abs(part).max() ** 2 for part in axis_values)))
+    twist_low, twist_high = limits.twist or (-np.inf, np.inf)
+    return largest_angle <= min(
+        *(limits.swing or (np.inf, np.inf)), -twist_low, twist_high
+    )
 
 
 def _drive(rig: RigSubject, control: Control, target: str) -> Location:
     """Return the drive of a control that affects a target, or the control."""
-    at = rig.at("controls", control.name)
+    location = rig.at("controls", control.name)
     for k, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):
-            return (*at, "drives", k)
-    return at
+            return (*location, "drives", k)
+    return location
 
 
 def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
     """Return weights of driven and combined shapes, in poses of all controls."""
     rng = np.random.default_rng(0)
-    keyed = {}
+    keyed_values = {}
     for control in rig.rig.controls:
-        low = -1.0 if control.low is None else control.low
-        high = 1.0 if control.high is None else control.high
-        ends = np.where(rng.random(POSES) < 0.5, low, high)
-        inner = rng.uniform(low, high, POSES)
-        keyed[control.name] = np.where(rng.random(POSES) < AT_ENDS, ends, inner)
+        range_low = -1.0 if control.low is None else control.low
+        range_high = 1.0 if control.high is None else control.high
+        end_values = np.where(rng.random(POSES) < 0.5, range_low, range_high)
+        inner_values = rng.uniform(range_low, range_high, POSES)
+        keyed_values[control.name] = np.where(
+            rng.random(POSES) < END_FRACTION, end_values, inner_values
+        )
     with np.errstate(all="ignore"):
-        targets = evaluate_controls(rig.rig.controls, keyed).targets
+        targets = evaluate_controls(rig.rig.controls, keyed_values).targets
     weights = {name: targets[f"shape/{name}"] for name in sorted(driven)}
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):

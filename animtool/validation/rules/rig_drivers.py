@@ -11,13 +11,14 @@ from animtool.core.errors import Fault
 from animtool.rig.drivers import SLIDE, SWING, TWIST, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
-from animtool.validation.rules.rig_joints import SLACK, shown
+from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, shown
 from animtool.validation.subjects.rig import RigSubject
 
-# Values of each coordinate that are looked at, the others at rest, and of all at once.
+# Number of sampled values of each coordinate, with the others at rest, and of samples
+# of all at once.
 SAMPLES, POSES = 33, 512
-# How far what has no limits is moved [rad], [m].
-WIDE, FAR = np.pi, 1.0
+# Range of unlimited coordinates [rad], [m].
+UNLIMITED_ANGLE, UNLIMITED_LENGTH = np.pi, 1.0
 
 
 def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
@@ -29,41 +30,46 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
             continue
         values = _values(rig, joint.driven)
         excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
-        worst = int(np.argmax(np.abs(excess)))
-        if abs(excess[worst]) <= SLACK:
+        worst_sample = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
             continue
-        low, high = joint.limits.low, joint.limits.high
+        lower, upper = joint.limits.low, joint.limits.high
         message = (
             f"the driver of {joint.name!r} reaches "
-            f"{shown(rig, joint, float(values[worst]))} within the limits of its "
-            f"inputs; its limits are {shown(rig, joint, low)} to "
-            f"{shown(rig, joint, high)}"
+            f"{shown(rig, joint, float(values[worst_sample]))} within the limits of "
+            "its "
+            f"inputs; its limits are {shown(rig, joint, lower)} to "
+            f"{shown(rig, joint, upper)}"
         )
-        at = (*rig.at("joints", joint.name), "driven")
-        yield rig.fault("RIG223", at, message, "widen the limits, or reduce the driver")
+        location = (*rig.at("joints", joint.name), "driven")
+        yield rig.fault(
+            "RIG223", location, message, "widen the limits, or reduce the driver"
+        )
 
 
 def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
     """Yield drivers without a value for some inputs (RIG224)."""
-    for key, kind, parts in (
+    for key, kind, rig_parts in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
         ("controls", "control", rig.rig.controls),
     ):
-        for part in parts:
+        for part in rig_parts:
             if part.driven is None or part.name in rig.mirrored:
                 continue
-            read = _ranges(rig, part.driven)
-            wrong = ~np.isfinite(part.driven.evaluate(read))
-            if not wrong.any():
+            inputs = _ranges(rig, part.driven)
+            is_undefined = ~np.isfinite(part.driven.evaluate(inputs))
+            if not is_undefined.any():
                 continue
-            frame = int(np.argmax(np.broadcast_to(wrong, POSES + SAMPLES * len(read))))
-            poses = [
+            frame = int(
+                np.argmax(np.broadcast_to(is_undefined, POSES + SAMPLES * len(inputs)))
+            )
+            sample_count = [
                 f"{name} is {values[frame] / part.driven.unit_of(name):.4g}"
-                for name, values in read.items()
+                for name, values in inputs.items()
             ]
             message = f"the driver of {kind} {part.name!r} is undefined where "
-            message += " and ".join(poses) or "it has no inputs"
+            message += " and ".join(sample_count) or "it has no inputs"
             hint = "avoid division by 0; log and sqrt need more than 0"
             yield rig.fault(
                 "RIG224", (*rig.at(key, part.name), "driven"), message, hint
@@ -82,11 +88,11 @@ def _ranges(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     names = driver.names
     ranges = {}
     for i, name in enumerate(names):
-        low, high = _range(rig.rig, name)
-        rest = min(max(0.0, low), high)
-        values = np.full(POSES + SAMPLES * len(names), rest)
-        values[SAMPLES * i : SAMPLES * (i + 1)] = np.linspace(low, high, SAMPLES)
-        values[SAMPLES * len(names) :] = random.uniform(low, high, POSES)
+        lower, upper = _range(rig.rig, name)
+        rest_value = min(max(0.0, lower), upper)
+        values = np.full(POSES + SAMPLES * len(names), rest_value)
+        values[SAMPLES * i : SAMPLES * (i + 1)] = np.linspace(lower, upper, SAMPLES)
+        values[SAMPLES * len(names) :] = random.uniform(lower, upper, POSES)
         ranges[name] = values
     return ranges
 
@@ -95,7 +101,9 @@ def _range(rig: Rig, name: str) -> tuple[float, float]:
     """Return the range of a driver input [rad], [m], [1]."""
     joint_name, part = split_coordinate(name)
     if not joint_name:
-        control = next(one for one in rig.controls if one.name == name)
+        control = next(
+            rig_control for rig_control in rig.controls if rig_control.name == name
+        )
         if control.low is None or control.high is None:
             return control.default, control.default
         return control.low, control.high
@@ -103,8 +111,12 @@ def _range(rig: Rig, name: str) -> tuple[float, float]:
     if isinstance(limits, RangeLimit):
         return limits.low, limits.high
     if not isinstance(limits, BallLimit):
-        return (-FAR, FAR) if part == SLIDE else (-WIDE, WIDE)
+        return (
+            (-UNLIMITED_LENGTH, UNLIMITED_LENGTH)
+            if part == SLIDE
+            else (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
+        )
     if part == TWIST:
-        return limits.twist or (-WIDE, WIDE)
-    cone = max(limits.swing) if limits.swing else WIDE
+        return limits.twist or (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
+    cone = max(limits.swing) if limits.swing else UNLIMITED_ANGLE
     return (0.0, cone) if part == SWING else (-cone, cone)

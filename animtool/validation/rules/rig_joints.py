@@ -18,55 +18,58 @@ from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, JointType
 from animtool.validation.subjects.rig import RigSubject
 
-# Beyond rounding of degrees in a file [rad], [m].
-SLACK = 1e-6
-# A twist axis nearer than this to a right angle with its bone does not turn the bone
-# about itself; cos 84°.
-ACROSS = 0.1
+# Tolerance for degrees rounded in a file [rad], [m].
+LIMIT_TOLERANCE = 1e-6
+# A twist axis this close to perpendicular to its bone does not twist the bone; cos 84°.
+PERPENDICULAR_COSINE = 0.1
 
 
 def rest_outside(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose limits exclude their rest pose (RIG201)."""
     for joint in rig.rig.joints:
-        at = (*rig.at("joints", joint.name), "limits")
+        location = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
         match joint.limits:
-            case RangeLimit(low, high):
+            case RangeLimit(lower, upper):
                 value = 0.0 if joint.mimic is None else joint.mimic.offset
-                if low - SLACK <= value <= high + SLACK:
+                if lower - LIMIT_TOLERANCE <= value <= upper + LIMIT_TOLERANCE:
                     continue
-                ends = f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
+                range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
                 message = (
-                    f"the limits of {joint.name!r} are {ends}, which exclude its rest "
+                    f"the limits of {joint.name!r} are {range_text}, which exclude its "
+                    "rest "
                     "pose"
                 )
-            case BallLimit(twist=(low, high)) if not low <= SLACK or not high >= -SLACK:
-                ends = f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
+            case BallLimit(twist=(lower, upper)) if (
+                not lower <= LIMIT_TOLERANCE or not upper >= -LIMIT_TOLERANCE
+            ):
+                range_text = f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
                 message = (
-                    f"the twist limits of {joint.name!r} are {ends}, which exclude "
+                    f"the twist limits of {joint.name!r} are {range_text}, which "
+                    "exclude "
                     "its rest pose"
                 )
             case _:
                 continue
         if joint.name in rig.mirrored:
             continue
-        yield rig.fault("RIG201", at, message, hint)
+        yield rig.fault("RIG201", location, message, hint)
 
 
 def motionless(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
-            case RangeLimit(low, high):
-                locked = high - low <= SLACK
-            case BallLimit(swing=(a, b), twist=(low, high)):
-                locked = max(a, b, high - low) <= SLACK
+            case RangeLimit(lower, upper):
+                is_locked = upper - lower <= LIMIT_TOLERANCE
+            case BallLimit(swing=(a, b), twist=(lower, upper)):
+                is_locked = max(a, b, upper - lower) <= LIMIT_TOLERANCE
             case _:
                 continue
-        if locked and joint.name not in rig.mirrored:
-            at = (*rig.at("joints", joint.name), "limits")
+        if is_locked and joint.name not in rig.mirrored:
+            location = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} cannot move"
-            yield rig.fault("RIG202", at, message, "write type: fixed")
+            yield rig.fault("RIG202", location, message, "write type: fixed")
 
 
 def across(rig: RigSubject) -> Iterator[Fault]:
@@ -76,17 +79,17 @@ def across(rig: RigSubject) -> Iterator[Fault]:
         bone = _bone(rig, i)
         if not isinstance(limits, BallLimit) or limits.twist is None or bone is None:
             continue
-        if abs(float(bone @ np.array(limits.twist_axis))) < ACROSS:
+        if abs(float(bone @ np.array(limits.twist_axis))) < PERPENDICULAR_COSINE:
             if joint.name in rig.mirrored:
                 continue
-            at = (*rig.at("joints", joint.name), "limits", "twist_axis")
+            location = (*rig.at("joints", joint.name), "limits", "twist_axis")
             axis = _rounded(np.array(limits.twist_axis))
             message = (
                 f"the twist axis {axis} of {joint.name!r} is perpendicular to its "
                 f"bone, which points along {_rounded(bone)}"
             )
             hint = f"twist_axis: {_rounded(bone)} rotates the bone about itself"
-            yield rig.fault("RIG203", at, message, hint)
+            yield rig.fault("RIG203", location, message, hint)
 
 
 def follower(rig: RigSubject) -> Iterator[Fault]:
@@ -97,18 +100,19 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
         leader = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
         if not isinstance(leader.limits, RangeLimit) or joint.name in rig.mirrored:
             continue
-        for end in (leader.limits.low, leader.limits.high):
-            value = joint.mimic.gain * end + joint.mimic.offset
-            if abs(float(joint.limits.excess(np.array(value)))) <= SLACK:
+        for leader_limit in (leader.limits.low, leader.limits.high):
+            value = joint.mimic.gain * leader_limit + joint.mimic.offset
+            if abs(float(joint.limits.excess(np.array(value)))) <= LIMIT_TOLERANCE:
                 continue
-            low, high = joint.limits.low, joint.limits.high
+            lower, upper = joint.limits.low, joint.limits.high
             message = (
                 f"{joint.name!r} reaches {shown(rig, joint, value)} where "
-                f"{leader.name!r} is at {shown(rig, leader, end)}; its limits are "
-                f"{shown(rig, joint, low)} to {shown(rig, joint, high)}"
+                f"{leader.name!r} is at {shown(rig, leader, leader_limit)}; its limits "
+                "are "
+                f"{shown(rig, joint, lower)} to {shown(rig, joint, upper)}"
             )
-            at = (*rig.at("joints", joint.name), "limits")
-            yield rig.fault("RIG205", at, message, "widen them, or reduce gain")
+            location = (*rig.at("joints", joint.name), "limits")
+            yield rig.fault("RIG205", location, message, "widen them, or reduce gain")
             break
 
 
@@ -124,20 +128,21 @@ def shown(rig: RigSubject, joint: Joint, value: float) -> str:
 
 def _bone(rig: RigSubject, i: int) -> FloatArray | None:
     """Return the direction of a joint's only bone in its rest frame, if it has one."""
-    ends = [rig.rig.joints[child].translation for child in rig.children[i]]
-    ends += rig.rig.joints[i].tips
-    if len(ends) != 1:
+    child_offsets = [rig.rig.joints[child].translation for child in rig.children[i]]
+    child_offsets += rig.rig.joints[i].tips
+    if len(child_offsets) != 1:
         return None
-    length = math.hypot(*ends[0])
-    return np.array(ends[0]) / length if length > SLACK else None
+    length = math.hypot(*child_offsets[0])
+    return np.array(child_offsets[0]) / length if length > LIMIT_TOLERANCE else None
 
 
 def _rounded(axis: FloatArray) -> str:
     return "[" + ", ".join(f"{x + 0.0:.3g}" for x in axis) + "]"
 
 
-# A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
-SLIP = 1e-3
+# A bind pose that differs by less than this fraction of the rig's size, and by a
+# smaller angle, is rounding.
+SLIP_FRACTION = 1e-3
 SLIP_ANGLE = math.radians(0.5)
 
 
@@ -147,14 +152,18 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         if name not in rig.rig.bind or not rig.size:
             continue
         pose, joint = rig.rig.bind[name], rig.rig.joints[rig.rig.index(name)]
-        away = math.dist(pose.translation, joint.translation)
+        distance = math.dist(pose.translation, joint.translation)
         rotations = np.array([pose.rotation]), np.array([joint.rotation])
         angle = float(so3.angle_between(*rotations)[0])
-        plain = pose.stretch is None
-        if plain and away <= SLIP * rig.size and angle <= SLIP_ANGLE:
+        has_no_stretch = pose.stretch is None
+        if (
+            has_no_stretch
+            and distance <= SLIP_FRACTION * rig.size
+            and angle <= SLIP_ANGLE
+        ):
             message = (
                 f"the bind pose of {name!r} equals its rest pose except for "
-                f"{length_text(away)} and {math.degrees(angle):.3g}°"
+                f"{length_text(distance)} and {math.degrees(angle):.3g}°"
             )
             hint = "remove it, or write the pose in which the skin was made"
             yield rig.fault("RIG216", ("bind", name), message, hint)
@@ -168,17 +177,19 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
     for i, entry in enumerate(rig.written("joints")):
         pose = bind.get(entry["name"], {})
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
-            name, above = entry["name"], entry.get("parent")
-            location = f"where {above!r} is" if above else "at the origin"
+            name, name_and_parent = entry["name"], entry.get("parent")
+            location = (
+                f"where {name_and_parent!r} is" if name_and_parent else "at the origin"
+            )
             message = f"{name!r} has a bind pose but no rest pose: it rests {location}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
 
-# Bones that differ by less of the rig's size are alike [1].
-SAME_POSITION = 1e-4
-# Limits that differ by less are alike [rad], [m].
-SAME_LIMIT = 1e-6
+# Positions that differ by a smaller fraction of the rig's size are equal [1].
+POSITION_TOLERANCE = 1e-4
+# Limits that differ by less are equal [rad], [m].
+LIMIT_EQUALITY = 1e-6
 
 
 def other_position(rig: RigSubject) -> Iterator[Fault]:
@@ -186,12 +197,12 @@ def other_position(rig: RigSubject) -> Iterator[Fault]:
     pairs, mirrored = _compared(rig)
     if not _symmetric(mirrored):
         return
-    for (left, right), same in zip(pairs, mirrored.tolist(), strict=True):
-        if not same:
-            at = (*rig.at("joints", right.name), "translate")
+    for (left, right), is_mirrored in zip(pairs, mirrored.tolist(), strict=True):
+        if not is_mirrored:
+            location = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
             hint = f"mirror: {right.name} in {left.name!r} creates it"
-            yield rig.fault("RIG212", at, message, hint)
+            yield rig.fault("RIG212", location, message, hint)
 
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
@@ -200,17 +211,17 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
     if not _symmetric(mirrored):
         return
     for left, right in pairs:
-        what = "limits"
+        key = "limits"
         if left.type is not right.type:
-            what = "type"
+            key = "type"
         elif _same_limits(left, right):
             continue
-        at = (*rig.at("joints", right.name), what)
-        message = f"{right.name!r} has a different {what} than {left.name!r}"
-        if what == "limits":
+        location = (*rig.at("joints", right.name), key)
+        message = f"{right.name!r} has a different {key} than {left.name!r}"
+        if key == "limits":
             message = f"{right.name!r} has different limits than {left.name!r}"
         hint = f"mirror: {right.name} in {left.name!r} creates it"
-        yield rig.fault("RIG213", at, message, hint)
+        yield rig.fault("RIG213", location, message, hint)
 
 
 @lru_cache(maxsize=1)
@@ -224,9 +235,9 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     """Return joints and their counterparts that were written separately."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
     return [
-        (joint, rig.rig.joints[other])
-        for i, (joint, other) in enumerate(zip(rig.rig.joints, partners, strict=True))
-        if other > i and not joint.mirror
+        (joint, rig.rig.joints[partner])
+        for i, (joint, partner) in enumerate(zip(rig.rig.joints, partners, strict=True))
+        if partner > i and not joint.mirror
     ]
 
 
@@ -235,46 +246,53 @@ def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
     positions, _ = rig.rest
     parents = rig.rig.parents
     bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
-    left, right = (
+    left_bones, right_bones = (
         bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
         for side in (0, 1)
     )
-    best = np.zeros(len(pairs), bool)
+    is_mirrored_best = np.zeros(len(pairs), bool)
     for axis in range(3):
-        across = np.ones(3)
-        across[axis] = -1.0
-        off = np.linalg.norm(left * across - right, axis=1)
-        mirrored = off <= SAME_POSITION * max(rig.size, SAME_POSITION)
-        # Bones in the plane itself are alike in any.
-        if np.count_nonzero(mirrored) > np.count_nonzero(best):
-            best = mirrored
-    return best
+        mirror_signs = np.ones(3)
+        mirror_signs[axis] = -1.0
+        distances = np.linalg.norm(left_bones * mirror_signs - right_bones, axis=1)
+        is_mirrored = distances <= POSITION_TOLERANCE * max(
+            rig.size, POSITION_TOLERANCE
+        )
+        # Bones in the plane are equal in any direction.
+        if np.count_nonzero(is_mirrored) > np.count_nonzero(is_mirrored_best):
+            is_mirrored_best = is_mirrored
+    return is_mirrored_best
 
 
 def _symmetric(mirrored: BoolArray) -> bool:
-    """Return whether a rig is meant to be symmetric."""
+    """Return whether a rig is intended to be symmetric."""
     return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:
     match left.limits, right.limits:
-        case RangeLimit() as one, RangeLimit() as two:
-            return _same_range((one.low, one.high), (two.low, two.high))
-        case BallLimit() as one, BallLimit() as two:
-            swings = (one.swing or (), two.swing or ())
-            same = len(swings[0]) == len(swings[1]) and np.allclose(
-                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=SAME_LIMIT
+        case RangeLimit() as left_limits, RangeLimit() as right_limits:
+            return _same_range(
+                (left_limits.low, left_limits.high),
+                (right_limits.low, right_limits.high),
             )
-            if one.twist is None or two.twist is None:
-                return bool(same) and one.twist == two.twist
-            return bool(same) and _same_range(one.twist, two.twist)
-        case one, two:
-            return one is None and two is None
+        case BallLimit() as left_limits, BallLimit() as right_limits:
+            swings = (left_limits.swing or (), right_limits.swing or ())
+            are_equal = len(swings[0]) == len(swings[1]) and np.allclose(
+                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=LIMIT_EQUALITY
+            )
+            if left_limits.twist is None or right_limits.twist is None:
+                return bool(are_equal) and left_limits.twist == right_limits.twist
+            return bool(are_equal) and _same_range(
+                left_limits.twist, right_limits.twist
+            )
+        case left_limits, right_limits:
+            return left_limits is None and right_limits is None
 
 
-def _same_range(one: tuple[float, float], two: tuple[float, float]) -> bool:
+def _same_range(first: tuple[float, float], second: tuple[float, float]) -> bool:
     """Return whether two ranges are equal or mirrored."""
     return any(
-        np.allclose(one, other, rtol=0, atol=SAME_LIMIT)
-        for other in (two, (-two[1], -two[0]))
+        np.allclose(first, candidate, rtol=0, atol=LIMIT_EQUALITY)
+        for candidate in (second, (-second[1], -second[0]))
     )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from animtool.validation.subjects.capture import TakeSubject
 
 
-# Lists of a rig file whose names are names in USD.
+# Lists of a rig file whose names become USD names.
 GROUPS = ("joints", "meshes", "shapes")
 HINT = "the second gets a number there; rename one"
 
@@ -45,13 +45,13 @@ def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
         return
     for key in GROUPS:
         names = [name for name in names_in(rig, key) if legal(name) != name]
-        if key == "joints":  # RIG109 warns of these
+        if key == "joints":  # RIG109 warns of these.
             names = [name for name in names if not any(map(str.isspace, name))]
         if names:
-            one = len(names) == 1
+            is_single = len(names) == 1
             message = (
                 f"{counted(len(names), 'name')} of {key} "
-                f"{'changes' if one else 'change'} in USD: {names[0]!r} to "
+                f"{'changes' if is_single else 'change'} in USD: {names[0]!r} to "
                 f"{legal(names[0])!r}"
             )
             hint = "letters, digits and underscores are kept"
@@ -65,49 +65,55 @@ def names_in(rig: RigSubject, key: str) -> list[str]:
 
 def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield each name equal to an earlier one in USD, with text on it."""
-    first: dict[str, str] = {}
+    first_by_usd_name: dict[str, str] = {}
     for name in names:
-        shown = legal(name)
-        if shown in first:
-            yield name, f"{name!r} and {first[shown]!r} both become {shown!r} in USD"
-        first.setdefault(shown, name)
+        usd_name = legal(name)
+        if usd_name in first_by_usd_name:
+            yield (
+                name,
+                f"{name!r} and {first_by_usd_name[usd_name]!r} both become "
+                f"{usd_name!r} in USD",
+            )
+        first_by_usd_name.setdefault(usd_name, name)
 
 
 def legal(name: str) -> str:
     """Return a name with `_` for characters illegal in a prim name."""
-    plain = re.sub(r"\W", "_", name)
-    return f"_{plain}" if plain[:1].isdigit() else plain
+    identifier = re.sub(r"\W", "_", name)
+    return f"_{identifier}" if identifier[:1].isdigit() else identifier
 
 
-# Sums of weights that were rounded to a byte each are within it [1].
-WEIGHT_SLACK = 0.02
-# Engines take four or eight joints a vertex.
+# Largest error of weight sums whose weights were rounded to a byte each [1].
+WEIGHT_TOLERANCE = 0.02
+# Engines support four or eight joints per vertex.
 MAX_INFLUENCES = 8
-# A mesh is seldom larger or smaller than its skeleton by as much [1].
+# Size ratio of a mesh and its skeleton that is rarely exceeded [1].
 SIZE_RATIO = 30.0
-# Fewer joints are a prop that may be anywhere in a large mesh.
+# With fewer joints, a rig is a prop that may be anywhere in a large mesh.
 MIN_JOINTS = 3
 
 
 def no_effect(rig: RigSubject) -> Iterator[Fault]:
     """Yield shapes that move no point (RIG209)."""
-    used = {name for shape in rig.rig.shapes for name in shape.combine}
+    combined_names = {name for shape in rig.rig.shapes for name in shape.combine}
     with Archives() as archives:
         for shape in rig.rig.shapes:
             # Without a mesh it is a weight that something else reads.
             if not shape.mesh or _acts(shape, archives):
                 continue
-            if shape.deltas is None and shape.name in used:
+            if shape.deltas is None and shape.name in combined_names:
                 continue
-            at = rig.at("shapes", shape.name)
+            location = rig.at("shapes", shape.name)
             message = f"{shape.name!r} moves no point of {shape.mesh!r}"
-            yield rig.fault("RIG209", at, message, "give it deltas, or remove it")
+            yield rig.fault("RIG209", location, message, "give it deltas, or remove it")
 
 
 def _acts(shape: Shape, archives: Archives) -> bool:
-    steps = ((step.deltas, step.normals) for step in shape.inbetweens)
-    between = itertools.chain.from_iterable(steps)
-    arrays = (shape.deltas, shape.normals, *between)
+    inbetweens = (
+        (inbetween.deltas, inbetween.normals) for inbetween in shape.inbetweens
+    )
+    inbetween_arrays = itertools.chain.from_iterable(inbetweens)
+    arrays = (shape.deltas, shape.normals, *inbetween_arrays)
     return any(array.load(archives).any() for array in arrays if array is not None)
 
 
@@ -116,39 +122,41 @@ def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
     with Archives() as archives:
         for mesh in rig.rig.meshes:
             if mesh.skin is not None:
-                at = (*rig.at("meshes", mesh.name), "skin", "weights")
-                yield mesh, mesh.skin.weights.load(archives), at
+                location = (*rig.at("meshes", mesh.name), "skin", "weights")
+                yield mesh, mesh.skin.weights.load(archives), location
 
 
 def weight_sums(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins whose weights do not sum to 1 (RIG210)."""
-    for mesh, weights, at in _skins(rig):
-        off = np.abs(weights.sum(axis=1) - 1.0)
-        wrong = np.flatnonzero(off > WEIGHT_SLACK)
-        if not len(wrong):
+    for mesh, weights, location in _skins(rig):
+        sum_errors = np.abs(weights.sum(axis=1) - 1.0)
+        wrong_points = np.flatnonzero(sum_errors > WEIGHT_TOLERANCE)
+        if not len(wrong_points):
             continue
-        worst = int(off.argmax())
+        worst_point = int(sum_errors.argmax())
         message = (
-            f"the weights of {counted(len(wrong), 'point')} of {mesh.name!r} do not "
-            f"have the sum 1; worst is {worst}: {weights[worst].sum():.4g}"
+            f"the weights of {counted(len(wrong_points), 'point')} of {mesh.name!r} do "
+            "not "
+            f"have the sum 1; worst is {worst_point}: {weights[worst_point].sum():.4g}"
         )
         hint = "divide them by their sums, as every reader does"
-        yield rig.fault("RIG210", at, message, hint)
+        yield rig.fault("RIG210", location, message, hint)
 
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins with more influences per point than engines allow (RIG211)."""
-    for mesh, weights, at in _skins(rig):
+    for mesh, weights, location in _skins(rig):
         counts = np.count_nonzero(weights, axis=1)
-        wrong = np.flatnonzero(counts > MAX_INFLUENCES)
-        if not len(wrong):
+        points_above = np.flatnonzero(counts > MAX_INFLUENCES)
+        if not len(points_above):
             continue
         message = (
-            f"{counted(len(wrong), 'point')} of {mesh.name!r} follow more than "
-            f"{MAX_INFLUENCES} joints, point {wrong[0]} follows {counts[wrong[0]]}"
+            f"{counted(len(points_above), 'point')} of {mesh.name!r} follow more than "
+            f"{MAX_INFLUENCES} joints, point {points_above[0]} follows "
+            f"{counts[points_above[0]]}"
         )
         hint = f"keep the {MAX_INFLUENCES} largest weights"
-        yield rig.fault("RIG211", at, message, hint)
+        yield rig.fault("RIG211", location, message, hint)
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
@@ -169,8 +177,8 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
             f"{rig.size:.3g} m"
         )
         hint = "points use the file's unit, as joints do; or write geom_bind"
-        at = (*rig.at("meshes", name), "points")
-        yield rig.fault("RIG218", at, message, hint)
+        location = (*rig.at("meshes", name), "points")
+        yield rig.fault("RIG218", location, message, hint)
 
 
 def _diagonal(mesh: Mesh, archives: Archives) -> float:
@@ -180,45 +188,45 @@ def _diagonal(mesh: Mesh, archives: Archives) -> float:
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
-# Limits narrower than this leave no bend to speak of [rad], [m].
+# Joints with narrower limits do not bend noticeably [rad], [m].
 FIXED_SPAN = 1e-3
-# Directions nearer than this are one; sin 0.6°.
-PARALLEL = 0.01
+# Directions this close are parallel; sin 0.6°.
+PARALLEL_SINE = 0.01
 
 
 def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
     """Yield chains in which only the root can move the tip (RIG214)."""
     for chain in rig.rig.chains:
         joints = _joints(rig, chain)
-        inner = joints[1:-1]
-        if not inner or any(_bends(rig, i, joints[-1]) for i in inner):
+        inner_joints = joints[1:-1]
+        if not inner_joints or any(_bends(rig, i, joints[-1]) for i in inner_joints):
             continue
-        at = rig.at("ik", chain.name)
-        reasons = sorted({_reason(rig.rig.joints[i]) for i in inner})
+        location = rig.at("ik", chain.name)
+        reasons = sorted({_reason(rig.rig.joints[i]) for i in inner_joints})
         message = (
             f"{chain.name!r} cannot bend: no joint between {chain.root!r} and "
             f"{chain.tip!r} moves the tip ({', '.join(reasons)})"
         )
         hint = "a pin across its bone, a ball joint or a prismatic joint lets it bend"
-        yield rig.fault("RIG214", at, message, hint)
+        yield rig.fault("RIG214", location, message, hint)
 
 
 def open_bend(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains that are straight at rest and can bend any way (RIG215)."""
+    """Yield chains that are straight at rest and can bend in any direction (RIG215)."""
     positions, rotations = rig.rest
     for chain in rig.rig.chains:
         joints = _joints(rig, chain)
-        inner = [rig.rig.joints[i] for i in joints[1:-1]]
-        reach = positions[joints[-1]] - positions[joints[0]]
-        length = float(np.linalg.norm(reach))
-        moving = [j for j in inner if j.type is not JointType.FIXED]
+        inner_joints = [rig.rig.joints[i] for i in joints[1:-1]]
+        root_to_tip = positions[joints[-1]] - positions[joints[0]]
+        length = float(np.linalg.norm(root_to_tip))
+        moving = [j for j in inner_joints if j.type is not JointType.FIXED]
         if not length or not moving:
             continue
-        away = positions[joints[1:-1]] - positions[joints[0]]
-        off = np.linalg.norm(np.cross(away, reach / length), axis=1)
-        if (off > PARALLEL * length).any():
+        offsets = positions[joints[1:-1]] - positions[joints[0]]
+        distances = np.linalg.norm(np.cross(offsets, root_to_tip / length), axis=1)
+        if (distances > PARALLEL_SINE * length).any():
             continue
-        at = rig.at("ik", chain.name)
+        location = rig.at("ik", chain.name)
         if chain.pole_dir is None:
             if all(j.type in {JointType.BALL, JointType.FREE} for j in moving):
                 message = (
@@ -226,15 +234,15 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
                     "undefined"
                 )
                 hint = "set the direction of its middle with pole_dir"
-                yield rig.fault("RIG215", at, message, hint)
+                yield rig.fault("RIG215", location, message, hint)
             continue
         parent = rig.rig.parents[joints[0]]
         frame = so3.IDENTITY if parent < 0 else rotations[parent]
         pole = so3.rotate(frame, np.array(chain.pole_dir))
-        if float(np.linalg.norm(np.cross(pole, reach / length))) < PARALLEL:
+        if float(np.linalg.norm(np.cross(pole, root_to_tip / length))) < PARALLEL_SINE:
             message = f"the pole_dir of {chain.name!r} points along the chain"
             hint = "it sets the direction of the middle: across the chain"
-            yield rig.fault("RIG215", (*at, "pole_dir"), message, hint)
+            yield rig.fault("RIG215", (*location, "pole_dir"), message, hint)
 
 
 def _joints(rig: RigSubject, chain: IkChain) -> list[int]:
@@ -248,17 +256,17 @@ def _bends(rig: RigSubject, i: int, tip: int) -> bool:
     joint = rig.rig.joints[i]
     if joint.type is JointType.FIXED:
         return False
-    away = _to_tip(rig, i, tip)
+    tip_offset = _to_tip(rig, i, tip)
     match joint.type, joint.limits:
         case JointType.PRISMATIC, limits:
-            return not isinstance(limits, RangeLimit) or _wide(limits)
+            return not isinstance(limits, RangeLimit) or _has_range(limits)
         case JointType.PIN, limits:
-            is_fixed = isinstance(limits, RangeLimit) and not _wide(limits)
-            return not is_fixed and not _parallel(away, np.array(joint.axis))
+            is_fixed = isinstance(limits, RangeLimit) and not _has_range(limits)
+            return not is_fixed and not _is_parallel(tip_offset, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
             twists = twist is None or twist[1] - twist[0] > FIXED_SPAN
             swings = swing is None or max(swing) > FIXED_SPAN
-            return swings or (twists and not _parallel(away, np.array(axis)))
+            return swings or (twists and not _is_parallel(tip_offset, np.array(axis)))
         case _:
             return True
 
@@ -266,23 +274,23 @@ def _bends(rig: RigSubject, i: int, tip: int) -> bool:
 def _to_tip(rig: RigSubject, i: int, tip: int) -> FloatArray:
     """Return the tip position at rest, in a joint's frame."""
     positions, rotations = rig.rest
-    away = positions[tip] - positions[i]
-    return so3.rotate(so3.conjugate(rotations[i]), away)
+    tip_offset = positions[tip] - positions[i]
+    return so3.rotate(so3.conjugate(rotations[i]), tip_offset)
 
 
-def _parallel(vector: FloatArray, axis: FloatArray) -> bool:
+def _is_parallel(vector: FloatArray, axis: FloatArray) -> bool:
     length = float(np.linalg.norm(vector))
-    return float(np.linalg.norm(np.cross(vector, axis))) <= PARALLEL * length
+    return float(np.linalg.norm(np.cross(vector, axis))) <= PARALLEL_SINE * length
 
 
-def _wide(limits: RangeLimit) -> bool:
+def _has_range(limits: RangeLimit) -> bool:
     return limits.high - limits.low > FIXED_SPAN
 
 
 def _reason(joint: Joint) -> str:
     if joint.type is JointType.FIXED:
         return f"{joint.name} is fixed"
-    if isinstance(joint.limits, RangeLimit) and not _wide(joint.limits):
+    if isinstance(joint.limits, RangeLimit) and not _has_range(joint.limits):
         return f"{joint.name} has limits of zero width"
     if joint.type is JointType.PIN:
         return f"{joint.name} rotates about its own bone"

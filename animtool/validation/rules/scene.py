@@ -27,39 +27,39 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that are also inputs (OUT003)."""
     scene = subject.scene
     read = {*subject.read, *scene.inputs, scene.path}
-    for at, output in subject.outputs:
+    for location, output in subject.outputs:
         if output.path is None:
             continue
         layer = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read, *layer)}
         files = outlined(replace(scene, outputs=(output,)), None).files
-        over = [repr(path.name) for path in files if path.resolve() in inputs]
-        if over:
-            message = f"would overwrite {' and '.join(over)}, which it reads"
-            yield subject.fault("OUT003", (*at, "file"), message, "name another")
+        overwritten = [repr(path.name) for path in files if path.resolve() in inputs]
+        if overwritten:
+            message = f"would overwrite {' and '.join(overwritten)}, which it reads"
+            yield subject.fault("OUT003", (*location, "file"), message, "name another")
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that another scene of the folder also writes (SCN204).
 
-    Takes of one library are not the same.
+    Several takes of one library are no conflict.
     """
     scene_path = subject.scene.path.resolve()
     written = [
-        (at, (output.path.resolve(), _take(subject.scene.path, output.bake)))
-        for at, output in subject.outputs
+        (location, (output.path.resolve(), _take(subject.scene.path, output.bake)))
+        for location, output in subject.outputs
         if output.path is not None
     ]
     for path in sorted(scene_path.parent.iterdir()) if written else ():
         if path == scene_path or not is_named(path, "scene"):
             continue
         stat = path.stat()
-        others = _outputs(path, stat.st_mtime_ns, stat.st_size)
-        for at, output in written:
-            if output in others:
+        written_by_other = _outputs(path, stat.st_mtime_ns, stat.st_size)
+        for location, output in written:
+            if output in written_by_other:
                 message = f"{path.name!r} also writes {output[0].name!r}"
                 hint = "change the name in one of them"
-                yield subject.fault("SCN204", (*at, "file"), message, hint)
+                yield subject.fault("SCN204", (*location, "file"), message, hint)
 
 
 def _take(scene: Path, bake: BakeOptions) -> str:
@@ -96,45 +96,46 @@ def _named_take(entry: dict[str, Any]) -> BakeOptions:
 
 def homeless(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs whose folder does not exist (SCN212)."""
-    for at, output in subject.outputs:
+    for location, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
             continue
-        how = "is not a folder" if folder.exists() else "does not exist"
-        message = f"would be written to {str(folder)!r}, which {how}"
+        problem = "is not a folder" if folder.exists() else "does not exist"
+        message = f"would be written to {str(folder)!r}, which {problem}"
         hint = "bake does not make folders: make it first"
-        yield subject.fault("SCN212", (*at, "file"), message, hint)
+        yield subject.fault("SCN212", (*location, "file"), message, hint)
 
 
 def refused(subject: SceneSubject) -> Iterator[Fault]:
     """Yield tolerances of unknown joints (SCN207)."""
-    for at, output in subject.outputs:
+    for location, output in subject.outputs:
         bounds = dict(output.bake.reduce_at)
         try:
             joint_bounds(subject.take.rig, output.bake.reduce or 1.0, bounds)
         except OptionError as error:
-            pointer = (*at, "reduce_at")
+            pointer = (*location, "reduce_at")
             for fault in error.faults:
                 yield subject.fault("SCN207", pointer, fault.message, fault.hint)
 
 
 def without_curves(subject: SceneSubject) -> Iterator[Fault]:
     """Yield curves to keep that do not exist (SCN208)."""
-    for at, output in subject.outputs:
+    for location, output in subject.outputs:
         if output.bake.keep_curves and not subject.curves:
             message = "there is no control whose curve could be kept"
             hint = (
                 "only clips have such curves; a pass that changes a control drops them"
             )
-            yield subject.fault("SCN208", (*at, "keep_curves"), message, hint)
+            yield subject.fault("SCN208", (*location, "keep_curves"), message, hint)
 
 
-# Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
+# Relative difference below which rates are meant to be equal: 24 and 23.976, 30 and
+# 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
 
-# What these come to is stated, not how: a take may have it already.
-_STATES = frozenset({"ik", "resample"})
-# World positions of joints stay equal, despite the table.
+# Passes that define a result instead of a change; a take may already have it.
+_DEFINES_RESULT = frozenset({"ik", "resample"})
+# Passes that keep the world positions of joints although the table says otherwise.
 _KEEPS_POSE = frozenset({"root_motion"})
 
 
@@ -142,7 +143,7 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change nothing (SCN201)."""
     for i in subject.idle:
         name = subject.scene.passes[i].pass_.name
-        if name in _STATES:
+        if name in _DEFINES_RESULT:
             continue
         message = f"the pass {name} changes nothing"
         hint = "remove it, or set options that have an effect"
@@ -151,36 +152,39 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range that extends beyond the take (SCN202)."""
-    yield from _outside(subject, "SCN202", "extends beyond the take", wholly=False)
+    yield from _outside(subject, "SCN202", "extends beyond the take", completely=False)
 
 
 def without_frames(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range without any frame to write (SCN211)."""
-    yield from _outside(subject, "SCN211", "contains no frame of the take", wholly=True)
+    yield from _outside(
+        subject, "SCN211", "contains no frame of the take", completely=True
+    )
 
 
 def _outside(
-    subject: SceneSubject, code: str, how: str, *, wholly: bool
+    subject: SceneSubject, code: str, verb: str, *, completely: bool
 ) -> Iterator[Fault]:
     """Yield a range that is completely or partly outside the take."""
     scene, clock = subject.scene, subject.take.clock
-    frame_range, start = scene.bake.frame_range, _start(subject)
-    if frame_range is None or start is None:
+    frame_range, start_code = scene.bake.frame_range, _start(subject)
+    if frame_range is None or start_code is None:
         return
-    last = start + clock.duration * (scene.bake.fps or clock.fps)
-    if start <= frame_range.first and frame_range.last <= last:
+    last_code = start_code + clock.duration * (scene.bake.fps or clock.fps)
+    if start_code <= frame_range.first and frame_range.last <= last_code:
         return
-    if wholly != (frame_range.last < start or frame_range.first > last):
+    if completely != (frame_range.last < start_code or frame_range.first > last_code):
         return
-    what, at = "range", ("range",)
+    subject_text, location = "range", ("range",)
     if scene.bake.shot is not None:
-        what, at = "cut with its handles,", ("shot",)
+        subject_text, location = "cut with its handles,", ("shot",)
     message = (
-        f"the {what} from {frame_range.first} to {frame_range.last} {how}, which has "
-        f"output frames {float(start):g} to {float(last):g}"
+        f"the {subject_text} from {frame_range.first} to {frame_range.last} {verb}, "
+        "which has "
+        f"output frames {float(start_code):g} to {float(last_code):g}"
     )
     hint = "frame numbers are those of the output, counted from its start"
-    yield subject.fault(code, at, message, hint)
+    yield subject.fault(code, location, message, hint)
 
 
 def _start(subject: SceneSubject) -> Fraction | None:
@@ -205,13 +209,13 @@ def near_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change poses after `ik` reached its targets (SCN210)."""
-    solved = ""
+    ik_pass = ""
     for i, entry in enumerate(subject.scene.passes):
         if i in subject.solved:
-            solved = entry.location.where
-        elif solved and _moves(entry.pass_) and i not in subject.idle:
+            ik_pass = entry.location.where
+        elif ik_pass and _moves(entry.pass_) and i not in subject.idle:
             message = (
-                f"the pass {entry.pass_.name} moves what {solved} solved for targets"
+                f"the pass {entry.pass_.name} moves what {ik_pass} solved for targets"
             )
             hint = "put ik after it"
             yield subject.fault("SCN210", subject.at_pass(i), message, hint)
@@ -235,16 +239,17 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        outside = track.at(times[:, column]).clamped
-        if outside is None or not outside.all():
+        is_outside = track.at(times[:, column]).clamped
+        if is_outside is None or not is_outside.all():
             continue
-        first, last = times[[0, -1], column]
+        first_time, last_time = times[[0, -1], column]
         message = (
-            f"its file has no frame of the take, which needs {first:g} to {last:g}"
+            f"its file has no frame of the take, which needs {first_time:g} to "
+            f"{last_time:g}"
         )
         hint = "set the frame of its file to match the first with frame:"
-        at = ("props", indices[track.path])
-        yield subject.fault("SCN213", at, message, hint)
+        location = ("props", indices[track.path])
+        yield subject.fault("SCN213", location, message, hint)
 
 
 def idle_variables(subject: SceneSubject) -> Iterator[Fault]:

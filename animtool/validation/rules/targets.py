@@ -1,6 +1,6 @@
 """Rules on targets: requested goals, and whether effectors can reach them.
 
-A targets file names no rig. These look at the scenes that name both.
+A targets file names no rig. The rules on reach use the scenes that name both.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.validation.subjects.scene import SceneSubject
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
-# Of many goals that ask the same, the first pairs say all.
+# Largest number of pairs of equal goals that are reported.
 MAX_PAIRS = 1000
 
 
@@ -38,7 +38,7 @@ MAX_PAIRS = 1000
 class TargetsSubject(DocumentSubject):
     """A targets file and its rig."""
 
-    targets: TargetTracks  # what it makes, of a rig that is not known
+    targets: TargetTracks  # its content, for an unknown rig
 
     def outside(
         self, goal: int, key: Location, message: str, first: float, last: float
@@ -58,18 +58,18 @@ def open_targets(document: Document) -> CheckedFile:
 
 def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield keys and spans outside the range of the file (TGT201)."""
-    first, last = subject.targets.first, subject.targets.last
-    if first is None or last is None:
+    range_first, range_last = subject.targets.first, subject.targets.last
+    if range_first is None or range_last is None:
         return
-    low, high = float(first), float(last)
+    first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
-        for key, times, keyed in _outside(goal, low, high):
+        for key, times, times_outside in _outside(goal, first_frame, last_frame):
             message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
             message += "never met"
-            if keyed:
+            if times_outside:
                 message = f"keys of the {key} of {goal.name!r} are never used: "
                 message += listed([f"{t:g}" for t in times])
-            yield subject.outside(i, (key,), message, low, high)
+            yield subject.outside(i, (key,), message, first_frame, last_frame)
 
 
 def _outside(
@@ -78,9 +78,9 @@ def _outside(
     """Yield keys or spans of a goal outside a frame range."""
     for part, value in goal.values.items():
         if isinstance(value, Keyed):
-            outside = keys_beyond(value.channel, first, last)
-            if len(outside):
-                yield part, value.channel.times[outside].tolist(), True
+            unused_keys = keys_beyond(value.channel, first, last)
+            if len(unused_keys):
+                yield part, value.channel.times[unused_keys].tolist(), True
     for key, spans in (("hold", goal.spans), ("during", goal.during)):
         for span in spans:
             if span[1] < first or span[0] > last:
@@ -94,36 +94,46 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
         by_effector.setdefault(effector, []).append(i)
-    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
-    for first, i in sorted(pairs)[:MAX_PAIRS]:
-        one, two = goals[first], goals[i]
-        kinds = [kind for kind in one.goal.kinds if kind in two.goal.kinds]
-        parts = [kind.name for kind in kinds]
-        if not parts or not _overlap(one.during, two.during):
+    equal_candidates = [
+        pair for group in by_effector.values() for pair in combinations(group, 2)
+    ]
+    for earlier, i in sorted(equal_candidates)[:MAX_PAIRS]:
+        first_goal, second_goal = goals[earlier], goals[i]
+        common_kinds = [
+            kind for kind in first_goal.goal.kinds if kind in second_goal.goal.kinds
+        ]
+        part_names = [kind.name for kind in common_kinds]
+        if not part_names or not _overlap(first_goal.during, second_goal.during):
             continue
-        if all(_equal(one.values, two.values, part) for part in parts):
-            message = f"targets the {listed(parts)} of {two.name!r} a second time"
+        if all(
+            _equal(first_goal.values, second_goal.values, part) for part in part_names
+        ):
+            message = (
+                f"targets the {listed(part_names)} of {second_goal.name!r} a second "
+                "time"
+            )
             hint = "remove one of them; weight sets how much it counts"
         else:
             message = (
-                f"targets another {listed(parts)} of {two.name!r} than the goal on "
+                f"targets another {listed(part_names)} of {second_goal.name!r} than "
+                "the goal on "
             )
-            message += f"line {one.location[0]}: both are missed"
+            message += f"line {first_goal.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
 
-def _overlap(one: Sequence[Span], two: Sequence[Span]) -> bool:
-    """Return whether spans have common frames; no spans are all frames."""
-    if not one or not two:
+def _overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
+    """Return whether spans have common frames; no spans means all frames."""
+    if not first or not second:
         return True
-    return any(a <= d and c <= b for a, b in one for c, d in two)
+    return any(a <= d and c <= b for a, b in first for c, d in second)
 
 
 def _equal(
-    one: Mapping[str, Value | None], two: Mapping[str, Value | None], part: str
+    first: Mapping[str, Value | None], second: Mapping[str, Value | None], part: str
 ) -> bool:
-    match one[part], two[part]:
+    match first[part], second[part]:
         case Constant(value=a), Constant(value=b):
             return a == b
         case Keyed(channel=c), Keyed(channel=d):
@@ -150,8 +160,8 @@ def weightless(subject: TargetsSubject) -> Iterator[Fault]:
             if getattr(goal.goal, part) > 0:
                 message = f"the {part} of {goal.name!r} has the weight 0 throughout"
                 hint = f"remove the {part}"
-                at = ("goals", i, "weight", part)
-                yield subject.fault("TGT203", at, message, hint)
+                location = ("goals", i, "weight", part)
+                yield subject.fault("TGT203", location, message, hint)
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
@@ -159,35 +169,38 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
             if not _overlap([span], goal.during):
-                first, last = span
-                message = f"{goal.name!r} is held from {first:g} to {last:g}, when it "
+                span_first, span_last = span
+                message = (
+                    f"{goal.name!r} is held from {span_first:g} to {span_last:g}, when "
+                    "it "
+                )
                 message += "is not active"
                 hint = "hold applies only inside the spans of during"
                 yield subject.fault("TGT204", ("goals", i, "hold"), message, hint)
 
 
-# Of a chain's reach, beyond rounding and what limits of a tolerance leave [1].
-SLACK = 1e-3
-# Points farther from the root joint than so many sizes of the rig, all of them, are in
-# another unit, in which they would be nearer than LIKELY sizes [1].
-FAR, LIKELY = 8.0, 2.0
+# Tolerance of a chain's reach, for rounding and for limits with a tolerance [1].
+REACH_TOLERANCE = 1e-3
+# If all points are farther from the root joint than this many rig sizes, they are in
+# another unit if that puts them within LIKELY sizes [1].
+FAR_SIZES, LIKELY_SIZES = 8.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _SampledTargets:
     """Targets of a scene, sampled over the frames of its take."""
 
     document: Document  # their file
     take: Take  # F frames
     tracks: TargetTracks  # E goals
-    world: WorldTransforms  # where the joints are without them
-    targets: Targets  # where the goals are
+    world: WorldTransforms  # world transforms of the joints without the goals
+    targets: Targets  # sampled targets of the goals
 
     def points(self, e: int) -> tuple[FloatArray, BoolArray]:
         """Return a goal's target points ``(F, 3)``, and its active frames."""
         weights = np.asarray(self.targets.weights)[:, e, 0]
-        asked = (weights > 0) & (self.tracks.goals[e].goal.position > 0)
-        return np.asarray(self.targets.positions)[:, e], np.asarray(asked)
+        is_active = (weights > 0) & (self.tracks.goals[e].goal.position > 0)
+        return np.asarray(self.targets.positions)[:, e], np.asarray(is_active)
 
     @property
     def unit(self) -> float:
@@ -201,43 +214,50 @@ class _Asked:
 
 
 @lru_cache(maxsize=1)
-def _all_asked(subject: SceneSubject) -> tuple[_Asked, ...]:
+def _all_sampled(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
     goals = []
-    for take, tracks in subject.asked:
+    for take, tracks in subject.sampled_targets:
         world = take.world()
         targets = tracks.sample(take.rig, take.clock, world)
         document = read_document(tracks.path)
-        goals.append(_Asked(document, take, tracks, world, targets))
+        goals.append(_SampledTargets(document, take, tracks, world, targets))
     return tuple(goals)
 
 
 def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
     """Yield goals beyond the reach of the fully extended chain (TGT205)."""
-    for asked in _all_asked(subject):
-        rig, times = asked.take.rig, asked.take.clock.times
-        moving = _moving(rig, asked.tracks.goals)
-        for e, track in enumerate(asked.tracks.goals):
-            points, when = asked.points(e)
+    for sampled in _all_sampled(subject):
+        rig, times = sampled.take.rig, sampled.take.clock.times
+        moving = _moving(rig, sampled.tracks.goals)
+        for e, track in enumerate(sampled.tracks.goals):
+            points, is_active = sampled.points(e)
             chain = _chain(rig, track.goal, moving)
-            if chain is None or not when.any():
+            if chain is None or not is_active.any():
                 continue
-            base, reach = _reach(rig, asked.world, track.goal, chain)
-            far = np.linalg.norm(points - base, axis=1)
-            over = np.where(when, far - reach * (1.0 + SLACK), 0.0)
-            frames = np.flatnonzero(over > 0)
+            base, lengths = _reach(rig, sampled.world, track.goal, chain)
+            distances = np.linalg.norm(points - base, axis=1)
+            excess = np.where(
+                is_active, distances - lengths * (1.0 + REACH_TOLERANCE), 0.0
+            )
+            frames = np.flatnonzero(excess > 0)
             if not len(frames):
                 continue
-            worst = int(np.argmax(far - reach + np.where(when, 0.0, -np.inf)))
+            worst_frame = int(
+                np.argmax(distances - lengths + np.where(is_active, 0.0, -np.inf))
+            )
             message = (
-                f"{track.name!r} is {far[worst] - reach[worst]:.3g} m out of reach at "
-                f"frame {times[worst]:g}: {rig.joints[chain[0]].name!r} is "
-                f"{far[worst]:.3g} m away, and the chain is {reach[worst]:.3g} m long"
+                f"{track.name!r} is "
+                f"{distances[worst_frame] - lengths[worst_frame]:.3g} m out of reach "
+                "at "
+                f"frame {times[worst_frame]:g}: {rig.joints[chain[0]].name!r} is "
+                f"{distances[worst_frame]:.3g} m away, and the chain is "
+                f"{lengths[worst_frame]:.3g} m long"
             )
             if len(frames) > 1:
                 message += f"; also in {len(frames)} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
-            fault = asked.fault("TGT205", e, "position", message, hint)
-            yield replace(fault, frame=float(times[worst]))
+            fault = sampled.fault("TGT205", e, "position", message, hint)
+            yield replace(fault, frame=float(times[worst_frame]))
 
 
 def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
@@ -260,20 +280,20 @@ def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
     path = [rig.index(goal.joint)]
     while rig.joints[path[-1]].parent >= 0:
         path.append(rig.joints[path[-1]].parent)
-    tops = [k for k, j in enumerate(path) if j in moving]
-    if not tops or goal.stretch:
+    topmost = [k for k, j in enumerate(path) if j in moving]
+    if not topmost or goal.stretch:
         return None
-    chain = path[tops[-1] :: -1]
+    chain = path[topmost[-1] :: -1]
     if any(j in moving and _slides_freely(rig.joints[j]) for j in chain):
         return None
     return chain
 
 
 def _slides_freely(joint: Joint) -> bool:
-    free = joint.type is JointType.PRISMATIC and not isinstance(
+    is_unlimited = joint.type is JointType.PRISMATIC and not isinstance(
         joint.limits, RangeLimit
     )
-    return free or joint.type is JointType.FREE
+    return is_unlimited or joint.type is JointType.FREE
 
 
 def _reach(
@@ -281,7 +301,7 @@ def _reach(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a chain's root positions ``(F, 3)``, and its maximum length ``(F,)``.
 
-    Straight, with every slide at its end: what limits of joints leave is less.
+    The chain is straight, with every slide at its end; limits of joints may allow less.
     """
     joints = world.positions[:, list(chain)]
     bones = np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
@@ -296,47 +316,55 @@ def _reach(
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
-    for asked in _all_asked(subject):
-        size = rest_size(asked.take.rig)
-        stated = asked.unit
-        # Those whose points are numbers of the file, not a prim's.
+    for sampled in _all_sampled(subject):
+        size = rest_size(sampled.take.rig)
+        file_unit = sampled.unit
+        # Goals whose points are numbers of the file, not a prim's.
         positions = [
             e
-            for e, track in enumerate(asked.tracks.goals)
+            for e, track in enumerate(sampled.tracks.goals)
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
-        points = [asked.points(e)[0][asked.points(e)[1]] for e in positions]
+        points = [sampled.points(e)[0][sampled.points(e)[1]] for e in positions]
         cloud = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(cloud):
             continue
-        root = asked.world.positions[0, asked.take.rig.roots[0]]
-        if np.linalg.norm(cloud - root, axis=1).min() <= FAR * size:
+        root = sampled.world.positions[0, sampled.take.rig.roots[0]]
+        if np.linalg.norm(cloud - root, axis=1).min() <= FAR_SIZES * size:
             continue
         fitting = [
             unit
             for unit in LengthUnit
-            if np.linalg.norm(cloud * (unit.meters / stated) - root, axis=1).max()
-            <= LIKELY * size
+            if np.linalg.norm(cloud * (unit.meters / file_unit) - root, axis=1).max()
+            <= LIKELY_SIZES * size
         ]
         if fitting:
             message = (
-                f"the points are in {unit_name(stated)}, and all are farther from the "
-                f"rig than {FAR:g} times its size"
+                f"the points are in {unit_name(file_unit)}, and all are farther from "
+                "the "
+                f"rig than {FAR_SIZES:g} times its size"
             )
             hint = f"units: {{length: {fitting[0]}}} is more plausible"
-            yield asked.fault("TGT206", positions[0], "position", message, hint)
+            yield sampled.fault("TGT206", positions[0], "position", message, hint)
 
 
 def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets in frames outside the take (TGT207)."""
-    for asked in _all_asked(subject):
-        times = asked.take.clock.times
-        first, last = float(times[0]), float(times[-1])
-        for e, track in enumerate(asked.tracks.goals):
-            for key, at, keyed in _outside(track, first, last):
-                what = f"from {at[0]:g} to {at[-1]:g} is"
-                what = f"has a key at {at[0]:g}, which is used" if keyed else what
-                message = f"the {key} of {track.name!r} {what} in no frame of the take,"
-                message += f" which has {first:g} to {last:g}"
+    for sampled in _all_sampled(subject):
+        times = sampled.take.clock.times
+        first_time, last_time = float(times[0]), float(times[-1])
+        for e, track in enumerate(sampled.tracks.goals):
+            for key, outside_times, are_keys in _outside(track, first_time, last_time):
+                frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
+                frames_text = (
+                    f"has a key at {outside_times[0]:g}, which is used"
+                    if are_keys
+                    else frames_text
+                )
+                message = (
+                    f"the {key} of {track.name!r} {frames_text} in no frame of the "
+                    "take,"
+                )
+                message += f" which has {first_time:g} to {last_time:g}"
                 hint = "frame numbers of targets are those of the take"
-                yield asked.fault("TGT207", e, key, message, hint)
+                yield sampled.fault("TGT207", e, key, message, hint)

@@ -14,34 +14,37 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed, percent
 from animtool.validation.subjects.trajectories import MarkersSubject
 
-# Share of its frames that a marker may be missing from.
+# Fraction of its frames in which a marker may be missing.
 MISSING_FRACTION = 0.1
-# Share of all points that may be without a label.
+# Fraction of all points that may be unlabelled.
 UNLABELLED_FRACTION = 0.1
-# How far apart the markers of a frame usually are [m]: more than any stage, and less
+# Plausible extents of the markers in a frame [m]: larger than any stage, and smaller
 # than a face. A person in a wrong unit is 10 or 1000 times as large or small.
-LARGEST, SMALLEST = 30.0, 0.03
-# Two markers are nearer in most frames than any that have a size [m].
-SAME = 1e-4
+MAX_EXTENT, MIN_EXTENT = 30.0, 0.03
+# Two markers that are nearer than this in most frames are the same point [m].
+SAME_POINT = 1e-4
 SAME_FRACTION = 0.5
-MAX_NAMED = 12
-# Frames whose distances between all markers are in memory at once.
-FRAMES_COMPARED = 64
+MAX_LISTED = 12
+# Frames per block of the comparison of all marker pairs.
+BLOCK_FRAMES = 64
 
 
 def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield labelled markers missing from many frames (MKR201)."""
     markers = subject.markers
-    shares = 1.0 - markers.visible.mean(axis=0)
-    often = [
+    missing_fractions = 1.0 - markers.visible.mean(axis=0)
+    often_missing = [
         f"{name} {percent(fraction)}"
-        for name, fraction in zip(markers.names, shares.tolist(), strict=True)
+        for name, fraction in zip(
+            markers.names, missing_fractions.tolist(), strict=True
+        )
         if not name.startswith("*") and MISSING_FRACTION < fraction < 1.0
     ]
-    if often:
+    if often_missing:
         message = (
-            f"{counted(len(often), 'marker')} missing from more than "
-            f"{percent(MISSING_FRACTION)} of frames: {listed(often, MAX_NAMED)}"
+            f"{counted(len(often_missing), 'marker')} missing from more than "
+            f"{percent(MISSING_FRACTION)} of frames: "
+            f"{listed(often_missing, MAX_LISTED)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
         yield subject.fault("MKR201", message, hint)
@@ -51,13 +54,14 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers with spikes of a few frames (MKR202)."""
     outliers = find_spikes(subject.markers)
     if outliers:
-        worst = max(outliers, key=lambda spike: spike.size)
-        # Frames as the file numbers them.
-        frame = int(subject.markers.clock.start) + worst.first
+        largest = max(outliers, key=lambda spike: spike.size)
+        # Frame numbers of the file.
+        frame = int(subject.markers.clock.start) + largest.first
         names = list(dict.fromkeys(spike.marker for spike in outliers))
         message = (
-            f"{counted(len(outliers), 'spike')} of {listed(names, MAX_NAMED)}; the "
-            f"largest, {1000 * worst.size:.3g} mm, of {worst.marker} at frame {frame}"
+            f"{counted(len(outliers), 'spike')} of {listed(names, MAX_LISTED)}; the "
+            f"largest, {1000 * largest.size:.3g} mm, of {largest.marker} at frame "
+            f"{frame}"
         )
         hint = "animtool mocap fill removes them"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
@@ -67,8 +71,8 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if many points have no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.visible
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
-    total = int(visible.sum())
-    fraction = float(visible[:, nameless].sum()) / total if total else 0.0
+    point_count = int(visible.sum())
+    fraction = float(visible[:, nameless].sum()) / point_count if point_count else 0.0
     if fraction > UNLABELLED_FRACTION:
         message = f"{percent(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
@@ -81,11 +85,11 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
     if not len(extents):
         return
     median = float(np.median(extents))
-    if median > LARGEST:
+    if median > MAX_EXTENT:
         message = (
             f"markers of a frame are {median:.3g} m apart: too far for a capture volume"
         )
-    elif median < SMALLEST:
+    elif median < MIN_EXTENT:
         message = f"markers of a frame are {1000 * median:.3g} mm apart: too close"
     else:
         return
@@ -96,14 +100,14 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
 
 def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
     """Return the bounds diagonals of frames with three points or more."""
-    several = visible.sum(axis=1) >= 3
-    if not several.any():
+    has_several = visible.sum(axis=1) >= 3
+    if not has_several.any():
         return np.zeros(0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        low = np.nanmin(positions[several], axis=1)
-        high = np.nanmax(positions[several], axis=1)
-    return np.asarray(np.linalg.norm(high - low, axis=-1))
+        lowest = np.nanmin(positions[has_several], axis=1)
+        highest = np.nanmax(positions[has_several], axis=1)
+    return np.asarray(np.linalg.norm(highest - lowest, axis=-1))
 
 
 def same_points(subject: MarkersSubject) -> Iterator[Fault]:
@@ -111,23 +115,30 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
     markers = subject.markers
     labelled = [i for i, name in enumerate(markers.names) if not name.startswith("*")]
     count = len(labelled)
-    together = np.zeros((count, count), np.int64)
-    both = np.zeros((count, count), np.int64)
-    for begin in range(0, len(markers), FRAMES_COMPARED):
-        part = markers.positions[begin : begin + FRAMES_COMPARED, labelled]
-        there = np.isfinite(part[..., 0])
-        both += np.einsum("fi,fj->ij", there.astype(np.int64), there.astype(np.int64))
-        near = np.ones((len(part), count, count), np.bool_)
+    near_counts = np.zeros((count, count), np.int64)
+    both_visible = np.zeros((count, count), np.int64)
+    for block_start in range(0, len(markers), BLOCK_FRAMES):
+        part = markers.positions[block_start : block_start + BLOCK_FRAMES, labelled]
+        is_visible = np.isfinite(part[..., 0])
+        both_visible += np.einsum(
+            "fi,fj->ij", is_visible.astype(np.int64), is_visible.astype(np.int64)
+        )
+        is_near = np.ones((len(part), count, count), np.bool_)
         with np.errstate(invalid="ignore"):
             for axis in range(3):
-                along = part[..., axis]
-                near &= np.abs(along[:, :, None] - along[:, None, :]) < SAME
-        together += near.sum(axis=0)
-    pairs = np.argwhere(np.triu((together > SAME_FRACTION * both) & (both > 0), 1))
+                coordinates = part[..., axis]
+                is_near &= (
+                    np.abs(coordinates[:, :, None] - coordinates[:, None, :])
+                    < SAME_POINT
+                )
+        near_counts += is_near.sum(axis=0)
+    pairs = np.argwhere(
+        np.triu((near_counts > SAME_FRACTION * both_visible) & (both_visible > 0), 1)
+    )
     if len(pairs):
         names = [markers.names[i] for i in labelled]
-        shown = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
-        message = f"markers at the same position: {listed(shown, MAX_NAMED)}"
+        pair_texts = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
+        message = f"markers at the same position: {listed(pair_texts, MAX_LISTED)}"
         hint = "remove one of them, or label them again"
         yield subject.fault("MKR205", message, hint)
 
@@ -136,11 +147,11 @@ def unseen(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers without any frame (MKR206)."""
     markers = subject.markers
     counts = markers.visible.sum(axis=0).tolist()
-    never = [
+    never_visible = [
         name
         for name, count in zip(markers.names, counts, strict=True)
         if not count and not name.startswith("*")
     ]
-    if never:
-        message = f"markers that no frame has: {listed(never, MAX_NAMED)}"
+    if never_visible:
+        message = f"markers that no frame has: {listed(never_visible, MAX_LISTED)}"
         yield subject.fault("MKR206", message, "remove them")

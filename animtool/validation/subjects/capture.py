@@ -26,7 +26,7 @@ class TakeSubject:
     """A take and its file."""
 
     path: Path  # the file
-    take: Take  # all of it
+    take: Take  # the full take
 
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str
@@ -38,8 +38,8 @@ class TakeSubject:
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
         """Return a fault of a joint, at the line that declares it."""
         line = self._lines.get(joint)
-        lines = () if line is None else (line,)
-        return Fault(code, message, str(self.path), lines, hint, where=joint)
+        declared_lines = () if line is None else (line,)
+        return Fault(code, message, str(self.path), declared_lines, hint, where=joint)
 
     @cached_property
     def _lines(self) -> dict[str, int]:
@@ -57,7 +57,7 @@ class TakeSubject:
 
 
 def open_bvh(path: Path) -> CheckedFile:
-    """Return the subject of a BVH file, every row read."""
+    """Return the subject of a BVH file, with every row read."""
     take = open_source(path).collect()
     faults = [notice.in_file(path) for notice in take.notices]
     subject = TakeSubject(path, take)
@@ -72,7 +72,7 @@ def open_livelink(path: Path) -> CheckedFile:
 
 def open_take(path: Path) -> CheckedFile:
     """Return a take of a format without format rules; motion rules apply."""
-    checked, stream, take = _read(Kind.TAKE, path)
+    checked_file, stream, take = _read(Kind.TAKE, path)
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
@@ -81,7 +81,7 @@ def open_take(path: Path) -> CheckedFile:
         return Fault(code, message, str(path), (), hint, where=joint or None)
 
     motion = MotionSubject(take, fault_at, has_units="units" in stream.details)
-    return replace(checked, takes=(motion,))
+    return replace(checked_file, takes=(motion,))
 
 
 def _read(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:

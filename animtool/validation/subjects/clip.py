@@ -35,9 +35,9 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 class ClipSubject(DocumentSubject):
     """A clip, its rig, and its file."""
 
-    clip: Clip  # what it makes
-    rig: Rig  # what it moves
-    take: Take  # the clip at its frames
+    clip: Clip  # the clip of the file
+    rig: Rig  # the rig it animates
+    take: Take  # the sampled clip
     units: ClipUnits  # of the numbers in the file
 
     @cached_property
@@ -48,7 +48,7 @@ class ClipSubject(DocumentSubject):
     def at(self, joint: str, frame: float) -> Location:
         """Return the previous key of a joint's first channel at a frame.
 
-        Where it has no channel, the list of them.
+        Without a channel, the list of channels.
         """
         for i, channel in enumerate(self.clip.channels):
             if channel.target.startswith(f"joint/{joint}."):
@@ -59,8 +59,8 @@ class ClipSubject(DocumentSubject):
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
         """Return a fault of a joint at a frame, located at its previous key."""
-        known = joint and frame is not None
-        pointer = self.at(joint, frame or 0.0) if known else ("channels",)
+        has_location = joint and frame is not None
+        pointer = self.at(joint, frame or 0.0) if has_location else ("channels",)
         return self.fault(code, pointer, message, hint)
 
     @cached_property
@@ -68,12 +68,12 @@ class ClipSubject(DocumentSubject):
         """Mask of frame intervals that contain a stepped key ``(F - 1,)``."""
         frames = np.array(self.frames)
         cuts = np.zeros(len(frames) - 1, bool)
-        stepped = [c for c in self.clip.channels if Interp.STEP in c.interps]
-        for channel in stepped:
+        stepped_channels = [c for c in self.clip.channels if Interp.STEP in c.interps]
+        for channel in stepped_channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
-                    at = channel.times[k + 1]
-                    cuts |= (frames[:-1] < at) & (at <= frames[1:])
+                    key_frame = channel.times[k + 1]
+                    cuts |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
         return cuts
 
     def key(self, channel: int, frame: float) -> Location:
@@ -86,7 +86,7 @@ class ClipSubject(DocumentSubject):
 def open_clip_document(document: Document) -> CheckedFile:
     """Return the subject of a clip file, on the rig that it names.
 
-    Where it names none, what can be told without is checked, and that is noted.
+    Without a rig, everything that does not need one is checked, and a note says so.
     """
     file = clip_of_document(document)
     if file.model.rig is None:
@@ -98,23 +98,23 @@ def open_clip_document(document: Document) -> CheckedFile:
     rig = load_rig_of(file)
     clip = load_clip(file, rig)
     path = document.path
-    checked = CheckedFile(Kind.CLIP, list(clip.notices))
-    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), checked)
+    checked_file = CheckedFile(Kind.CLIP, list(clip.notices))
+    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), checked_file)
     if take is not None:
-        checked.faults += take.notices
+        checked_file.faults += take.notices
         units = file_units(file.model, rig)
         subject = ClipSubject(document, clip, rig, take, units)
-        motion = MotionSubject(take, subject.fault_at, meant=subject.cuts)
-        checked.subject, checked.takes = subject, (motion,)
-    return checked
+        motion = MotionSubject(take, subject.fault_at, intended_cuts=subject.cuts)
+        checked_file.subject, checked_file.takes = subject, (motion,)
+    return checked_file
 
 
 def _placed(
-    path: Path, sample: Callable[[], Take], checked: CheckedFile
+    path: Path, sample: Callable[[], Take], checked_file: CheckedFile
 ) -> Take | None:
     """Return a clip's take; faults without location get the file's name."""
     try:
         return sample()
     except AnimtoolError as error:
-        checked.faults += [fault.in_file(path) for fault in error.faults]
+        checked_file.faults += [fault.in_file(path) for fault in error.faults]
         return None

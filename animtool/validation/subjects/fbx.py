@@ -27,27 +27,29 @@ def open_fbx(path: Path) -> CheckedFile:
     note_input(path)
     scene = open_scene(path)
     faults: list[Fault] = []
-    takes: list[MotionSubject] = []
+    take_subjects: list[MotionSubject] = []
     if scene.nodes:
         for character in characters(scene):
-            built = build_rig(scene, character, scene.path.stem)
-            faults += built.notices
-            takes += _takes(scene, built, faults)
+            built_rig = build_rig(scene, character, scene.path.stem)
+            faults += built_rig.notices
+            take_subjects += _takes(scene, built_rig, faults)
     notices = [*scene.file.notes.notices, *faults]
-    return CheckedFile(Kind.FBX, notices, takes=tuple(takes))
+    return CheckedFile(Kind.FBX, notices, takes=tuple(take_subjects))
 
 
-def _takes(scene: FbxScene, built: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
+def _takes(
+    scene: FbxScene, built_rig: FbxRig, faults: list[Fault]
+) -> list[MotionSubject]:
     subjects = []
     for take in scene.takes:
-        if not animates_rig(built, take, scene):
+        if not animates_rig(built_rig, take, scene):
             continue
-        moving = FbxSampler(scene, built, take)
+        moving = FbxSampler(scene, built_rig, take)
         try:
             frames = frames_of(scene, take, None, moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take_data = take_stream(built, moving, frames).collect()
-        subjects.append(clip_subject(scene.path, built.rig, take_data, take.where))
+        take_data = take_stream(built_rig, moving, frames).collect()
+        subjects.append(clip_subject(scene.path, built_rig.rig, take_data, take.where))
     return subjects

@@ -34,7 +34,7 @@ from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 
 # Keys with this spacing are samples [frame].
-SAMPLED = 0.25
+MAX_SAMPLE_SPACING = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
@@ -42,33 +42,35 @@ def open_gltf(path: Path) -> CheckedFile:
     note_input(path)
     gltf = open_document(path)
     faults: list[Fault] = []
-    takes: list[MotionSubject] = []
+    take_subjects: list[MotionSubject] = []
     if gltf.nodes:
         for character in characters(gltf):
-            built = _built(gltf, character, faults)
-            takes += _takes(gltf, built, faults)
-    return CheckedFile(Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(takes))
+            built_rig = _built(gltf, character, faults)
+            take_subjects += _takes(gltf, built_rig, faults)
+    return CheckedFile(
+        Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
+    )
 
 
 def _built(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
-    built = build_rig(gltf, character, gltf.path.stem)
-    faults += built.notices
-    return built
+    rig_and_skins = build_rig(gltf, character, gltf.path.stem)
+    faults += rig_and_skins.notices
+    return rig_and_skins
 
 
-def _takes(gltf: Gltf, built: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
+def _takes(gltf: Gltf, built_rig: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
     subjects = []
     for animation in gltf.animations:
-        if not animates_rig(built, animation):
+        if not animates_rig(built_rig, animation):
             continue
-        moving = sampler_of(gltf, built, animation)
+        moving = sampler_of(gltf, built_rig, animation)
         try:
             frames = frames_of(animation, None, str(gltf.path), moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(built, moving, frames).collect()
-        subject = clip_subject(gltf.path, built.rig, take, animation.where)
+        take = clip_stream(built_rig, moving, frames).collect()
+        subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
         subjects.append(_at_keys(subject, moving, animation, frames))
     return subjects
 
@@ -81,24 +83,30 @@ def _at_keys(
 ) -> MotionSubject:
     """Return a clip without the frames before its first key.
 
-    One with a key about every frame is looked at where its keys are.
+    A clip with roughly one key per frame is sampled at its keys.
     """
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
     codes = key_frames(seconds, frames)
-    nearest = np.round(codes)
-    codes = np.where(np.abs(codes - nearest) <= ON_FRAME, nearest, codes)
-    last = float(clock.times[-1])
-    range_ = (float(min(clock.start, frames.start)), last)
-    if len(codes) > 1 and abs(float(np.median(np.diff(codes))) - 1.0) <= SAMPLED:
+    nearest_frames = np.round(codes)
+    codes = np.where(np.abs(codes - nearest_frames) <= ON_FRAME, nearest_frames, codes)
+    last_time = float(clock.times[-1])
+    range_ = (float(min(clock.start, frames.start)), last_time)
+    if (
+        len(codes) > 1
+        and abs(float(np.median(np.diff(codes))) - 1.0) <= MAX_SAMPLE_SPACING
+    ):
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
         motion = moving.at(frames.seconds(codes))
     else:
-        after = int(np.searchsorted(clock.times, codes[0]))
-        if not 0 < after < clock.count:
+        first_kept = int(np.searchsorted(clock.times, codes[0]))
+        if not 0 < first_kept < clock.count:
             return subject
-        codes, motion = clock.times[after:], take.motion.select(slice(after, None))
+        codes, motion = (
+            clock.times[first_kept:],
+            take.motion.select(slice(first_kept, None)),
+        )
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
     return replace(subject, take=take, codes=codes, frame_range=range_)
@@ -127,12 +135,14 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
 def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
     """Return the joints that influence points, and all joints outside skins.
 
-    Joints above one that moves points move them too.
+    Ancestors of joints that influence points influence them, too.
     """
     names = set(rig.names) - {name for skin in skins for name in skin.joints}
     for skin in skins:
-        used = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(int)
-        for name in (skin.joints[k] for k in used.tolist()):
+        used_joints = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(
+            int
+        )
+        for name in (skin.joints[k] for k in used_joints.tolist()):
             names.update(rig.names[j] for j in rig.upwards(rig.index(name)))
     return frozenset(names)
 
@@ -140,20 +150,22 @@ def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
 def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     """Return the bind positions of the joints ``(J, 3)`` [m].
 
-    A glTF does not say where the mesh was then: the topmost joint that is bound is
-    where it is at rest. Joints that are not bound are at rest; None without any bound.
+    A glTF does not state the mesh's position at bind time: the topmost bound joint is
+    assumed to be at rest. Unbound joints are at rest; None without any bound joint.
     """
     joints = sorted({rig.index(name) for skin in skins for name in skin.joints})
     if not joints:
         return None
-    rest, bind = rest_world(rig), bind_matrices(rig)
-    first = np.eye(4)
-    first[:3, :3] = rest.linear[0, joints[0]]
-    first[:3, 3] = rest.positions[0, joints[0]]
-    placed = first @ np.linalg.inv(bind[joints[0]]) @ bind[joints]
-    if np.ptp(placed[:, :3, 3], axis=0).max() == 0.0:
+    rest_transforms, bind_transforms = rest_world(rig), bind_matrices(rig)
+    first_bind = np.eye(4)
+    first_bind[:3, :3] = rest_transforms.linear[0, joints[0]]
+    first_bind[:3, 3] = rest_transforms.positions[0, joints[0]]
+    bind_in_world = (
+        first_bind @ np.linalg.inv(bind_transforms[joints[0]]) @ bind_transforms[joints]
+    )
+    if np.ptp(bind_in_world[:, :3, 3], axis=0).max() == 0.0:
         # A skin without bind matrices.
         return None
-    positions = rest.positions[0].copy()
-    positions[joints] = placed[:, :3, 3]
+    positions = rest_transforms.positions[0].copy()
+    positions[joints] = bind_in_world[:, :3, 3]
     return np.asarray(positions)

@@ -52,7 +52,7 @@ def open_batch(document: Document) -> CheckedFile:
 def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
     """Return variables that batch files give scenes, by scene path.
 
-    What is wrong with a batch is reported for the batch alone.
+    Faults of a batch are reported only for the batch.
     """
     by_scene: dict[Path, SceneValues] = {}
     for path in paths:
@@ -116,7 +116,7 @@ def open_cameras(document: Document) -> CheckedFile:
 
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
-# How names end of the files that a folder is searched for.
+# Suffixes of the documents that are found in a folder.
 DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
     for kind in sorted(_DOCUMENTS)
@@ -125,7 +125,7 @@ DOCUMENT_SUFFIXES = tuple(
 )
 _SEARCHED = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 SUFFIXES = (
-    # An npz, a CSV or an XML file may be anything.
+    # An npz, a CSV or an XML file may contain anything.
     *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED),
     *DOCUMENT_SUFFIXES,
 )
@@ -151,7 +151,7 @@ _OPENERS = {
     Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
     Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
 }
-# What files are that nobody writes by hand.
+# Kinds of files that are not written by hand.
 _READ_AS = {
     BVH: Kind.BVH,
     USD: Kind.USD,
@@ -193,11 +193,11 @@ def open_document(document: Document, values: SceneValues | None = None) -> Chec
     """Return the subject of a text document, like `open_file`."""
     kind = Kind(version_of(document, STEPS)[0])
     if kind is Kind.SCENE and values is not None:
-        checked = _open(kind, document, values)
+        checked_file = _open(kind, document, values)
     else:
-        checked = _open(kind, document)
-    checked.document = document
-    return checked
+        checked_file = _open(kind, document)
+    checked_file.document = document
+    return checked_file
 
 
 def _open(kind: Kind, *what: object) -> CheckedFile:

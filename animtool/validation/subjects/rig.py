@@ -21,7 +21,7 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 class RigSubject(DocumentSubject):
     """A rig and its file."""
 
-    rig: Rig  # what it makes
+    rig: Rig  # the rig of the file
 
     def written(self, key: str) -> list[Any]:
         """Return a list of the file; empty if absent."""
@@ -31,8 +31,8 @@ class RigSubject(DocumentSubject):
     def at(self, key: str, name: str) -> Location:
         """Return the location of a list entry, by its name.
 
-        A joint that a mirror wrote is where the other side is; what comes from
-        another file is where that is named.
+        A mirrored joint is located at its source; entries of another file are located
+        where that file is named.
         """
         pointer = self._pointers.get((key, name))
         if pointer is not None:
@@ -65,12 +65,12 @@ class RigSubject(DocumentSubject):
     def size(self) -> float:
         """Diagonal of the bounds of joints and tips at rest [m]."""
         positions, rotations = self.rest
-        points = [positions]
+        point_sets = [positions]
         for i, joint in enumerate(self.rig.joints):
             if joint.tips:
                 tips = np.array(joint.tips)
-                points.append(positions[i] + so3.rotate(rotations[i], tips))
-        cloud = np.concatenate(points)
+                point_sets.append(positions[i] + so3.rotate(rotations[i], tips))
+        cloud = np.concatenate(point_sets)
         if not len(cloud):
             return 0.0
         return float(np.linalg.norm(cloud.max(axis=0) - cloud.min(axis=0)))

@@ -25,28 +25,28 @@ from animtool.scene.scene import Scene
 from animtool.scene.systems.character_motion import motion_of
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
-# Values that differ by less are the same [m], [1].
-SAME = 1e-9
-# Options of an output that a bake refuses, and the codes that the command has for them.
-REFUSED, OF_OPTIONS = "SCN207", {"CLI002", "CLI004"}
+# Values that differ by less are equal [m], [1].
+EQUAL_VALUES = 1e-9
+# Options of an output that a bake refuses, and the corresponding codes of the command.
+REFUSED_CODE, OPTION_CODES = "SCN207", {"CLI002", "CLI004"}
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
     """A scene with its source and the result of its passes."""
 
-    scene: Scene  # what the file makes
-    take: Take  # its source with all passes done
-    # Time code of its first frame; None where nothing states one.
+    scene: Scene  # the scene of the file
+    take: Take  # its source with all passes applied
+    # Time code of its first frame; None if unspecified.
     start: Fraction | None
-    curves: bool  # whether it has curves of controls
-    idle: tuple[int, ...]  # which passes change nothing
-    # The takes that passes of the kind `ik` are given, by index.
+    curves: bool  # whether its controls have curves
+    idle: tuple[int, ...]  # indices of passes that change nothing
+    # Input takes of the `ik` passes, by pass index.
     solved: dict[int, Take]
-    read: frozenset[Path]  # the files that were read for it
+    read: frozenset[Path]  # files that were read for the scene
 
     @cached_property
-    def asked(self) -> list[tuple[Take, TargetTracks]]:
+    def sampled_targets(self) -> list[tuple[Take, TargetTracks]]:
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
@@ -58,14 +58,14 @@ class SceneSubject(DocumentSubject):
     @property
     def targets(self) -> set[str]:
         """The targets files of its passes, as named in faults."""
-        return {str(tracks.path) for _, tracks in self.asked}
+        return {str(tracks.path) for _, tracks in self.sampled_targets}
 
     @cached_property
     def outputs(self) -> list[tuple[Location, SceneOutput]]:
         """Output files, and their locations in the scene file."""
-        several = isinstance(self.document.value.get("output"), list)
+        has_several = isinstance(self.document.value.get("output"), list)
         return [
-            (("output", i) if several else ("output",), output)
+            (("output", i) if has_several else ("output",), output)
             for i, output in enumerate(self.scene.outputs)
         ]
 
@@ -84,24 +84,25 @@ def open_scene(
     values = SceneValues() if batch_values is None else batch_values
     scene = scene_of_document(document, values.values, parts=values.parts)
     path = str(document.path)
-    checked = CheckedFile(Kind.SCENE)
+    checked_file = CheckedFile(Kind.SCENE)
     if not scene.sources:
-        # It has no take: its reader has checked all but how systems begin.
-        checked.faults = [*scene.notices, *_refused(scene, None)]
-        return checked
+        # Without a take: its reader has checked everything but the initial states of
+        # systems.
+        checked_file.faults = [*scene.notices, *_refused(scene, None)]
+        return checked_file
     try:
-        checked.subject, notices = _played(document, scene)
+        checked_file.subject, notices = _played(document, scene)
     except AnimtoolError as error:
         faults = list(error.faults)
     else:
-        # What is odd about another file is said of that one; but targets make no
-        # sense alone.
-        located = {None, path, *checked.subject.targets}
-        faults = [fault for fault in notices if fault.path in located]
-        faults += _refused(scene, checked.subject.take)
+        # Notices about other files are reported for those files; but targets cannot be
+        # checked alone.
+        named_files = {None, path, *checked_file.subject.targets}
+        faults = [fault for fault in notices if fault.path in named_files]
+        faults += _refused(scene, checked_file.subject.take)
     faults = [fault.in_file(path) for fault in faults]
-    checked.faults = [*scene.notices, *faults]
-    return checked
+    checked_file.faults = [*scene.notices, *faults]
+    return checked_file
 
 
 def _refused(scene: Scene, take: Take | None) -> list[Fault]:
@@ -109,11 +110,11 @@ def _refused(scene: Scene, take: Take | None) -> list[Fault]:
     from animtool.scene.bake.outline import outlined  # loads USD
     from animtool.scene.bake.plan import refusals
 
-    refused = [
-        replace(fault, code=REFUSED) if fault.code in OF_OPTIONS else fault
+    refused_faults = [
+        replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
         for fault in refusals(outlined(scene, None), take)
     ]
-    return [*refused, *_simulated(scene, take)]
+    return [*refused_faults, *_simulated(scene, take)]
 
 
 def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
@@ -128,20 +129,20 @@ def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
         run = SystemRun(scene.systems, _seconds(scene, take), motion, main_rig=rig)
     except AnimtoolError as error:
         return list(error.faults)
-    # Notes are of how it will be simulated.
-    return [one for one in run.notices if one.severity is not Severity.NOTE]
+    # Notes are about how it will be simulated.
+    return [notice for notice in run.notices if notice.severity is not Severity.NOTE]
 
 
 def _seconds(scene: Scene, take: Take | None) -> float:
     """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)
-    from animtool.scene.systems.bake import FPS
+    from animtool.scene.systems.bake import DEFAULT_FPS
 
     frames = scene.bake.frame_range
     if frames is None:
         return 0.0
-    return float((frames.last - frames.first) / (scene.bake.fps or FPS))
+    return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
@@ -152,12 +153,12 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
-            after, stream = step
+            result, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved[i] = take
-            if _equal_sources(take, after):
+            if _equal_sources(take, result):
                 idle.append(i)
-            take = after
+            take = result
     subject = SceneSubject(
         document,
         scene,
@@ -175,16 +176,22 @@ def _equal_sources(before: Take, after: Take) -> bool:
     """Return whether a pass left a take unchanged."""
     if before.clock != after.clock or before.rig.names != after.rig.names:
         return False
-    parts = [f.name for f in fields(Motion) if f.name != "points"]
-    pairs = [
-        (getattr(before.motion, part), getattr(after.motion, part)) for part in parts
+    channel_names = [f.name for f in fields(Motion) if f.name != "points"]
+    channel_pairs = [
+        (getattr(before.motion, field_name), getattr(after.motion, field_name))
+        for field_name in channel_names
     ]
-    old, new = before.motion.points, after.motion.points
-    pairs += [(old.get(name), new.get(name)) for name in {*old, *new}]
-    return all(_same(one, other) for one, other in pairs)
+    before_channel, after_channel = before.motion.points, after.motion.points
+    channel_pairs += [
+        (before_channel.get(name), after_channel.get(name))
+        for name in {*before_channel, *after_channel}
+    ]
+    return all(
+        _same(before_value, after_value) for before_value, after_value in channel_pairs
+    )
 
 
 def _same(one: Channel | None, two: Channel | None) -> bool:
     if one is None or two is None:
         return one is two
-    return np.allclose(one.dense(), two.dense(), rtol=0.0, atol=SAME)
+    return np.allclose(one.dense(), two.dense(), rtol=0.0, atol=EQUAL_VALUES)

@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 class CheckedFile:
     """A file that was read as far as possible."""
 
-    kind: Kind  # what it is
-    # What its reader refused and noticed.
+    kind: Kind  # kind of the file
+    # Faults and notices of its reader.
     faults: list[Fault] = field(default_factory=list)
-    # What the rules of its kind look at; None where the reader refused it.
+    # Subject of the rules of its kind; None if the reader refused the file.
     subject: Any = None
-    document: Document | None = None  # its text; None of files that people do not write
-    # What moves in it, one entry a character or take, for motion rules.
+    document: Document | None = (
+        None  # its text; None for files that are not written by hand
+    )
+    # Its motion for the motion rules, one entry per character or take.
     takes: tuple[MotionSubject, ...] = ()
-    # Name of the severity profile that its content asks for, if any.
+    # Name of the severity profile requested by its content, if any.
     profile: str | None = None
 
 

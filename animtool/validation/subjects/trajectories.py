@@ -16,7 +16,7 @@ class MarkersSubject:
     """Markers and their file."""
 
     path: Path  # the file
-    markers: Markers  # all of it
+    markers: Markers  # all markers
 
     def fault(
         self, code: str, message: str, hint: str | None = None, where: str | None = None
@@ -26,7 +26,7 @@ class MarkersSubject:
 
 
 def open_trajectories(path: Path) -> CheckedFile:
-    """Return the subject of a C3D, TRC or npz marker file, every frame read."""
+    """Return the subject of a C3D, TRC or npz marker file, with every frame read."""
     from animtool.formats.marker_files import open_markers
 
     markers = open_markers(path)

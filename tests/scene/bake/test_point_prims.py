@@ -40,7 +40,7 @@ def test_pieces_are_the_motion_with_their_neighbours(
 ) -> None:
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(deformed_character, "PIECE", most)
+        patch.setattr(deformed_character, "PIECE_FRAMES", most)
         found = list(pieces(blocks(lengths), neighbours=neighbours))
     own = []
     for codes, motion, kept in found:

@@ -12,7 +12,7 @@ from animtool.documents.document import document_of
 from animtool.documents.edit import edited
 from animtool.rig.file import load_rig
 from animtool.rig.schema import RigModel
-from animtool.validation.fixes.names import USES, renaming
+from animtool.validation.fixes.names import NAME_PATHS, renaming
 from animtool.validation.fixes.run import fix_files
 from animtool.validation.run import validate
 
@@ -73,7 +73,7 @@ def test_the_rig_is_the_same_but_for_its_names(key: str, tmp_path: Path) -> None
 
 def test_every_name_of_the_format_is_known() -> None:
     """A key of names that is new in the schema wants a line in the table."""
-    known = {use.replace("{}", "*") for uses in USES.values() for use in uses}
+    known = {use.replace("{}", "*") for uses in NAME_PATHS.values() for use in uses}
     others = {"name", "ik/*/name", "attach/*/name", "attach/*/kind", "controls/*/name",
               "controls/*/drives/*/control"}  # fmt: skip
     assert set(_names(RigModel.model_json_schema(by_alias=True))) == known | others
