@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +96,8 @@ def test_it_comes_back_from_what_is_written(folder: Path, rig: Rig) -> None:
 def test_every_kind_of_target_plays_in_usd(folder: Path, rig: Rig) -> None:
     done = animtool_process("bake", "shot.clip.yaml", "-o", "shot.usdc", cwd=folder)
     assert done.code == 0, done.stderr
-    assert "warning" not in done.stderr
+    # The elbow has keys besides the control that curls it.
+    assert re.findall(r"warning: (\S+)", done.stderr) == ["CLIP111"]
     stage = open_stage(folder / "shot.usdc")
     assert validation_errors(stage) == []
     clip = load_clip(open_clip(folder / "shot.clip.yaml"), rig)
