@@ -23,7 +23,6 @@ from animtool.core.errors import (
     OutputError,
     Severity,
     counted,
-    excerpt,
 )
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input, read_input
@@ -61,7 +60,8 @@ def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
     except RecordError:
         raise
     except ValueError as error:
-        raise RecordError(f"is no JSON: {excerpt(str(error), 80)}") from error
+        line = f" from line {error.lineno} on" if hasattr(error, "lineno") else ""
+        raise RecordError(f"is not JSON{line}") from error
     except RecursionError as error:
         raise RecordError("is nested too deeply") from error
 

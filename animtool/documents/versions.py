@@ -125,7 +125,9 @@ def version_of(
         message = f"unknown version {file_version}"
         newer = number is not None and version > newest_version
         hint = (
-            "use a newer animtool" if newer else f"allowed: animtool/{newest_version}"
+            f"this version reads up to animtool/{newest_version}"
+            if newer
+            else f"allowed: animtool/{newest_version}"
         )
         document.add("DOC012", (named_kind,), message, hint)
     else:

@@ -310,6 +310,8 @@ def lying_notice(
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
+    if up is not None:
+        message = f"read with {argument('source.up', up)}, the body does not stand"
     hint = f"read it with {argument('source.up', read_as)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 

@@ -164,7 +164,7 @@ def warn_of_length(
         for numbers in (wxyz, [number / length for number in wxyz])
     )
     message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
-    hint = f"write [{unit}], w first; degrees are no quaternion"
+    hint = f"write [{unit}], w first; for degrees, write three Euler angles"
     document.warn("RIG110", location, message, hint)
 
 

@@ -136,7 +136,7 @@ def test_all_that_is_missing(tmp_path: Path) -> None:
         ("name: x", "DOC009", "the first line"),
         ("rig: 1", "DOC009", "write rig: animtool/1"),
         ("rig: [animtool/1]", "DOC009", "write rig: animtool/1"),
-        ("rig: animtool/2", "DOC012", "newer"),
+        ("rig: animtool/2", "DOC012", "up to"),
         ("rig: animtool/0", "DOC012", "allowed: animtool/1"),
         ("rig: animtool/x", "DOC012", "allowed: animtool/1"),
         ("clip: animtool/1\nrig: hero.rig.yaml", "DOC009", "looks like a clip file"),

@@ -215,12 +215,14 @@ def unexpanded_hint(text: str) -> str | None:
 
 
 def _folder_hint(path: Path) -> str | None:
-    """Return a hint at the first file in a folder; None for other paths."""
+    """Return a hint at the first file in a folder, if any; None for other paths."""
     try:
         entries = islice(path.iterdir(), MAX_NAMES)
         files = sorted(entry for entry in entries if entry.is_file())
     except (OSError, ValueError):
         return None
+    # Texts are rarely what is meant; YAML files are rigs, clips and scenes.
+    files.sort(key=lambda file: file.suffix.lower() in {".md", ".txt", ""})
     return f"name a file in it, such as {files[0]}" if files else "name a file"
 
 

@@ -134,6 +134,8 @@ def other_format(
     elif "USD" in signature.about and "USD" in expected:
         return None
     message = f"is {signature.about}, not {expected}"
+    if "USD" in signature.about and "USD" in expected:
+        message = f"is {signature.about}, but is named {path.suffix}"
     return Fault(code, message, str(path), (), hint) if hint else None
 
 

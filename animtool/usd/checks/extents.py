@@ -64,7 +64,7 @@ def check_extents(subject: StageSubject) -> Iterator[Fault]:
             continue
         if not attr.HasAuthoredValue():
             yield finding(
-                "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"
+                "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has no extent"
             )
         elif not prim.IsA(UsdSkel.Root) or _joints_below(prim):
             # Without joints, USD computes a point at the origin, or infinite bounds.

@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, excerpt, listed
+from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.subject import StageSubject
@@ -64,10 +64,8 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
     joint_names = _bound_joints(prim)
     unknown = [name for name in joint_names if name not in set(skeleton)]
     if skeleton and unknown:
-        message = (
-            f"{len(unknown)} joints that {skeleton_query.GetPath()} does not have: "
-        )
-        message += listed(unknown)
+        message = f"{counted(len(unknown), 'joint')} that {skeleton_query.GetPath()} "
+        message += f"does not have: {listed(unknown)}"
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
     count = len(joint_names or skeleton)
     out_of_range = indices[(indices < 0) | (indices >= count)] if count else indices[:0]

@@ -171,9 +171,8 @@ def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[
     joint_set = set(joints)
     unknown = [name for name in tokens(attr) if name not in joint_set]
     if unknown and joint_set:
-        message = (
-            f"{len(unknown)} joints that {skeleton} does not have: {listed(unknown)}"
-        )
+        message = f"{counted(len(unknown), 'joint')} that {skeleton} does not have: "
+        message += listed(unknown)
         yield finding("USD209", attr.GetPath(), message)
 
 

@@ -107,7 +107,11 @@ def _check_metadata(stage: Any, where: PrimLocation) -> None:
     """Refuse metadata that make the numbers of a stage unreadable."""
     rate = stage.GetTimeCodesPerSecond()
     if not MIN_METADATA <= rate <= MAX_METADATA:
-        where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
+        where.fail(
+            "USD253",
+            f"timeCodesPerSecond is {rate}",
+            "write a rate above 0, such as 24",
+        )
     for name, code in (
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
