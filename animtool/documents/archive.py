@@ -91,10 +91,10 @@ def read_head(file: ArrayFile, where: str) -> StoredArray:
     text = file.read(length)
     if len(text) < length:
         raise ArrayError(f"{where} ends in its header")
-    return _parsed(text.decode("latin-1"), where, len(start) + width + length)
+    return _parsed_header(text.decode("latin-1"), where, len(start) + width + length)
 
 
-def _parsed(text: str, where: str, begin: int) -> StoredArray:
+def _parsed_header(text: str, where: str, begin: int) -> StoredArray:
     if _OBJECTS.search(text):
         raise ArrayError(f"{where} contains pickled Python objects")
     if _STRUCTURE.search(text):
@@ -145,7 +145,7 @@ SMALL_BYTES = 64_000_000
 MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
 _METHODS = (0, 8)  # stored and deflated
-_ENCRYPTED = 0x1
+_ENCRYPTED_FLAG = 0x1
 # Exceptions that `zipfile` raises for damaged archives; MemoryError is none of them.
 _DAMAGE = (
     OSError,
@@ -195,7 +195,7 @@ class Archive:
                 message = f"{path.name} is a single array, as numpy.save writes, not "
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
-            bounded_file = _Bounded(self._file)
+            bounded_file = _BoundedFile(self._file)
             from zipfile import ZipFile
 
             self._zip = ZipFile(cast(Any, bounded_file))
@@ -297,7 +297,7 @@ class Archive:
             raise ArrayError(f"{name} has no array {key!r}; its arrays are {shown}")
         if key in self._duplicates:
             raise ArrayError(f"{name} contains {key!r} twice")
-        if info.flag_bits & _ENCRYPTED:
+        if info.flag_bits & _ENCRYPTED_FLAG:
             raise ArrayError(f"{name}#{key} is encrypted")
         if info.compress_type not in _METHODS:
             message = f"{name}#{key} is compressed by method {info.compress_type}, "
@@ -346,7 +346,7 @@ def _configured_limit(path: Path) -> int | None:
     return None if configured is None else configured * 1_000_000
 
 
-class _Bounded:
+class _BoundedFile:
     """A file whose reads of the archive's directory are limited in size."""
 
     def __init__(self, file: InputFile) -> None:

@@ -425,11 +425,13 @@ def _by_location(
     groups: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        groups.setdefault((_within(value, fault), missing_key), []).append(fault)
+        groups.setdefault((_fault_location(value, fault), missing_key), []).append(
+            fault
+        )
     return groups
 
 
-def _within(value: Any, fault: Any) -> Location:
+def _fault_location(value: Any, fault: Any) -> Location:
     """Return the location of a fault, without names of union members."""
     node, steps = value, []
     for step in fault["loc"]:

@@ -171,9 +171,13 @@ class _SourceText:
     def _written(self, node: Any, value: str) -> Splice:
         """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
-        new = _unquoted(value)
+        new = _plain_or_quoted(value)
         if style == '"':
-            new = json.dumps(value, ensure_ascii=False) if self.json else _quoted(value)
+            new = (
+                json.dumps(value, ensure_ascii=False)
+                if self.json
+                else _quoted_text(value)
+            )
         elif style == "'" and value.isprintable():
             escaped = value.replace("'", "''")
             new = f"'{escaped}'"
@@ -250,7 +254,7 @@ def _flow(value: Any) -> str:
     return plain_text(value) if isinstance(value, str) else number(value)
 
 
-def _unquoted(value: str) -> str:
+def _plain_or_quoted(value: str) -> str:
     """Return a text unquoted if it parses back to itself, with its brackets."""
     try:
         parsed = document_of(f"a: [{value}]", Path("a.yaml")).value
@@ -259,6 +263,6 @@ def _unquoted(value: str) -> str:
     return value if parsed == {"a": [value]} else plain_text(value)
 
 
-def _quoted(value: str) -> str:
+def _quoted_text(value: str) -> str:
     quoted = plain_text(value)
     return quoted if quoted.startswith('"') else f'"{quoted}"'

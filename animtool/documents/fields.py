@@ -250,11 +250,13 @@ def _is_infinite(default: Any) -> bool:
 
 def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     """Return the type and the documentation of a key."""
-    type_, default = _typed(record, name, key, ranges)
+    type_, default = _type_and_default(record, name, key, ranges)
     return type_, model_field(key, default)
 
 
-def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
+def _type_and_default(
+    record: Any, name: str, key: Key, ranges: Ranges
+) -> tuple[Any, Any]:
     """Return the type and the default of a key."""
     option = options_of(record).get(name)
     if option is not None:

@@ -106,7 +106,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
         new = table[kind][step](new)
     new[kind] = f"animtool/{newest_version}"
     if {**new, kind: old[kind]} == old:
-        after = _renamed(document, before, kind, f"animtool/{newest_version}")
+        after = _with_version(document, before, kind, f"animtool/{newest_version}")
         return Migration(path, kind, version, newest_version, before, after)
     # The kind comes first in a file, in whatever order the steps left the keys.
     kind_first = {kind: new.pop(kind), **new}
@@ -215,7 +215,7 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
     return plans
 
 
-def _renamed(document: Document, text: str, kind: str, version: str) -> str:
+def _with_version(document: Document, text: str, kind: str, version: str) -> str:
     """Return a text with only its version changed."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)

@@ -107,7 +107,7 @@ def with_variables(schema: Any) -> Any:
         return [with_variables(entry) for entry in schema]
     if not isinstance(schema, dict):
         return schema
-    extended = {key: _inside(key, value) for key, value in schema.items()}
+    extended = {key: _inner_schema(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _is_other(schema):
         type_keywords = {
             key: extended.pop(key) for key in list(extended) if key in _TYPE_KEYWORDS
@@ -116,7 +116,7 @@ def with_variables(schema: Any) -> Any:
     return extended
 
 
-def _inside(key: str, value: Any) -> Any:
+def _inner_schema(key: str, value: Any) -> Any:
     if key in {"properties", "$defs"}:
         return {name: with_variables(entry) for name, entry in value.items()}
     return value if key in {"default", "examples"} else with_variables(value)

@@ -52,7 +52,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
         _tab(lines, line)
         or find_slip(text, line)
         or _no_colon(lines, problem, line)
-        or _scanned(lines, problem, line, column)
+        or _scanner_fault(lines, problem, line, column)
     )
 
 
@@ -70,7 +70,7 @@ def _tab(lines: list[str], line: int) -> YamlFault | None:
 def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
     """Return the fault of a key without a colon above the scanner's position."""
     here = lines[min(line, len(lines)) - 1]
-    above = _above(lines, line)
+    above = _line_above(lines, line)
     bare = _bare_key(lines[above - 1]) if above else None
     if bare is None or not (
         "could not find expected ':'" in problem
@@ -83,10 +83,10 @@ def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
     return YamlFault("a key has no colon", hint, above, at)
 
 
-def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
+def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
     """Return the fault at the scanner's position."""
     if "mapping values are not allowed" in problem:
-        here, above = lines[min(line, len(lines)) - 1], _above(lines, line)
+        here, above = lines[min(line, len(lines)) - 1], _line_above(lines, line)
         if above and _indent(here) > _indent(lines[above - 1]):
             message = f"line {line} is indented further than line {above}"
             hint = f"start it in column {_indent(lines[above - 1]) + 1}"
@@ -94,7 +94,7 @@ def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFaul
         hint = "put the value in quotes"
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
-        return _misaligned(lines, line, column)
+        return _indentation_fault(lines, line, column)
     closed_fault = next(
         (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
     )
@@ -102,7 +102,7 @@ def _scanned(lines: list[str], problem: str, line: int, column: int) -> YamlFaul
     return YamlFault(message, advice, line, column)
 
 
-def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
+def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
     """Return the fault of a line whose indentation matches no line above it."""
     line_text = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent(line_text), line_text.lstrip().startswith("-")
@@ -130,7 +130,7 @@ def _bare_key(line: str) -> str | None:
     return match[1] if match else None
 
 
-def _above(lines: list[str], line: int) -> int:
+def _line_above(lines: list[str], line: int) -> int:
     """Return the number of the nearest nonblank line above; 0 for none."""
     for number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[number - 1]):

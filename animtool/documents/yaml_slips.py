@@ -22,7 +22,7 @@ _TIGHT_KEY = re.compile(rf"(?:- )*({_KEY}):(?![\s/\\])(\S.*)")
 _AFTER_VALUE = re.compile(r"\s*(?:[,\]}:]|#|$)")
 _FLOW_TEXT = re.compile(r"(?:[^,\[\]{}#:]|:(?=\S)|(?<=\S)#)*")
 # An alias with a name is reported as such by the parser.
-_RESERVED = re.compile(r"[@`%]|\*(?![\w-]+\s*(?:[,\]}]|$))")
+_RESERVED_CHARACTER = re.compile(r"[@`%]|\*(?![\w-]+\s*(?:[,\]}]|$))")
 
 
 class YamlFault(NamedTuple):
@@ -157,7 +157,7 @@ class _Slips:
             elif letter in "\"'" and fresh:
                 start, at = at, self._quoted(at)
                 fresh, slip = False, self._after_quote(start, at)
-            elif fresh and _RESERVED.match(line[at:]):
+            elif fresh and _RESERVED_CHARACTER.match(line[at:]):
                 slip = self._reserved(at)
             else:
                 slip = self._flow_key(at) if fresh and self.open else None

@@ -104,7 +104,7 @@ def read_values(text: str, path: Path) -> ReadValues:
 
 def _read_yaml(text: str, path: Path) -> ReadValues:
     if path.suffix == ".json":
-        text = _PAIRS.sub(_joined, text)
+        text = _PAIRS.sub(_yaml_escape, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
         for letter in "\x85\u2028\u2029":
             text = text.replace(letter, f"\\u{ord(letter):04x}")
@@ -174,7 +174,7 @@ def _is_variable(text: str, mark: Any) -> bool:
     return bool(line) and line[0][max(0, mark.column - 1) :].startswith("${")
 
 
-def _joined(escape: re.Match[str]) -> str:
+def _yaml_escape(escape: re.Match[str]) -> str:
     """Convert a JSON escape to YAML: one code point for a surrogate pair."""
     high, low = escape.groups()
     if high is None:
@@ -264,7 +264,7 @@ class _YamlReader:
             elif kind is yaml.AliasEvent:
                 position = self._event_position(event)
                 self.positions.append(position)
-                message = f"alias *{_shortened(event.anchor)} is not allowed"
+                message = f"alias *{_shortened_name(event.anchor)} is not allowed"
                 self.fault("DOC002", message, position, "write the value itself")
                 stack[-1].put(None, position, self)
             elif kind is yaml.DocumentStartEvent:
@@ -287,10 +287,10 @@ class _YamlReader:
         position = self._event_position(event)
         self.positions.append(position)
         if event.anchor is not None:
-            message = f"anchor &{_shortened(event.anchor)} is not allowed"
+            message = f"anchor &{_shortened_name(event.anchor)} is not allowed"
             self.fault("DOC002", message, position, "write the value itself")
         if event.tag is not None:
-            message = f"tag {_shortened(event.tag)} is not allowed"
+            message = f"tag {_shortened_name(event.tag)} is not allowed"
             self.fault("DOC003", message, position, "remove it")
         return position
 
@@ -423,7 +423,7 @@ class _Open:
             self.pieces = []
 
 
-def _shortened(name: str) -> str:
+def _shortened_name(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
 
 

@@ -45,7 +45,7 @@ def add_channels(
         origin: Page frame of the clip's first frame.
     """
     curves = [
-        *_keyed(draft, page_take, clip, float(origin)),
+        *_clip_curves(draft, page_take, clip, float(origin)),
         *_controls(page_take, clip),
     ]
     if not curves or not page_take.frames:
@@ -82,7 +82,7 @@ def _amplitude(curve: ChannelCurve, size: float) -> float:
     return float(np.ptp(values)) / scale if len(values) else 0.0
 
 
-def _keyed(
+def _clip_curves(
     draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: float
 ) -> list[ChannelCurve]:
     """Return the curves of a clip's channels at the frames of the page."""

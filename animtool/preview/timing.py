@@ -142,7 +142,7 @@ def timeline_of(
             frames (PRV003).
     """
     spans = [
-        _within(timed, _authored_range(files[timed.file], fps))
+        _range_in_stage(timed, _authored_range(files[timed.file], fps))
         for timed in timed_takes
         if timed.motion.frames > 1
     ]
@@ -182,7 +182,7 @@ def timeline_of(
     return Timeline(fps, first, step, count)
 
 
-def _within(
+def _range_in_stage(
     timed: TimelineTake, authored: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""

@@ -241,7 +241,7 @@ def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDiff
     )
     for first_path, second_path in pairs:
         difference = _stream_difference(first[first_path](), second[second_path]())
-        total = _merged(total, difference, first_path)
+        total = _merged_difference(total, difference, first_path)
     return total
 
 
@@ -269,7 +269,7 @@ def _skeleton_pairs(
     return pairs or list(zip(first_left, second_left, strict=False))
 
 
-def _merged(
+def _merged_difference(
     total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
     """Return the differences of several skeletons merged with one more."""

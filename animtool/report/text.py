@@ -165,7 +165,7 @@ class _Renderer:
         """Yield the lines of the innermost record."""
         for line in lines:
             if isinstance(line, str):
-                text = self.filled(scope, _parsed(line))
+                text = self.filled(scope, _parsed_template(line))
                 if text or not line:
                     yield text or ""
             elif isinstance(line, Each):
@@ -196,7 +196,7 @@ class _Renderer:
 
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
         """Return the rows of a table, header first, and which columns align left."""
-        templates = [_parsed(cell) for cell in table.columns.values()]
+        templates = [_parsed_template(cell) for cell in table.columns.values()]
         cells = [
             [self.filled((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
@@ -278,7 +278,7 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 
 @cache
-def _parsed(template: str) -> tuple[_Node, ...]:
+def _parsed_template(template: str) -> tuple[_Node, ...]:
     return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
 
 
@@ -322,7 +322,7 @@ def _count(value: Any, *nouns: str) -> str:
     return counted(count, noun, plural)
 
 
-def _listed(value: Any, max_count: str = "5") -> str:
+def _listed_values(value: Any, max_count: str = "5") -> str:
     return listed(list(value), int(max_count))
 
 
@@ -342,7 +342,7 @@ PRINTED: dict[str, Callable[..., Any]] = {
     "counts": lambda value: ", ".join(counted(n, noun) for noun, n in value.items()),
     "spans": lambda value: listed([span_label(*span) for span in value]),
     "g": lambda value, digits="6": f"{float(value):.{digits}g}",
-    "list": _listed,
+    "list": _listed_values,
     "join": lambda value: ", ".join(map(str, value)),
     "kinds": lambda value: ", ".join(f"{n} {kind}" for kind, n in value.items()),
     "corners": lambda value, digits="4": " to ".join(

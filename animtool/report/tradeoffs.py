@@ -79,7 +79,7 @@ def _missing_error(row: TrialRow) -> str:
     return text
 
 
-def _excluded(table: TrialTable) -> dict[str, list[str]]:
+def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
     """Return why methods were excluded, each reason once."""
     causes: dict[str, dict[str, None]] = {}
     for row in table.rows:
@@ -133,7 +133,7 @@ def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
 _PRINTERS: dict[str, Callable[..., Any]] = {
     "marks": _marks,
     "ending": _missing_error,
-    "left_out": _excluded,
+    "left_out": _exclusion_reasons,
     "advice": _advice,
     # Errors span many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",

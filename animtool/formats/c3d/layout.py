@@ -224,7 +224,9 @@ def _counts(
         for f, by_f in frames:
             yield p, a, f, by_p + by_a + by_f, unstated
         frame_counts = (
-            _fitted(claims, -(-min_numbers // row)) if row and min_numbers > 0 else ()
+            _counts_from_size(claims, -(-min_numbers // row))
+            if row and min_numbers > 0
+            else ()
         )
         for f, by_f, solved in frame_counts:
             yield p, a, f, by_p + by_a + by_f, unstated or solved
@@ -270,7 +272,7 @@ def _may_solve(claims: Sequence[Claim]) -> bool:
     return len(decisive) < 2 or not _all_agree(claims)
 
 
-def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
+def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
     """Return frame counts that fit the size, with cost and whether solved.
 
     That is, if stated counts are full 16-bit values, wrap around, differ, or are

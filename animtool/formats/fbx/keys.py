@@ -99,7 +99,7 @@ def validated_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fb
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
     pre, post = (
-        _outside(element, f"{name}-Extrapolation", notes)
+        _fbx_extrapolation(element, f"{name}-Extrapolation", notes)
         for name in _EXTRAPOLATION_ENDS
     )
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
@@ -139,7 +139,9 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
 _EXTRAPOLATION_ENDS = ("Pre", "Post")
 
 
-def _outside(element: Element, name: str, notes: FileNotices) -> FbxExtrapolation:
+def _fbx_extrapolation(
+    element: Element, name: str, notes: FileNotices
+) -> FbxExtrapolation:
     block = element.find(name)
     kind = None if block is None else block.find("Type")
     if block is None or kind is None or not kind.values:

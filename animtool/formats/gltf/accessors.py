@@ -193,7 +193,9 @@ class Accessors:
         start = view.offset + accessor.offset
         content = self.buffers.bytes_of(view.buffer)
         step = view.stride or accessor.width * kind.itemsize
-        return _strided(content, start, accessor.count, accessor.width, step, kind)
+        return _strided_elements(
+            content, start, accessor.count, accessor.width, step, kind
+        )
 
     def _with_sparse(
         self, accessor: Accessor, sparse: Sparse, base: AnyArray
@@ -202,7 +204,7 @@ class Accessors:
         at = self._used_view(sparse.index_view, f"{where}/indices")
         value_view = self._used_view(sparse.value_view, f"{where}/values")
         kind = COMPONENTS[accessor.component]
-        indices = _strided(
+        indices = _strided_elements(
             self.buffers.bytes_of(at.buffer),
             at.offset + sparse.index_offset,
             sparse.count,
@@ -214,7 +216,7 @@ class Accessors:
             message = f"sparse indices must ascend, below {accessor.count}"
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
-        values[indices] = _strided(
+        values[indices] = _strided_elements(
             self.buffers.bytes_of(value_view.buffer),
             value_view.offset + sparse.value_offset,
             sparse.count,
@@ -381,7 +383,7 @@ def _element_bytes(kind: str, component: np.dtype[Any]) -> int:
     return column * (rows - 1) + rows * component.itemsize
 
 
-def _strided(
+def _strided_elements(
     content: memoryview,
     start: int,
     count: int,

@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
-_PARTS = {
+_CHANNEL_PARTS = {
     TargetPath.TRANSLATION: "local_translation",
     TargetPath.ROTATION: "local_rotation",
     TargetPath.SCALE: "scale",
@@ -86,7 +86,7 @@ def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
 def _target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
     if path is TargetPath.WEIGHTS:
         return f"shape/{gltf_rig.rig.shapes[row].name}"
-    return f"joint/{gltf_rig.rig.names[row]}.{_PARTS[path]}"
+    return f"joint/{gltf_rig.rig.names[row]}.{_CHANNEL_PARTS[path]}"
 
 
 def _clip_channel(

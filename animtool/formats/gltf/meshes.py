@@ -173,7 +173,7 @@ def _morph_target(
         if name in target.values
     }
     for name, index in read.items():
-        accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
+        accessor = _typed_accessor(target, name, index, accessors, "VEC3", QUANTIZED)
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
             target.notes.fail("GLT011", target.at(name), message)
@@ -193,7 +193,7 @@ def _check_target(target: JsonItem) -> None:
             target.notes.warn("GLT106", target.at(name), message)
 
 
-def _typed(
+def _typed_accessor(
     item: JsonItem,
     key: str,
     index: int,
@@ -229,7 +229,7 @@ def _check_vertices(
             kind, components = "VEC3", QUANTIZED
         elif name.startswith("WEIGHTS_"):
             components = (FLOAT, U8, U16)
-        accessor = _typed(attributes, name, index, accessors, kind, components)
+        accessor = _typed_accessor(attributes, name, index, accessors, kind, components)
         _check_packing(attributes, name, accessor)
         if vertex_count < 0:
             vertex_count = accessor.count
@@ -261,7 +261,7 @@ def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
 def _check_indices(
     item: JsonItem, index: int, vertex_count: int, accessors: Accessors
 ) -> None:
-    _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    _typed_accessor(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
     accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
         return
@@ -322,7 +322,7 @@ def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
     index = item.index("inverseBindMatrices", len(accessors.entries), "accessor")
     where = item.at("inverseBindMatrices")
     if index >= 0:
-        accessor = _typed(
+        accessor = _typed_accessor(
             item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
         )
         accessors.check_packed(index, where)

@@ -161,8 +161,8 @@ def _skin(
             for vertices in shared
         ]
         width = max(indices.shape[1] for indices, _ in rows)
-        indices = np.concatenate([_wide(row, width) for row, _ in rows])
-        weights = np.concatenate([_wide(row, width) for _, row in rows])
+        indices = np.concatenate([_padded_columns(row, width) for row, _ in rows])
+        weights = np.concatenate([_padded_columns(row, width) for _, row in rows])
     else:
         geometry, joint = binder.node(node)
         joints = [joint]
@@ -178,7 +178,7 @@ def _skin(
     return skin, geometry
 
 
-def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
+def _padded_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
     padded = np.zeros((len(values), width))
     padded[:, : values.shape[1]] = values
     return padded

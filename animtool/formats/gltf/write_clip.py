@@ -145,7 +145,7 @@ def write_clip(
         "name": name,
         "channels": animation.channels,
         "samplers": animation.samplers,
-        "extras": {"animtool": _stated(clock.fps, clock.start)},
+        "extras": {"animtool": _timing_extras(clock.fps, clock.start)},
     }
     builder.add("animations", entry)
     return lost_notices
@@ -179,7 +179,7 @@ def _add_static_key(
         animation.add(0, "translation", _single_key(np.zeros(3), times))
 
 
-def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
+def _timing_extras(fps: Fraction, start: Fraction) -> dict[str, Any]:
     """Return the extras from which the reader restores the frames."""
     return {"fps": str(fps), "start": str(start)}
 

@@ -259,8 +259,8 @@ class _Table:
         message = f"{COUNT} is {stated_counts[row]:g}, but the row has {values_text}"
         where = int(lines[row])
         notice = Fault("LLF106", message, str(self.path), (where,))
-        return [_warning(notice)]
+        return [_as_warning(notice)]
 
 
-def _warning(fault: Fault) -> Fault:
+def _as_warning(fault: Fault) -> Fault:
     return replace(fault, severity=Severity.WARNING)

@@ -90,7 +90,7 @@ def read_livelink(
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
     notices += _notices(recording, frames, dropped)
-    notices += _unmatched(recording, links, rotations, joints, rig is not None)
+    notices += _unmatched_notices(recording, links, rotations, joints, rig is not None)
     motion = _motion(recording, frames, target, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
@@ -157,7 +157,8 @@ def _motion(
     raw = fill_gaps(recording.weights[frames.rows], times)
     shape_weights = links.apply(raw, len(rig.shapes))
     weights = np.stack(
-        [_between(column, times, at, dropped) for column in shape_weights.T], axis=-1
+        [_interpolated_rows(column, times, at, dropped) for column in shape_weights.T],
+        axis=-1,
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
     channel = Channel.static(rig.rest_rotations, len(at))
     for part, angles in _rotations(recording).items():
@@ -175,7 +176,7 @@ def _motion(
     )
 
 
-def _between(
+def _interpolated_rows(
     values: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
 ) -> FloatArray:
     if dropped == "hold":
@@ -246,7 +247,7 @@ def _notices(
     return notices
 
 
-def _unmatched(
+def _unmatched_notices(
     recording: Recording,
     links: ShapeLinks,
     rotations: dict[str, FloatArray],

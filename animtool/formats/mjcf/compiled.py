@@ -33,7 +33,7 @@ from animtool.rig.skeleton import JointType, Quaternion
 MAX_NAMED = 8
 _LINE = re.compile(r",? line (\d+)")
 _START = re.compile(r"^(?:XML )?Error:\s*(?:Error:\s*)?")
-_EXTRA = "pip install 'animtool[mjcf]'"
+_INSTALL_COMMAND = "pip install 'animtool[mjcf]'"
 # Joint and geom types by MuJoCo's numbers.
 _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
@@ -55,7 +55,7 @@ def compiled(reduced: ReducedModel, notes: XmlNotes) -> Any:
         import mujoco
     except ImportError as error:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
-        fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
+        fault = Fault("MJC005", message, str(notes.path), (), _INSTALL_COMMAND)
         raise OptionError(fault) from error
     # MuJoCo prints and logs warnings about simulation; they are suppressed.
     warning_handler = mujoco.get_mju_user_warning()

@@ -31,9 +31,9 @@ _SECTIONS = {
 _IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
 _IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
 # Elements that MuJoCo expands from other files or by plug-ins.
-_GENERATED = frozenset({"attach", "composite", "flexcomp"})
+_GENERATOR_TAGS = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that refer to removed elements, or change the set of bodies.
-_DROPPED = {
+_DROPPED_ATTRIBUTES = {
     "geom": ("material", "mesh", "hfield", "user"),
     "site": ("material", "user"),
     "body": ("user",),
@@ -171,7 +171,7 @@ def _is_kept(
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
     """Return whether a part of a body is kept; record it if not."""
     tag, left_out = child.tag, _IN_BODIES.get(child.tag)
-    if tag in _GENERATED:
+    if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
         notes.add("MJC009", child, message, hint)
@@ -186,7 +186,7 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
 
 def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
     """Return the kept attributes of an element as XML."""
-    removed: tuple[str, ...] = _DROPPED.get(element.tag, ())
+    removed: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESHES:
         removed = (*removed, "type")
     texts = []

@@ -101,7 +101,7 @@ def read_table(path: Path) -> MotionTable:
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
-    notices += _missing(path, names, cells, numbers)
+    notices += _missing_values_warning(path, names, cells, numbers)
     return MotionTable(
         path,
         names,
@@ -330,7 +330,7 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
         raise _error("MOF005", path, message, int(lines[row]))
 
 
-def _missing(
+def _missing_values_warning(
     path: Path, names: tuple[str, ...], values: FloatArray, lines: IntArray
 ) -> list[Fault]:
     """Return a warning about columns with missing values."""

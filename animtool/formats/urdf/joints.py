@@ -26,7 +26,7 @@ from animtool.rig.skeleton import Mimic
 
 # Shorter axes have no direction.
 MIN_AXIS_LENGTH = 1e-9
-_LIMITED = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
+_LIMITED_KINDS = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 
 
 def add_joint(
@@ -98,7 +98,7 @@ def unit(values: FloatArray) -> Vector:
 def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     where, name = joint.where, joint.name
     element = one_of(joint.element, "limit", where, notes)
-    if joint.kind not in _LIMITED:
+    if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
         message = f"is {joint.kind} and has no <limit>"

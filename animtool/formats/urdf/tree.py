@@ -57,7 +57,7 @@ def _check_roots(
 ) -> None:
     roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
-        message = f"{len(roots)} links have no parent: {listed(_quoted(roots))}"
+        message = f"{len(roots)} links have no parent: {listed(_quoted_names(roots))}"
         hint = "a robot has one root: join the others to it by joints"
         second_root = file.links[roots[1]].element
         notes.add("URD012", second_root, message, hint)
@@ -88,7 +88,7 @@ def _check_roots(
         _add(notes, "URD011", first_joint, message, "remove one of these joints")
 
 
-def _quoted(names: Iterable[str]) -> list[str]:
+def _quoted_names(names: Iterable[str]) -> list[str]:
     return [excerpt(name) for name in names]
 
 

@@ -18,7 +18,7 @@ from animtool.preview.pictures.kinds import PictureKind
 # libav flags that keep machine and time out of the file.
 _BITEXACT = 1 << 23
 # ITU-R BT.709 with limited range, which players assume for video of this size.
-_BT709, _NARROW = 1, 1
+_BT709, _NARROW_RANGE = 1, 1
 COLORS = 256
 
 
@@ -69,7 +69,7 @@ def film(
                 context.flags |= _BITEXACT
                 if palette is None:
                     context.colorspace = context.color_primaries = _BT709
-                    context.color_trc = context.color_range = _NARROW
+                    context.color_trc = context.color_range = _NARROW_RANGE
                 count = 0
 
                 def add(pixels: Array) -> None:

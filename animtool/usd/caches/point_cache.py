@@ -112,7 +112,7 @@ def round_points(
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
-    values = {"points": rounded_points, "extent": _padded(extent, space.margin)}
+    values = {"points": rounded_points, "extent": _padded_extents(extent, space.margin)}
     if normals is not None:
         values["normals"] = to_float32("normals", normals, 1.0)
     if velocities is not None:
@@ -121,7 +121,7 @@ def round_points(
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
-def _padded(extents: Float32Array, margin: float) -> Float32Array:
+def _padded_extents(extents: Float32Array, margin: float) -> Float32Array:
     """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)

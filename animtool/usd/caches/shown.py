@@ -191,7 +191,7 @@ class ShownPrim:
             root = stage.GetPrimAtPath(path)
             meshes = []
             for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-                kind = _kind(prim)
+                kind = _prim_kind(prim)
                 if kind != "mesh" or is_bones(prim):
                     continue
                 shown_prim = ShownPrim(self._stage, prim, "", kind)
@@ -277,7 +277,7 @@ class StageContents:
         root = self.stage.GetDefaultPrim()
         shown_prims = []
         for prim in self._visible_prims():
-            kind, path = _kind(prim), prim.GetPath()
+            kind, path = _prim_kind(prim), prim.GetPath()
             if not kind or path in skinned_paths or is_bones(prim):
                 continue
             if any(path.HasPrefix(prototype) for prototype in prototypes):
@@ -405,7 +405,7 @@ def _visible(prim: Any, codes: FloatArray) -> BoolArray:
     return np.array([image.ComputeVisibility(t) != hidden for t in times])
 
 
-def _kind(prim: Any) -> str:
+def _prim_kind(prim: Any) -> str:
     if prim.IsA(UsdGeom.Mesh) or any(prim.IsA(schema) for schema in _GPRIMS):
         return "mesh"
     if prim.IsA(UsdGeom.Curves):

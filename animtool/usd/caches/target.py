@@ -195,7 +195,7 @@ def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
         rig.on_layer(mesh.GetPath()),
         PointSpace(_placement(mesh, skeleton) if is_skinned else None),
         normals_follow,
-        _blocked(mesh, normals_follow=normals_follow),
+        _unusable_normals(mesh, normals_follow=normals_follow),
     )
 
 
@@ -206,7 +206,7 @@ def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMes
         rig.on_layer(curves.GetPath()),
         PointSpace(_placement(curves, skeleton), max(widths) / 2),
         False,
-        _blocked(curves, normals_follow=False),
+        _unusable_normals(curves, normals_follow=False),
     )
 
 
@@ -220,7 +220,7 @@ def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     )
 
 
-def _blocked(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
+def _unusable_normals(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
     """Return authored normals that would not fit the animated points."""
     names = []
     if mesh.GetNormalsAttr().HasAuthoredValue() and not normals_follow:

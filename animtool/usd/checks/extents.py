@@ -168,7 +168,7 @@ def _compare_extents(
     faulty = []
     for i in candidates.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        computed = _computed(boundable, code)
+        computed = _computed_extent(boundable, code)
         if computed is None:
             return
         bounds = np.array(computed, np.float64).reshape(1, 2, 3)
@@ -258,7 +258,7 @@ def bounds_difference(
     return distances - TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
 
 
-def _computed(boundable: Any, code: Any) -> Any:
+def _computed_extent(boundable: Any, code: Any) -> Any:
     """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
         return UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
@@ -296,7 +296,7 @@ def _joint_bounds(
     joints = tokens(skeleton.GetJointsAttr())
     bounds = _bounds(joint_parents(joints), *locals_)
     code = Usd.TimeCode(times[0])
-    first_extent = _computed(boundable, code)
+    first_extent = _computed_extent(boundable, code)
     if first_extent is None:
         return None
     pad = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]

@@ -46,7 +46,7 @@ from animtool.usd.layers.stderr import without_usd_warnings
 # Keyword of our validator in UsdValidation, which need not run twice.
 ANIMTOOL_KEYWORD = "animtool"
 # USD validators that our checks cover, and with more detail.
-_COVERED = {
+_COVERED_CHECKS = {
     "usdValidation:CompositionErrorTest",
     "usdUtilsValidators:MissingReferenceValidator",
 }
@@ -74,7 +74,7 @@ def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
         metadata.name
         for metadata in registry.GetAllValidatorMetadata()
         if not metadata.isSuite
-        and metadata.name not in _COVERED
+        and metadata.name not in _COVERED_CHECKS
         and ANIMTOOL_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
@@ -92,10 +92,10 @@ def _fault(error: Any) -> Fault:
     kinds = UsdValidation.ValidationErrorType
     note = Severity.NOTE if error.GetType() == kinds.Info else None
     message = f"{validator}: {' '.join(error.GetMessage().split()).rstrip('.')}"
-    return finding(code, _where(error), message, note)
+    return finding(code, _error_location(error), message, note)
 
 
-def _where(error: Any) -> str:
+def _error_location(error: Any) -> str:
     for site in error.GetSites():
         if site.IsProperty():
             return str(site.GetProperty().GetPath())

@@ -128,10 +128,10 @@ def check_rates(subject: StageSubject) -> Iterator[Fault]:
     ):
         message = f"no {' and no '.join(unauthored)}, but there is motion"
         yield finding("USD252", ROOT, message)
-    yield from _retimed(subject)
+    yield from _layer_rates(subject)
 
 
-def _retimed(subject: StageSubject) -> Iterator[Fault]:
+def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
     for layer in _layers(subject):

@@ -70,7 +70,7 @@ class AnimationTake:
 
 
 @dataclass(frozen=True, slots=True)
-class _Shared:
+class _StageData:
     """Stage data that all animations need, read once."""
 
     # First and last sample of each prim, by path.
@@ -81,7 +81,7 @@ class _Shared:
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
-    def of(subject: StageSubject) -> _Shared:
+    def of(subject: StageSubject) -> _StageData:
         """Return the shared data of a stage."""
         spans: dict[Any, tuple[float, float]] = {}
         for attr in subject.attributes:
@@ -101,7 +101,7 @@ class _Shared:
         stage_range = (
             (min(spans_by_end[0]), max(spans_by_end[1])) if spans_by_end else None
         )
-        return _Shared(spans, stage_range, skins)
+        return _StageData(spans, stage_range, skins)
 
 
 def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
@@ -113,7 +113,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     # Other checks look at one of several equal instances; here each one counts.
     skeleton_of = _bound(find_skeletons(subject.stage))
-    stage_data = _Shared.of(subject)
+    stage_data = _StageData.of(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
         skeleton = skeleton_of.get(animation.GetPath())
@@ -159,7 +159,7 @@ def _take(
     path: Path,
     animation: Any,
     skeleton: Any,
-    stage_data: _Shared,
+    stage_data: _StageData,
 ) -> AnimationTake | None:
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
@@ -202,7 +202,7 @@ def _take(
         codes if len(codes) else None,
         _range(subject, animation, stage_data),
         skeleton is not None,
-        _influencing(skeleton, of_rig, stage_data) if skeleton else None,
+        _influencing_joints(skeleton, of_rig, stage_data) if skeleton else None,
         _bind(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
         bool(stored_values.get("reduced") or stored_values.get("thinned")),
@@ -310,7 +310,7 @@ def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
 
 
 def _range(
-    subject: StageSubject, animation: Any, stage_data: _Shared
+    subject: StageSubject, animation: Any, stage_data: _StageData
 ) -> tuple[float, float] | None:
     """Return the range of an animation, else the stage's if it covers all of them.
 
@@ -332,8 +332,8 @@ def _range(
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
 
-def _influencing(
-    skeleton: Any, rig: SkeletonRig, stage_data: _Shared
+def _influencing_joints(
+    skeleton: Any, rig: SkeletonRig, stage_data: _StageData
 ) -> frozenset[str] | None:
     """Return the joints that influence points, and their ancestors."""
     used_joints: set[int] = set()
@@ -345,7 +345,7 @@ def _influencing(
         binding_joints = tokens(binding.GetJointsAttr()) or rig.tokens
         used_joints |= {
             index[binding_joints[i]]
-            for i in _used(binding, indices, len(binding_joints))
+            for i in _weighted_joints(binding, indices, len(binding_joints))
             if binding_joints[i] in index
         }
     for joint in sorted(used_joints):
@@ -356,7 +356,7 @@ def _influencing(
     return frozenset(rig.rig.joints[i].name for i in used_joints)
 
 
-def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
+def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
     """Yield the indices of joints with nonzero weight."""
     joint_indices = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)

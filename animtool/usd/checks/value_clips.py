@@ -123,7 +123,7 @@ def _template(
         yield finding("USD278", where, message + "not there")
 
 
-def _sampled(layer: Any, target: str) -> set[str]:
+def _sampled_properties(layer: Any, target: str) -> set[str]:
     """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
@@ -149,7 +149,9 @@ def _manifest(
         message = f"the manifest {excerpt(asset.path, 80)} does not exist"
         yield finding("USD276", where, message)
         return
-    sampled_properties = set().union(*(_sampled(layer, target) for layer in layers))
+    sampled_properties = set().union(
+        *(_sampled_properties(layer, target) for layer in layers)
+    )
     undeclared = sorted(
         p for p in sampled_properties if not manifest.GetPropertyAtPath(target + p)
     )
@@ -163,7 +165,7 @@ def _spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""
-    properties = [None if x is None else _sampled(x, target) for x in layers]
+    properties = [None if x is None else _sampled_properties(x, target) for x in layers]
     all_properties = set().union(*(p for p in properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):
         return

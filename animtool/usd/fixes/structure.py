@@ -196,7 +196,7 @@ def _author(target: FixTarget, prim: Any) -> Change:
     new_extents = [_bounds(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
         return _change(old_extents, new_extents)
-    spec = _layer_spec(target, prim) or _over(target, prim)
+    spec = _layer_spec(target, prim) or _extents_hint_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
         for time, value in zip(times, new_extents, strict=False):
@@ -213,7 +213,7 @@ def _layer_spec(target: FixTarget, prim: Any) -> Any:
     return stack[0] if stack and stack[0].layer == target.layer else None
 
 
-def _over(target: FixTarget, prim: Any) -> Any:
+def _extents_hint_spec(target: FixTarget, prim: Any) -> Any:
     spec = Sdf.CreatePrimInLayer(target.layer, prim.GetPath())
     attribute = spec.attributes.get(NAME)
     return attribute or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)

@@ -207,7 +207,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """
     with edited_layer(source, content) as edited:
         layer = edited.content()
-    rewritten = _anchored(layer, source, output)
+    rewritten = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
     arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
     with replacing(output) as temporary:
@@ -237,7 +237,7 @@ def _format(path: Path) -> str:
         return "usda" if file.read(5) == b"#usda" else "usdc"
 
 
-def _anchored(layer: Any, source: Path, output: Path) -> int:
+def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
     """Rewrite relative asset paths for another folder; return how many changed."""
     old, new = source.resolve().parent, output.resolve().parent
     if old == new:

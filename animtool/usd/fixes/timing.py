@@ -29,7 +29,7 @@ def continuous(target: FixTarget, fault: Fault) -> Edit:
 
         def aligned(arrays: list[AnyArray]) -> list[AnyArray]:
             nonlocal flip_count
-            q = _stacked(arrays)
+            q = _stack_arrays(arrays)
             new = so3.align_signs(q, q[0])
             flip_count = int((new != q).any(axis=-1).sum())
             return [row.astype(q.dtype) for row in new]
@@ -71,7 +71,7 @@ def unit(target: FixTarget, fault: Fault) -> Edit:
     return edit
 
 
-def _stacked(arrays: list[AnyArray]) -> AnyArray:
+def _stack_arrays(arrays: list[AnyArray]) -> AnyArray:
     if len({array.shape for array in arrays}) != 1:
         raise NotFixableError("samples have different numbers of rotations")
     return np.stack(arrays)
@@ -101,12 +101,12 @@ def rates(target: FixTarget, _: Fault) -> Edit:
 
 def sample_range(target: FixTarget, _: Fault) -> Edit:
     """Set the layer's range to that of its samples."""
-    return lambda: _ranged(target, widen=False)
+    return lambda: _fit_range(target, widen=False)
 
 
 def wider_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to contain all samples."""
-    return lambda: _ranged(target, widen=True)
+    return lambda: _fit_range(target, widen=True)
 
 
 def full_range(target: FixTarget, _: Fault) -> Edit:
@@ -128,7 +128,7 @@ def full_range(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def _ranged(target: FixTarget, *, widen: bool) -> Change:
+def _fit_range(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
     first_sample, last_sample = _span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()

@@ -74,7 +74,7 @@ def narrowed(
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
         converted = values.astype(dtype)
-    if converted.size and not _within(converted, _LIMITS[letter]):
+    if converted.size and not _is_within(converted, _LIMITS[letter]):
         _refuse(values, converted, letter, labels, codes)
     return converted
 
@@ -106,7 +106,7 @@ def check_rows(
     """
     if not np.isfinite(codes).all():
         raise _error(labels, "a time code is not finite")
-    if rows.size and not _within(rows, _LIMITS[letter]):
+    if rows.size and not _is_within(rows, _LIMITS[letter]):
         _refuse(rows, rows, letter, labels, codes)
 
 
@@ -118,7 +118,7 @@ def check_value(
     ``code`` is the time code; None is the default.
     """
     numbers = floats_of(value)
-    if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
+    if numbers is None or not numbers.size or _is_within(numbers, _LIMITS[letter]):
         return
     codes = None if code is None else np.array([code])
     rows = numbers if code is None else numbers[None]
@@ -154,7 +154,7 @@ def all_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
     return bool((rows == row).all())
 
 
-def _within(values: npt.NDArray[Any], limit: float) -> bool:
+def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
     if values.dtype == np.float16:
         return bool((values.view(np.uint16) & _HALF_MAGNITUDE).max() <= _HALF_LIMIT)
     # min and max propagate NaN, which fails both comparisons.

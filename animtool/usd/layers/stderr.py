@@ -13,7 +13,7 @@ from animtool.core.quantities import escaped_lines
 
 # Warnings of USD's own writers about every file with splines or time codes in metadata,
 # which a user cannot act on.
-_KNOWN = (
+_KNOWN_TEXTS = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
@@ -34,7 +34,7 @@ def without_version_warnings() -> Iterator[None]:
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.
     """
-    with _captured(_KNOWN):
+    with _captured_stderr(_KNOWN_TEXTS):
         yield
 
 
@@ -44,12 +44,12 @@ def without_usd_warnings() -> Iterator[None]:
 
     Other output to stderr is printed afterwards.
     """
-    with _captured(_DIAGNOSTICS):
+    with _captured_stderr(_DIAGNOSTICS):
         yield
 
 
 @contextmanager
-def _captured(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
+def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)

@@ -11,8 +11,8 @@ from animtool.core.errors import Fault, excerpt
 
 FIRST_LINE = "#usda 1.0"
 # File, line, column, what is wrong, the text there, and the prim or attribute.
-_LOCATED = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
-_UNQUOTED = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
+_LOCATED_FAULT = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
+_UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
 _LONGEST = 300
 
 # Message and hint, by what USD says; both are given its words and the text there.
@@ -40,7 +40,7 @@ _FAULTS: dict[str, _Words] = {
     ),
     r"parse error|match": lambda _, there: (
         f"cannot be parsed from {excerpt(there)} on" if there else "ends too early",
-        _quoting(there),
+        _quoting_hint(there),
     ),
     r"[Ff]ile too small|bootstrap|truncated": lambda _, __: (
         "is not a binary USD file, or not all of one",
@@ -49,9 +49,9 @@ _FAULTS: dict[str, _Words] = {
 }
 
 
-def _quoting(there: str) -> str | None:
+def _quoting_hint(there: str) -> str | None:
     """Return a hint for a prim whose name has no quotes."""
-    match = _UNQUOTED.match(there)
+    match = _UNQUOTED_NAME.match(there)
     if match is None:
         return None
     return f'put the name in quotes: {match[1]}{match[2] or ""} "{match[3]}"'
@@ -68,7 +68,7 @@ def layer_fault(text: str, path: Path) -> Fault:
     >>> str(layer_fault(text, Path("a.usda"))).partition(";")[0]
     "a.usda:1:1: USD001 the first line is not '#usda 1.0'"
     """
-    located = _LOCATED.search(text)
+    located = _LOCATED_FAULT.search(text)
     words, there = (text, "") if located is None else (located[4], located[5])
     more: dict[str, Any] = {}
     if located is not None:

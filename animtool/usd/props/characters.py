@@ -302,7 +302,7 @@ class _Group:
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing(positions, SAME_POSITION / unit)
+        rows = _changing_frames(positions, SAME_POSITION / unit)
         write_samples(
             self.layer,
             translate,
@@ -315,7 +315,7 @@ class _Group:
             order.append("xformOp:orient")
         translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
-        rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
+        rows = _changing_frames(degrees[:, None], np.degrees(SAME_HEADING))
         write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
@@ -445,7 +445,7 @@ def _continuous(rotations: Float32Array) -> Float32Array:
     return continuous
 
 
-def _changing(values: Float32Array, tolerance: float) -> IntArray:
+def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:
     """Return the frames of values ``(F, K)`` without those between equal neighbors."""
     steps = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
     if not steps.any():

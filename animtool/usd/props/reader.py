@@ -202,7 +202,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
-        elif _kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
+        elif _value_kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
@@ -213,14 +213,14 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     return attributes
 
 
-def _kind(attribute: Any) -> str:
+def _value_kind(attribute: Any) -> str:
     type_name = attribute.GetTypeName()
     return "array" if type_name.isArray else str(type_name.cppTypeName)
 
 
 def _attribute_of(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
-    width = _WIDTHS.get(_kind(attribute), 0)
+    width = _WIDTHS.get(_value_kind(attribute), 0)
     if width:
         return Attribute(name, type_name, width, length=name in _LENGTHS)
     times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
@@ -321,7 +321,7 @@ class _Sampler:
             positions, rotations, scales, matrices, self._values(codes)
         )
         if not self.is_animated:
-            return _repeated(transforms, len(times))
+            return _repeated_transforms(transforms, len(times))
         return replace(transforms, clamped=self._outside_samples(codes))
 
     def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
@@ -379,7 +379,7 @@ def _without_rounding(scales: FloatArray) -> FloatArray:
     )
 
 
-def _repeated(transforms: Transforms, count: int) -> Transforms:
+def _repeated_transforms(transforms: Transforms, count: int) -> Transforms:
     """Return one transform and its values repeated for all times."""
 
     def all_times(values: Any) -> Any:

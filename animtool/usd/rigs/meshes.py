@@ -228,7 +228,7 @@ def _skin(
     meters_per_unit: float,
 ) -> list[Fault]:
     influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
-    indices, weights = _padded(influences)
+    indices, weights = _padded_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
         attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
@@ -252,7 +252,7 @@ def _skin(
     return _notices(surface.name, report)
 
 
-def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
+def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.first)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]

@@ -87,7 +87,7 @@ def rest_transforms(
     attr = skeleton.GetRestTransformsAttr()
     rest = matrix_array(attr)
     if not len(rest):
-        yield _missing(skeleton, joints, animated=animated)
+        yield _missing_rest_fault(skeleton, joints, animated=animated)
     elif len(rest) != len(joints):
         message = f"{counted(len(rest), 'restTransform')}"
         message += f" for {counted(len(joints), 'joint')}"
@@ -96,7 +96,9 @@ def rest_transforms(
         yield from finite_transforms(attr, rest, joints)
 
 
-def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
+def _missing_rest_fault(
+    skeleton: Any, joints: Sequence[str], *, animated: bool
+) -> Fault:
     """Return the fault of missing rest transforms: a warning if replaced."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"

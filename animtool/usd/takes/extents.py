@@ -105,7 +105,7 @@ def author_extents(
                 writer.author_bounds(writer.padded_bounds(0.0))
         if not any(name for name, _ in writers):
             return
-    stage = _composed(job, layers)
+    stage = _composed_stage(job, layers)
     for name, writer in writers:
         if name:
             _select(stage, job, name)
@@ -121,7 +121,7 @@ def author_extents(
             check_variant(stage, layers[0], writer.paths, job.where)
 
 
-def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
+def _composed_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     """Return a stage of the authored layers over the rig."""
     from pxr import Usd
 
@@ -154,17 +154,17 @@ def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
         and not skeleton.GetXformOpOrderAttr().Get()
     )
 
-    bounds = writer.padded_bounds(_padding(job, stage, root)) if simple else []
+    bounds = writer.padded_bounds(_bounds_padding(job, stage, root)) if simple else []
     if not simple or not _are_computed(root, writer.codes, bounds):
         bounds = [
-            np.stack([_computed(root, code) for code in codes.tolist()])
+            np.stack([_computed_extent(root, code) for code in codes.tolist()])
             for codes in writer.codes
         ]
     with Sdf.ChangeBlock():
         writer.author_bounds(bounds)
 
 
-def _computed(root: Any, code: Any) -> Float32Array:
+def _computed_extent(root: Any, code: Any) -> Float32Array:
     """Return the extent that USD computes ``(2, 3)``."""
     from pxr import UsdGeom
 
@@ -181,12 +181,12 @@ def _are_computed(
     """
     times, authored = np.concatenate(codes), np.concatenate(bounds)
     return all(
-        np.array_equal(authored[i], _computed(root, float(times[i])))
+        np.array_equal(authored[i], _computed_extent(root, float(times[i])))
         for i in {0, len(times) // 2, len(times) - 1}
     )
 
 
-def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
+def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     """Return UsdSkel's padding of the joint bounds.
 
     With every joint at the origin, the extent is only the padding.
@@ -206,7 +206,7 @@ def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     attribute(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
     session = stage.GetSessionLayer()
     session.subLayerPaths.insert(0, collapsed.identifier)
-    extent = _computed(root, Usd.TimeCode.Default())
+    extent = _computed_extent(root, Usd.TimeCode.Default())
     session.subLayerPaths.remove(collapsed.identifier)
     return np.float32(extent[1].max())
 

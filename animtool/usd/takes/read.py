@@ -207,7 +207,7 @@ def _placement(
     return (NO_PLACEMENT if placement.uneven else placement), notices
 
 
-def _placed(
+def _placed_on_stage(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
     """Return the motion moved to the stage placement of its rig."""
@@ -379,7 +379,7 @@ def _rest_take(
     placement, notices = _placement(
         prim, rig, None, PrimLocation.of(path, prim), choice
     )
-    motion = _placed(motion, rig, placement, choice)
+    motion = _placed_on_stage(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
@@ -460,7 +460,7 @@ def _read(
     ancestor_codes = nearest_samples(sample_times, codes, grid.drift)
     placement, placement_notices = _placement(prim, rig, ancestor_codes, where, choice)
     notices += placement_notices
-    motion = _placed(motion, rig, placement, choice)
+    motion = _placed_on_stage(motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
