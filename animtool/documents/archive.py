@@ -229,10 +229,10 @@ class Archive:
                 raise ArrayError(f"{where} contains {header.dtype}, not numbers")
             # A dimension of 0 makes the size 0, however large the other dimensions are.
             limit = max(info.file_size, SMALL_BYTES)
-            empty = (
+            no_array = (
                 not header.count and math.prod(max(n, 1) for n in header.shape) > limit
             )
-            if header.begin + header.size > info.file_size or empty:
+            if header.begin + header.size > info.file_size or no_array:
                 raise ArrayError(f"{where} is shorter than its shape {header.shape}")
             self._headers[key] = header
         return self._headers[key]
@@ -293,8 +293,10 @@ class Archive:
         name, info = self._path.name, self._members.get(key)
         if info is None:
             names = [name_[:40] for name_ in list(self._members)[:MAX_SHOWN]]
-            shown = ", ".join(names) or "nothing"
-            raise ArrayError(f"{name} has no array {key!r}; its arrays are {shown}")
+            names_text = ", ".join(names) or "nothing"
+            raise ArrayError(
+                f"{name} has no array {key!r}; its arrays are {names_text}"
+            )
         if key in self._duplicates:
             raise ArrayError(f"{name} contains {key!r} twice")
         if info.flag_bits & _ENCRYPTED_FLAG:

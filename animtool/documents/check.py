@@ -139,11 +139,18 @@ def unknown_options(
 
 def _key_meant(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
-    plain = key.replace("_", "").lower()
-    other = next((one for one in OTHER_KEYS.get(plain, ()) if one in names), None)
-    if other is not None:
-        return f"the key is {other!r}", other
-    if plain in OTHER_KEYS:  # a word of its own, not a misspelling
+    normalized = key.replace("_", "").lower()
+    other_key = next(
+        (
+            candidate
+            for candidate in OTHER_KEYS.get(normalized, ())
+            if candidate in names
+        ),
+        None,
+    )
+    if other_key is not None:
+        return f"the key is {other_key!r}", other_key
+    if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(by_likeness(key, names))}", None
     return nearest(key, names), similar(key, names)
 
@@ -263,15 +270,15 @@ class _Faults:
             self._tight_dash(location, node)
             return
         message = f"unknown key {excerpt(str(key))}"
-        hint, intended = _key_meant(str(key), names)
+        hint, meant_key = _key_meant(str(key), names)
         if hint.startswith("allowed"):
             hint = self._key_of_sibling(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
-        if intended and intended not in node:
+        if meant_key and meant_key not in node:
             # Its names may be referenced, but whether it was meant is unknown.
-            node[intended] = value
-            self.document.spellings[*mapping, intended] = str(key)
-            self.document.guesses.add((*mapping, intended))
+            node[meant_key] = value
+            self.document.spellings[*mapping, meant_key] = str(key)
+            self.document.guesses.add((*mapping, meant_key))
 
     def _key_of_sibling(
         self, mapping: Location, node: dict[str, Any], key: str

@@ -318,5 +318,5 @@ def read_text(path: Path) -> str:
 
 def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
     """Return the first faults and one that counts the others."""
-    more = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
-    return first_faults(faults, MAX_FAULTS, faults[0].path, more)
+    suffix = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
+    return first_faults(faults, MAX_FAULTS, faults[0].path, suffix)

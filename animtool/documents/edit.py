@@ -82,8 +82,8 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     page = _SourceText.of(text, json=path.suffix == ".json")
     splices = sorted((page.splice(edit) for edit in edits), key=lambda s: s[0])
     after = text
-    for start, end, new in reversed(splices):
-        after = after[:start] + new + after[end:]
+    for start, end, replacement in reversed(splices):
+        after = after[:start] + replacement + after[end:]
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
@@ -171,17 +171,17 @@ class _SourceText:
     def _written(self, node: Any, value: str) -> Splice:
         """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
-        new = _plain_or_quoted(value)
+        new_text = _plain_or_quoted(value)
         if style == '"':
-            new = (
+            new_text = (
                 json.dumps(value, ensure_ascii=False)
                 if self.json
                 else _quoted_text(value)
             )
         elif style == "'" and value.isprintable():
             escaped = value.replace("'", "''")
-            new = f"'{escaped}'"
-        return node.start_mark.index, node.end_mark.index, new
+            new_text = f"'{escaped}'"
+        return node.start_mark.index, node.end_mark.index, new_text
 
     def _added(self, node: Any, key: str, value: Any) -> Splice:
         if not node.value:
@@ -264,5 +264,5 @@ def _plain_or_quoted(value: str) -> str:
 
 
 def _quoted_text(value: str) -> str:
-    quoted = plain_text(value)
-    return quoted if quoted.startswith('"') else f'"{quoted}"'
+    plain = plain_text(value)
+    return plain if plain.startswith('"') else f'"{plain}"'

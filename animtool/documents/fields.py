@@ -92,9 +92,11 @@ def check_numbers(value: Any) -> Any:
         limit = MAX_NUMBER if isinstance(number, float) else MAX_SEED
         if not -limit <= number <= limit:
             name = ".".join(keys)
-            shown = f"{number:g}" if isinstance(number, float) else _digits(number)
-            allowed = f"a finite number up to {limit:g}"
-            raise ValueError(f"{name} is {shown}, not {allowed}")
+            number_text = (
+                f"{number:g}" if isinstance(number, float) else _digits(number)
+            )
+            range_text = f"a finite number up to {limit:g}"
+            raise ValueError(f"{name} is {number_text}, not {range_text}")
     return value
 
 

@@ -113,7 +113,7 @@ def paired_entries(
     models: Sequence[type[BaseModel]], value: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Return the entries meant by pairs of the two keys that one needs; or none."""
-    if not value or not all(isinstance(one, str) for one in value.values()):
+    if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
         required = [key for key, info in fields.items() if info.is_required()]
@@ -176,12 +176,12 @@ def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
 
 def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
     """Return a text of numbers, or of one name, as the list that is meant."""
-    if all(isinstance(one, str) for one in example):
+    if all(isinstance(entry, str) for entry in example):
         return [text]
     ends = _PAIR.fullmatch(text)
     parts = re.split(r"[\s,;]+", text.strip("()[] ")) if ends is None else ends.groups()
     numbers = [plain_scalar(part) for part in parts if part]
-    are_numbers = all(isinstance(one, int | float) for one in numbers)
+    are_numbers = all(isinstance(entry, int | float) for entry in numbers)
     return numbers if are_numbers and len(numbers) == len(example) else None
 
 

@@ -100,16 +100,16 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
         return _with_new_keys(
             Migration(path, kind, version, newest_version, before, before)
         )
-    old = document.value
-    new = copy.deepcopy(old)
+    old_value = document.value
+    new_value = copy.deepcopy(old_value)
     for step in range(version, newest_version):
-        new = table[kind][step](new)
-    new[kind] = f"animtool/{newest_version}"
-    if {**new, kind: old[kind]} == old:
+        new_value = table[kind][step](new_value)
+    new_value[kind] = f"animtool/{newest_version}"
+    if {**new_value, kind: old_value[kind]} == old_value:
         after = _with_version(document, before, kind, f"animtool/{newest_version}")
         return Migration(path, kind, version, newest_version, before, after)
     # The kind comes first in a file, in whatever order the steps left the keys.
-    kind_first = {kind: new.pop(kind), **new}
+    kind_first = {kind: new_value.pop(kind), **new_value}
     if path.suffix == ".json":
         return Migration(
             path, kind, version, newest_version, before, json_text(kind_first)

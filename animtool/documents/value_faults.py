@@ -157,7 +157,7 @@ _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 def _value_message(fault: Any) -> str:
     """Return the message of a fault, with the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(value) if isinstance(value, str) else _shown_value(value)
+    value_text = excerpt(value) if isinstance(value, str) else _shown_value(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(value, str) else "item"
@@ -168,14 +168,14 @@ def _value_message(fault: Any) -> str:
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICES:
         allowed = context.get("expected", context.get("expected_tags"))
-        tag = excerpt(str(context["tag"])) if "tag" in context else shown
+        tag = excerpt(str(context["tag"])) if "tag" in context else value_text
         return f"{tag} is not one of {allowed}"
     if kind in _EXPECTED_NOUNS:
-        return f"{shown} is not {_EXPECTED_NOUNS[kind]}"
-    return _value_fault(shown, fault)
+        return f"{value_text} is not {_EXPECTED_NOUNS[kind]}"
+    return _value_fault(value_text, fault)
 
 
-def _value_fault(shown: str, fault: Any) -> str:
+def _value_fault(value_text: str, fault: Any) -> str:
     """Return the message for a value of the right type but out of range."""
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
@@ -183,15 +183,19 @@ def _value_fault(shown: str, fault: Any) -> str:
     key, side = _BOUNDS.get(kind, ("", ""))
     bound = context.get(key)
     if bound is not None and abs(bound) >= LARGE:
-        return f"{shown} is beyond {bound:g}"
+        return f"{value_text} is beyond {bound:g}"
     if bound is not None and 0 < bound <= SMALL:
-        above = fault["input"] > 0
-        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
+        is_positive = fault["input"] > 0
+        return (
+            f"{value_text} is below {bound:g}"
+            if is_positive
+            else f"{value_text} is not above 0"
+        )
     if bound is not None:
-        return f"{shown} is {side.format(f'{bound:g}')}"
+        return f"{value_text} is {side.format(f'{bound:g}')}"
     if kind == "value_error":
         return str(context["error"])
-    return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+    return f"{value_text}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _choice_hint(faults: Sequence[Any]) -> str | None:
@@ -204,12 +208,12 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
-            folded = next((n for n in names if n.lower() == value.lower()), None)
-            if folded is not None:
-                return f"write {folded}"
-            other = OTHER_VALUES.get(value.lower().replace("_", ""))
-            if other in names:
-                return f"{value!r} is called {other!r} here"
+            ignoring_case = next((n for n in names if n.lower() == value.lower()), None)
+            if ignoring_case is not None:
+                return f"write {ignoring_case}"
+            replacement = OTHER_VALUES.get(value.lower().replace("_", ""))
+            if replacement in names:
+                return f"{value!r} is called {replacement!r} here"
             meant = similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"

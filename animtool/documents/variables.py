@@ -276,7 +276,7 @@ class _Resolver:
             message = f"unknown variable {name!r}"
             hint = f"give it a value under {DEFAULTS}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")
-            near = similar(name, sorted(self.values))
-            hint = f"did you mean {near!r}?" if near else hint
+            similar_names = similar(name, sorted(self.values))
+            hint = f"did you mean {similar_names!r}?" if similar_names else hint
             self.document.add("SCN030", location, message, hint)
         return self.values.get(name)

@@ -69,27 +69,33 @@ def _tab(lines: list[str], line: int) -> YamlFault | None:
 
 def _no_colon(lines: list[str], problem: str, line: int) -> YamlFault | None:
     """Return the fault of a key without a colon above the scanner's position."""
-    here = lines[min(line, len(lines)) - 1]
-    above = _line_above(lines, line)
-    bare = _bare_key(lines[above - 1]) if above else None
-    if bare is None or not (
+    line_text = lines[min(line, len(lines)) - 1]
+    line_before = _line_above(lines, line)
+    bare_key = _bare_key(lines[line_before - 1]) if line_before else None
+    if bare_key is None or not (
         "could not find expected ':'" in problem
-        or ("mapping values" in problem and _indent(here) >= _indent(lines[above - 1]))
+        or (
+            "mapping values" in problem
+            and _indent(line_text) >= _indent(lines[line_before - 1])
+        )
     ):
         return None
-    name, _, rest = bare.partition(" ")
+    name, _, rest = bare_key.partition(" ")
     hint = f"write '{name}: {rest.strip(' =') or 'value'}'"
-    at = lines[above - 1].index(bare) + 1
-    return YamlFault("a key has no colon", hint, above, at)
+    at = lines[line_before - 1].index(bare_key) + 1
+    return YamlFault("a key has no colon", hint, line_before, at)
 
 
 def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
     """Return the fault at the scanner's position."""
     if "mapping values are not allowed" in problem:
-        here, above = lines[min(line, len(lines)) - 1], _line_above(lines, line)
-        if above and _indent(here) > _indent(lines[above - 1]):
-            message = f"line {line} is indented further than line {above}"
-            hint = f"start it in column {_indent(lines[above - 1]) + 1}"
+        line_text, line_before = (
+            lines[min(line, len(lines)) - 1],
+            _line_above(lines, line),
+        )
+        if line_before and _indent(line_text) > _indent(lines[line_before - 1]):
+            message = f"line {line} is indented further than line {line_before}"
+            hint = f"start it in column {_indent(lines[line_before - 1]) + 1}"
             return YamlFault(message, hint, line, column)
         hint = "put the value in quotes"
         return YamlFault("a value contains ': '", hint, line, column)

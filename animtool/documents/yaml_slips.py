@@ -105,13 +105,13 @@ class _Slips:
         """Return the slip before a line that starts within brackets."""
         if indent <= self.open[0][3] and _ENTRY.match(rest):
             return self._unclosed(self.number - 1)
-        above = self.number - 1
-        before = re.sub(r"\s#.*", "", self.lines[above - 1]).rstrip()
+        line_above = self.number - 1
+        before = re.sub(r"\s#.*", "", self.lines[line_above - 1]).rstrip()
         is_key = self.open[-1][0] == "{" and _FLOW_KEY.match(rest)
         if not is_key or not before or before[-1] in ",{":
             return None
         message, hint = "no comma at the end of this line", f"write '{before[-1]},'"
-        return YamlFault(message, hint, above, len(before) + 1)
+        return YamlFault(message, hint, line_above, len(before) + 1)
 
     def _is_last(self) -> bool:
         """Return whether the scanner stopped at this line or the next with text."""
@@ -198,10 +198,10 @@ class _Slips:
     def _closing(self, letter: str, at: int) -> YamlFault | None:
         bracket, line, column, _ = self.open[-1]
         if letter != _CLOSER[bracket]:
-            other = _CLOSER[bracket]
+            closer = _CLOSER[bracket]
             place = "this line" if line == self.number else f"line {line}"
             message = f"'{bracket}' in column {column} of {place} is not closed"
-            return self._slip(message, f"add '{other}' before this '{letter}'", at)
+            return self._slip(message, f"add '{closer}' before this '{letter}'", at)
         self.open.pop()
         rest = self.line[at + 1 :]
         if not self.open and re.match(r"\s*[\]}]", rest):

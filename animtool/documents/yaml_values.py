@@ -355,8 +355,12 @@ class _Open:
             reader.fault("DOC010", message, spot, hint)
             value = f"\0{position}"
         elif not isinstance(value, str):
-            shown = "a collection" if isinstance(value, dict | list) else repr(value)
-            reader.fault("DOC010", f"a key is {shown}, not text", position, "quote it")
+            value_text = (
+                "a collection" if isinstance(value, dict | list) else repr(value)
+            )
+            reader.fault(
+                "DOC010", f"a key is {value_text}, not text", position, "quote it"
+            )
             value = f"\0{position}"
         elif len(value) > LONGEST_KEY:
             message = f"a key of {len(value)} characters; the limit is {LONGEST_KEY}"

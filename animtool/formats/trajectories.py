@@ -135,7 +135,9 @@ class MarkerFile:
         ]
         unique = distinct(label_names)
         renamed = [
-            new for old, new in zip(label_names, unique, strict=True) if old != new
+            unique_name
+            for source_name, unique_name in zip(label_names, unique, strict=True)
+            if source_name != unique_name
         ]
         if renamed:
             warning = naming(

@@ -183,14 +183,14 @@ def timeline_of(
 
 
 def _range_in_stage(
-    timed: TimelineTake, authored: tuple[Fraction, Fraction] | None
+    timed: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
-    if authored is None or timed.shift:
+    if stage_range is None or timed.shift:
         return timed.first, timed.last
     first, last = (
-        max(timed.first, authored[0]),
-        min(timed.last, authored[1]),
+        max(timed.first, stage_range[0]),
+        min(timed.last, stage_range[1]),
     )
     return (first, last) if first <= last else (timed.first, timed.last)
 

@@ -306,14 +306,14 @@ def _alternatives(
 
 def _value(scope: _Scope, name: str) -> Any:
     """Return a field of the innermost record that has it."""
-    first, _, nested = name.partition(".")
+    first, _, attributes_path = name.partition(".")
     for record in scope:
         if first == "self":
-            return at_path(record, nested)
+            return at_path(record, attributes_path)
         if first in record if isinstance(record, Mapping) else hasattr(record, first):
             return at_path(record, name)
-    kinds = ", ".join(type(record).__name__ for record in scope)
-    raise AttributeError(f"{kinds}: no field {first!r}")
+    record_types = ", ".join(type(record).__name__ for record in scope)
+    raise AttributeError(f"{record_types}: no field {first!r}")
 
 
 def _count(value: Any, *nouns: str) -> str:

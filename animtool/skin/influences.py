@@ -207,8 +207,8 @@ def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
 
 
 def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
-    empty = np.minimum(sums, kept_sums) <= 0
-    faults = _faults("SKIN004", np.asarray(empty), "no weight on any joint")
+    without_weight = np.minimum(sums, kept_sums) <= 0
+    faults = _faults("SKIN004", np.asarray(without_weight), "no weight on any joint")
     if faults:
         raise FormatError(faults)
 

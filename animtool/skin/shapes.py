@@ -321,21 +321,21 @@ def _nonzero_offsets(
 
 
 def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
-    where = f"shape {shape.name!r}"
+    label = f"shape {shape.name!r}"
     faults = []
     length = count
     if shape.indices is not None:
         at = np.asarray(shape.indices)
         if at.ndim != 1 or not (at.size == 0 or np.issubdtype(at.dtype, np.integer)):
             message = (
-                f"{where}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
+                f"{label}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
             )
             return [Fault("SKIN001", message)]
         length = len(at)
         out_of_range = at[(at < 0) | (at >= count)].tolist()
         if out_of_range:
             message = (
-                f"{where} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
+                f"{label} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
             )
             faults.append(Fault("SKIN002", message))
     for offset in _all_offsets(shape):
@@ -344,9 +344,9 @@ def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
             ("normal offsets", offset.normal_offsets),
         ):
             if values is not None:
-                name = f"{where}: {array_name} at {offset.at:g}"
+                name = f"{label}: {array_name} at {offset.at:g}"
                 faults += _offset_faults(name, values, length)
-    return faults + _knot_faults(where, shape)
+    return faults + _knot_faults(label, shape)
 
 
 def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
@@ -361,11 +361,11 @@ def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
 
 
-def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:
-    knots = np.sort([0.0, 1.0, *(part.at for part in shape.inbetweens)])
+def _knot_faults(label: str, shape: ShapeDeltas) -> list[Fault]:
+    knots = np.sort([0.0, 1.0, *(inbetween.at for inbetween in shape.inbetweens)])
     if (np.diff(knots) > NEAREST_INBETWEEN).all():
         return []
-    weights = listed([f"{part.at:g}" for part in shape.inbetweens])
-    message = f"{where} has inbetweens at {weights}"
+    weights = listed([f"{inbetween.at:g}" for inbetween in shape.inbetweens])
+    message = f"{label} has inbetweens at {weights}"
     hint = "each needs its own weight, other than 0 and 1"
     return [Fault("SKIN006", message, hint=hint)]

@@ -172,9 +172,9 @@ class _Records:
         byte_count = count * dtype.itemsize
         if how not in {0, 1}:
             _fail(self.notes, at, f"unknown array encoding {how}")
-        stored = size if how else byte_count
-        if stored > end - first:
-            _fail(self.notes, at, f"an array of {stored} bytes is cut off")
+        stored_size = size if how else byte_count
+        if stored_size > end - first:
+            _fail(self.notes, at, f"an array of {stored_size} bytes is cut off")
         if how and byte_count > size * MAX_INFLATION:
             message = f"{size} bytes cannot hold an array of {byte_count} bytes"
             _fail(self.notes, at, message)
@@ -182,10 +182,10 @@ class _Records:
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
             self.notes.fail("FBX013", f"byte {at}", message)
-        data: Any = memoryview(self.content)[first : first + stored]
+        data: Any = memoryview(self.content)[first : first + stored_size]
         if how:
             data = self._inflate(data, byte_count, at)
-        return np.frombuffer(data, dtype, count), first + stored
+        return np.frombuffer(data, dtype, count), first + stored_size
 
     def _inflate(self, data: memoryview, size: int, at: int) -> bytes:
         """Return an array inflated to exactly its stated size."""

@@ -114,8 +114,8 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
                 for item in properties.all("P"):
                     if item.text(0) == "ActiveAnimStackName":
                         name = item.text(4)
-    for old in file.root.all("Takes"):
-        current = old.find("Current")
+    for takes_element in file.root.all("Takes"):
+        current = takes_element.find("Current")
         name = current.text(0) if current is not None else name
     animated = [i for i, take in enumerate(takes) if take.tracks]
     with_name = [i for i, take in enumerate(takes) if take.name == name]

@@ -109,7 +109,7 @@ def open_gltf(path: Path | str) -> Gltf:
     accessors = _accessors(container, path, notes)
     counts = [_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *counts)
-    scenes, shown = read_scenes(root, notes, nodes)
+    scenes, default_scene = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
@@ -122,7 +122,7 @@ def open_gltf(path: Path | str) -> Gltf:
         meshes,
         animations,
         scenes,
-        shown,
+        default_scene,
         accessors,
         root,
         notes,
@@ -194,10 +194,10 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
             notes.warn("GLT106", where, message)
 
 
-def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
+def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> None:
     """Warn about contradicting lists of extensions."""
     required = root.list_of("extensionsRequired")
-    for i, name in enumerate(used):
+    for i, name in enumerate(declared):
         where = f"{root.at('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
@@ -205,7 +205,7 @@ def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
         elif name in MUST_BE_REQUIRED and name not in required:
             notes.warn("GLT106", where, f"{name} is used, but not required")
     for i, name in enumerate(required):
-        if isinstance(name, str) and name not in used:
+        if isinstance(name, str) and name not in declared:
             message = f"{excerpt(name)} is required, but not listed as used"
             notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
 
@@ -263,11 +263,11 @@ def _check_weights(
 
 def _check_skins(gltf: Gltf) -> None:
     """Check that skins and meshes match."""
-    checked: set[tuple[int, int]] = set()
+    checked_pairs: set[tuple[int, int]] = set()
     for node in gltf.nodes:
-        if node.mesh < 0 or (node.mesh, node.skin) in checked:
+        if node.mesh < 0 or (node.mesh, node.skin) in checked_pairs:
             continue
-        checked.add((node.mesh, node.skin))
+        checked_pairs.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
             _require(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:

@@ -176,7 +176,7 @@ def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChanne
         a, b, middle = a[needs_split], b[needs_split], middle[needs_split]
         times.append(middle)
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-    every = np.unique(np.concatenate(times))
-    values = so3.align_signs(track.at(every))
-    channel = _clip_channel(target, key_frames(every, frames), values, Interp.SLERP)
-    return channel, len(every) - len(track.times)
+    all_times = np.unique(np.concatenate(times))
+    values = so3.align_signs(track.at(all_times))
+    channel = _clip_channel(target, key_frames(all_times, frames), values, Interp.SLERP)
+    return channel, len(all_times) - len(track.times)

@@ -291,12 +291,12 @@ def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
             item.notes.warn("GLT102", item.at(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
-        for i, (stated_value, real) in enumerate(
+        for i, (stated_value, number) in enumerate(
             zip(stated_bound, bound.tolist(), strict=True)
         ):
-            if is_number(stated_value) and not abs(stated_value - real) <= size:
+            if is_number(stated_value) and not abs(stated_value - number) <= size:
                 message = (
-                    f"{key} is {stated_value!r}, but the data has {real:.9g}: using "
+                    f"{key} is {stated_value!r}, but the data has {number:.9g}: using "
                 )
                 message += "the data"
                 item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)

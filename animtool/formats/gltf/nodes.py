@@ -162,8 +162,8 @@ def _split(
         notes.fail("GLT010", where, "the matrix is singular")
     unit_rotation, scale = so3.split_scale(linear[None] / size)
     rotation, lengths = unit_rotation[0], scale[0] * size
-    again = so3.to_matrix(rotation) * lengths
-    shear = float(np.abs(again - linear).max()) / size
+    recomposed = so3.to_matrix(rotation) * lengths
+    shear = float(np.abs(recomposed - linear).max()) / size
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
         notes.warn("GLT103", where, message)

@@ -316,19 +316,21 @@ def _static_keys(like: Keys, value: float) -> Keys:
 
 def _merge_weights(tracks: list[Keys]) -> Keys | None:
     """Return linear or stepped weight keys at the union of their times."""
-    how = tracks[0].interpolation
-    if how == "CUBICSPLINE" or any(keys.interpolation != how for keys in tracks):
+    interpolation = tracks[0].interpolation
+    if interpolation == "CUBICSPLINE" or any(
+        keys.interpolation != interpolation for keys in tracks
+    ):
         return None
     times = np.unique(np.concatenate([keys.times for keys in tracks]))
     columns = []
     for keys in tracks:
         values = keys.values[:, 0]
-        if how == "STEP":
+        if interpolation == "STEP":
             key_indices = np.searchsorted(keys.times, times, "right") - 1
             columns.append(values[np.clip(key_indices, 0, None)])
         else:
             columns.append(np.interp(times, keys.times, values))
-    return Keys(times, np.stack(columns, axis=1), how)
+    return Keys(times, np.stack(columns, axis=1), interpolation)
 
 
 def _combine_weights(tracks: list[Keys | None], samples: FloatArray) -> Keys | None:

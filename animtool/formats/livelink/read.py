@@ -208,13 +208,13 @@ def _notices(
     notices = []
     gaps = frames.dropped
     if len(gaps):
-        handling = {
+        fill = {
             "interpolate": "interpolated",
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
         message = (
-            f"{len(gaps)} of {frames.count} frames have no row: {handling}; from the "
+            f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
@@ -226,10 +226,12 @@ def _notices(
         missing = ~np.isfinite(values)
         for c in np.flatnonzero(missing.any(axis=0)).tolist():
             lines = recording.lines[missing[:, c]].tolist()
-            how = "interpolated from its neighbours"
+            treatment = "interpolated from its neighbours"
             if missing[:, c].all():
-                how = "set to 0"
-            message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
+                treatment = "set to 0"
+            message = (
+                f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"
+            )
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
             notices.append(replace(fault, severity=Severity.WARNING))
     # Values are kept: some rigs exceed 1, and percentages are detected.

@@ -192,12 +192,12 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
         return 1, np.zeros(len(times), np.int64)
     exact = steps + np.diff(fractions)
     step = 1
-    for every in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
+    for interval in range(min(MAX_STEP, int(np.median(positive_steps))), 1, -1):
         regular = max(
-            (positive_steps % every == 0).mean(), _on_beat(exact, every).mean()
+            (positive_steps % interval == 0).mean(), _on_beat(exact, interval).mean()
         )
         if regular >= REGULAR_FRACTION:
-            step = every
+            step = interval
             break
     if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(fractions) > 0:
         beats = np.round(exact / step)
@@ -231,13 +231,20 @@ def _repeated_notice(
     lines: IntArray,
     path: str,
 ) -> list[Fault]:
-    again = sorted(lines[order[~is_first]].tolist())
-    if not again:
+    repeats = sorted(lines[order[~is_first]].tolist())
+    if not repeats:
         return []
     message = (
-        f"{counted(len(again), 'row')} for a frame that already has one: skipped, "
-        f"lines {listed(again, MAX_NAMED)}"
+        f"{counted(len(repeats), 'row')} for a frame that already has one: skipped, "
+        f"lines {listed(repeats, MAX_NAMED)}"
     )
     return [
-        Fault("LLF105", message, path, tuple(again[:MAX_NAMED]), None, Severity.WARNING)
+        Fault(
+            "LLF105",
+            message,
+            path,
+            tuple(repeats[:MAX_NAMED]),
+            None,
+            Severity.WARNING,
+        )
     ]

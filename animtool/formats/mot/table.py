@@ -245,12 +245,12 @@ def check_once(
     first_names: dict[object, str] = {}
     for key, name in zip(keys, names, strict=True):
         if key in first_names:
-            both = f"{excerpt(first_names[key])} and {excerpt(name)}"
+            both_names = f"{excerpt(first_names[key])} and {excerpt(name)}"
             message_start = f"duplicate column {excerpt(name)}"
             message = (
                 message_start
                 if first_names[key] == name
-                else f"{both} are the same coordinate"
+                else f"{both_names} are the same coordinate"
             )
             raise _error("MOF004", path, message, line)
         first_names[key] = name

@@ -30,28 +30,28 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
         return {}
     folders = PackageFolders.of(path, CODES)
     files: dict[str, Path] = {}
-    missing: dict[str, None] = {}
-    outside: set[tuple[str, str]] = set()
+    missing_files: dict[str, None] = {}
+    outside_files: set[tuple[str, str]] = set()
     for link, mesh in meshes:
         name = mesh.attributes["filename"]
-        if name in files or name in missing or (link.name, name) in outside:
+        if name in files or name in missing_files or (link.name, name) in outside_files:
             continue
         try:
             file_path = folders.find(name)
         except OutsideError as error:
-            outside.add((link.name, name))
+            outside_files.add((link.name, name))
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             notes.add("URD016", mesh, message, hint, where=label("link", link.name))
             continue
         if file_path is None:
-            missing[name] = None
+            missing_files[name] = None
         else:
             files[name] = file_path
-    if missing:
-        message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
-        message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
+    if missing_files:
+        message = f"{counted(len(missing_files), 'mesh', 'meshes')} not found: "
+        message += listed([excerpt(name, 80) for name in missing_files], MAX_NAMED)
         hint = "motion needs none of them; package:// means a folder of that name in "
         hint += "the project, or the package that the file is in"
         notes.add("URD103", None, message, hint, severity=Severity.NOTE)

@@ -262,8 +262,8 @@ class PictureRenderer:
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
         pixels = shape[1], shape[0]
-        about = self._kind.about
-        return PictureReport(output, size, pixels, codes, rate, about, self._page)
+        info = self._kind.about
+        return PictureReport(output, size, pixels, codes, rate, info, self._page)
 
     def _samples(self) -> list[int]:
         """Return the samples of a picture or sheet."""
@@ -401,5 +401,5 @@ class PictureRenderer:
                 TURNTABLE_SECONDS * TURNTABLE_RATE if self._options.turntable else 1
             )
             return [0] * frames, Fraction(TURNTABLE_RATE)
-        every = max(1, math.ceil(rate / self._kind.max_rate))
-        return list(range(0, time["count"], every)), rate / every
+        interval = max(1, math.ceil(rate / self._kind.max_rate))
+        return list(range(0, time["count"], interval)), rate / interval

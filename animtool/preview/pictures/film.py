@@ -29,9 +29,9 @@ def write_picture(path: Path, pixels: Array) -> None:
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
     image = image_of.fromarray(np.ascontiguousarray(pixels))
-    with replacing(path) as new:
+    with replacing(path) as temporary:
         try:
-            image.save(new, **settings)
+            image.save(temporary, **settings)
         except OSError as error:
             raise output_error(path, error) from error
 
@@ -55,10 +55,13 @@ def film(
     """
     av = import_package("av")
     palette = _palette(samples) if kind.pixels == "pal8" else None
-    with replacing(path) as new:
+    with replacing(path) as temporary:
         try:
             with av.open(
-                str(new), "w", format=kind.container, options=dict(kind.file_settings)
+                str(temporary),
+                "w",
+                format=kind.container,
+                options=dict(kind.file_settings),
             ) as container:
                 stream = container.add_stream(
                     kind.codec, rate=rate, options=dict(kind.settings)

@@ -83,22 +83,24 @@ class CacheTarget:
         """
         stage = compose_check(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
-        hidden = []
+        hidden_meshes = []
         if root.IsA(UsdSkel.Root):
-            hidden.append(str(root.GetPath()))
+            hidden_meshes.append(str(root.GetPath()))
         for mesh in self.prims:
             prim = stage.GetPrimAtPath(mesh.path)
             if prim.IsInstanceProxy():
-                hidden.append(mesh.path)
+                hidden_meshes.append(mesh.path)
             if not points:
                 continue
             attr = prim.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
-            if mesh.path not in hidden and (not stack or stack[0].layer != layer):
-                hidden.append(mesh.path)
-        if hidden:
+            if mesh.path not in hidden_meshes and (
+                not stack or stack[0].layer != layer
+            ):
+                hidden_meshes.append(mesh.path)
+        if hidden_meshes:
             message = "the rig's own opinions are stronger than the cache at "
-            message += listed(hidden)
+            message += listed(hidden_meshes)
             hint = "a layer cannot reach into instances"
             where = str(self.rig.path)
             raise OutputError(Fault("USD042", message, where, (), hint))

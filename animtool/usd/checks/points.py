@@ -174,10 +174,12 @@ def _prototypes(
 ) -> Iterator[Fault]:
     relationship = instancer.GetPrototypesRel()
     targets = relationship.GetForwardedTargets()
-    gone = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
-    if gone and not subject.alone:
+    missing_targets = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
+    if missing_targets and not subject.alone:
         yield finding(
-            "USD287", relationship.GetPath(), f"prim {gone[0]} does not exist"
+            "USD287",
+            relationship.GetPath(),
+            f"prim {missing_targets[0]} does not exist",
         )
     path = instancer.GetPath()
     ancestors = [target for target in targets if path.HasPrefix(target)]

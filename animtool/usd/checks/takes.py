@@ -145,13 +145,13 @@ def _bound(skeletons: list[Any]) -> dict[Any, Any]:
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
     """Return the Skeleton that shares most joints with an animation."""
     joints = set(tokens(animation.GetJointsAttr()))
-    best = None
+    nearest = None
     most_joints = len(joints) // 2
     for skeleton in skeletons:
         common_joints = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
         if common_joints > most_joints:
-            best, most_joints = skeleton, common_joints
-    return best
+            nearest, most_joints = skeleton, common_joints
+    return nearest
 
 
 def _take(

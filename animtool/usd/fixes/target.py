@@ -188,9 +188,9 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
     """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return
-    with edited_layer(source) as edited:
+    with edited_layer(source) as edited_copy:
         composed = [
-            Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()
+            Path(layer.realPath) for layer in edited_copy.target.stage.GetUsedLayers()
         ]
     if output.resolve() in {path.resolve() for path in composed}:
         message = f"is a layer of {source}"
@@ -239,21 +239,21 @@ def _format(path: Path) -> str:
 
 def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
     """Rewrite relative asset paths for another folder; return how many changed."""
-    old, new = source.resolve().parent, output.resolve().parent
-    if old == new:
+    old_folder, new_folder = source.resolve().parent, output.resolve().parent
+    if old_folder == new_folder:
         return 0
     count = 0
 
-    def moved(text: str) -> str:
+    def reanchored(text: str) -> str:
         nonlocal count
         file_path, package, inner_path = text.partition("[")
         if not file_path or Path(file_path).is_absolute() or "://" in file_path:
             return text
         relative = file_path.startswith(("./", "../"))
-        if not relative and not (old / file_path).exists():
+        if not relative and not (old_folder / file_path).exists():
             return text
         count += 1
-        return f"{asset_path(old / file_path, new)}{package}{inner_path}"
+        return f"{asset_path(old_folder / file_path, new_folder)}{package}{inner_path}"
 
-    UsdUtils.ModifyAssetPaths(layer, moved)
+    UsdUtils.ModifyAssetPaths(layer, reanchored)
     return count

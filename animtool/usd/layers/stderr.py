@@ -52,7 +52,7 @@ def without_usd_warnings() -> Iterator[None]:
 def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
-        saved = os.dup(2)
+        saved_fd = os.dup(2)
     except OSError:  # stderr is closed
         yield
         return
@@ -65,9 +65,9 @@ def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            os.dup2(saved, 2)
+            os.dup2(saved_fd, 2)
         with suppress(OSError):
-            os.close(saved)
+            os.close(saved_fd)
         if buffer is not None:
             with suppress(OSError), buffer:
                 _print_others(buffer, dropped_texts)

@@ -400,8 +400,8 @@ def _split(
     """Return translations, rotations, scales, and the relative shear dropped."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
-    again = so3.to_matrix(rotations) * scales[:, None, :]
+    recomposed = so3.to_matrix(rotations) * scales[:, None, :]
     size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
-    difference = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    difference = np.abs(recomposed - matrices[:, :3, :3]).max(axis=(1, 2))
     shares = difference / np.where(size > 0, size, 1.0)
     return positions, rotations, scales, float(shares.max(initial=0.0))

@@ -356,8 +356,10 @@ def part_names(names: Sequence[str]) -> UsdNames:
     >>> part_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
-    every = [PROTOTYPES, PHYSICS, *names]
-    distinct = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    all_names = [PROTOTYPES, PHYSICS, *names]
+    distinct = distinct_names(
+        all_names, [name.removesuffix("]") for name in all_names], all_names
+    )
     return replace(distinct, names=distinct.names[2:])
 
 

@@ -119,8 +119,8 @@ def mesh_names(
     """
     used_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
     used_names.append(STRANDS_SCOPE)
-    every = [*used_names, *(surface.name for surface in surfaces)]
-    names = distinct_names(every, every, every)
+    all_names = [*used_names, *(surface.name for surface in surfaces)]
+    names = distinct_names(all_names, all_names, all_names)
     paths_of_meshes = [
         f"{paths.root}/{name}" for name in names.names[len(used_names) :]
     ]
@@ -363,8 +363,8 @@ def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
     segments = np.array(ends, np.float64).reshape(-1, 2, 3)
     owners = np.array(joints, np.int64)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
-    real = lengths > 1e-6 * lengths.max(initial=0.0)
-    return segments[real], owners[real]
+    is_nonzero = lengths > 1e-6 * lengths.max(initial=0.0)
+    return segments[is_nonzero], owners[is_nonzero]
 
 
 def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:

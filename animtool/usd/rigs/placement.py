@@ -58,8 +58,8 @@ class SkeletonPlacement:
     @property
     def rest(self) -> Placement:
         """Placement of its rest pose: size, upright rotation and position."""
-        stands, sized = self._at_rest()
-        return stands.after(sized)
+        placement_rest, sizes_rest = self._at_rest()
+        return placement_rest.after(sizes_rest)
 
     @property
     def sized(self) -> Placement:

@@ -190,34 +190,34 @@ def _merged_with_usd(stored: Rig, usd_rig: Rig, where: str) -> tuple[Rig, list[F
     joints: list[Joint] = []
     changed_names: list[str] = []
     for joint in usd_rig.joints:
-        old = stored_joints.get(joint.source_name or joint.name)
+        stored_joint = stored_joints.get(joint.source_name or joint.name)
         parent = joints[joint.parent].name if joint.parent >= 0 else ""
-        if old is None:
+        if stored_joint is None:
             changed_names.append(joint.name)
             joints.append(joint)
-        elif parents[old.name] == parent and _equal_rest(old, joint):
-            joints.append(replace(old, parent=joint.parent))
+        elif parents[stored_joint.name] == parent and _equal_rest(stored_joint, joint):
+            joints.append(replace(stored_joint, parent=joint.parent))
         else:
-            changed_names.append(old.name)
+            changed_names.append(stored_joint.name)
             joints.append(
                 replace(
-                    old,
+                    stored_joint,
                     parent=joint.parent,
                     translation=joint.translation,
                     rotation=joint.rotation,
                 )
             )
-    gone = sorted(set(stored_joints) - {joint.name for joint in joints})
-    if not changed_names and not gone and stored.bind == usd_rig.bind:
+    removed_names = sorted(set(stored_joints) - {joint.name for joint in joints})
+    if not changed_names and not removed_names and stored.bind == usd_rig.bind:
         return stored, []
     message = "the Skeleton was edited after it was written; using the edited one"
     if changed_names:
         message += f"; joints that differ: {listed(changed_names)}"
-    if gone:
-        message += f"; removed: {listed(gone)}"
+    if removed_names:
+        message += f"; removed: {listed(removed_names)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)
     return _without_joints(
-        replace(stored, joints=tuple(joints), bind=usd_rig.bind), gone
+        replace(stored, joints=tuple(joints), bind=usd_rig.bind), removed_names
     ), [notice]
 
 

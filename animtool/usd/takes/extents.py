@@ -179,9 +179,9 @@ def _are_computed(
 
     Compares the first, the middle and the last.
     """
-    times, authored = np.concatenate(codes), np.concatenate(bounds)
+    times, stored_bounds = np.concatenate(codes), np.concatenate(bounds)
     return all(
-        np.array_equal(authored[i], _computed_extent(root, float(times[i])))
+        np.array_equal(stored_bounds[i], _computed_extent(root, float(times[i])))
         for i in {0, len(times) // 2, len(times) - 1}
     )
 

@@ -48,13 +48,13 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
     model = Sdf.Path(paths.model)
     variant = model.AppendVariantSelection(TAKE_SET, name)
 
-    def inside(path: str) -> str:
+    def path_in_take(path: str) -> str:
         return str(Sdf.Path(path).ReplacePrefix(model, variant))
 
     return replace(
         paths,
-        root=inside(paths.root),
-        binding=inside(paths.binding),
+        root=path_in_take(paths.root),
+        binding=path_in_take(paths.binding),
         animation=f"{paths.animation}_{name}",
     )
 

@@ -504,15 +504,15 @@ def _columns(
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
     """Return notices of samples that are irregular or off frames."""
     notices = []
-    every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
+    interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.regular:
-        message = f"samples are unevenly spaced; read every {every}"
+        message = f"samples are unevenly spaced; read every {interval}"
         notices.append(where.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:
         message = (
             f"samples are up to {grid.drift:.2g} time codes off the frames (at "
             f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
-            f"one every {every}"
+            f"one every {interval}"
         )
         notices.append(where.fault("USD121", message, severity=Severity.NOTE))
     if grid.between:
