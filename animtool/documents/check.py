@@ -128,7 +128,7 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
 def unknown_options(
     options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> LocatedFaults:
-    """Return a fault for each option that its owner does not have."""
+    """Return a fault for each unknown option."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
@@ -283,7 +283,7 @@ class _Faults:
     def _key_of_sibling(
         self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
-        """Return a hint at the mapping beside an unknown key that has it."""
+        """Return a hint that names a sibling mapping where an unknown key is valid."""
         for sibling, value in node.items():
             within = value[0] if isinstance(value, list) and value else value
             inner = (0,) if within is not value else ()
@@ -294,7 +294,7 @@ class _Faults:
         return None
 
     def _no_known_key(self, mapping: Location) -> bool:
-        """Record once that a list's entry has no key that is allowed."""
+        """Record once that a list entry has no known key."""
         node = self.value
         for step in mapping:
             node = node[step]
@@ -312,7 +312,7 @@ class _Faults:
         return True
 
     def _tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
-        """Record an entry of a list that was read as a key."""
+        """Record a list entry that was parsed as a key."""
         *outer, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
         self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
@@ -321,7 +321,7 @@ class _Faults:
                 self._put_placeholder((*outer, other))
 
     def _paired_key(self, mapping: Location, node: dict[str, Any]) -> bool:
-        """Record an entry that pairs two names, such as {Hips: hips}, and mend it."""
+        """Record and correct an entry that pairs two names, such as {Hips: hips}."""
         models = models_of(annotation_at(self.model, self.value, mapping), node)
         entries = paired_entries(models, node) if len(mapping) > 1 else []
         if not entries:
@@ -345,7 +345,7 @@ class _Faults:
         self._put_placeholder(location)
 
     def _wrong_entry(self, location: Location, faults: list[Any]) -> bool:
-        """Record once that a list has another form than its entries show."""
+        """Record once that a list's entries have the wrong form."""
         *outer, last = location
         if not isinstance(last, int) or not outer or not expected_structures(faults):
             return False

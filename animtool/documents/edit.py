@@ -95,7 +95,7 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
 
 
 def _parses_to(text: str, path: Path, value: Any) -> bool:
-    """Return whether a text parses to some values; False if it is malformed."""
+    """Return whether a text parses to the given values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
     except FormatError:
@@ -240,7 +240,7 @@ def _entries(node: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _end(node: Any) -> int:
-    """Return where a value ends; block collections end with their last value."""
+    """Return the end of a value; a block collection ends with its last value."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last
@@ -255,7 +255,7 @@ def _flow(value: Any) -> str:
 
 
 def _plain_or_quoted(value: str) -> str:
-    """Return a text unquoted if it parses back to itself, with its brackets."""
+    """Return a text without quotes if it still parses to itself inside brackets."""
     try:
         parsed = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:

@@ -112,7 +112,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
 def paired_entries(
     models: Sequence[type[BaseModel]], value: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the entries meant by pairs of the two keys that one needs; or none."""
+    """Return the entries that a mapping of name pairs means; empty if unclear."""
     if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
@@ -124,7 +124,7 @@ def paired_entries(
 
 
 def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the entries of a list that a mapping stands for; empty if none fit."""
+    """Convert a mapping to the list of entries it means; empty if none fit."""
     models = models_of(annotation_inside(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
     if not keys:  # entries that are named by their only key, such as passes
@@ -161,7 +161,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
 
 
 def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
-    """Return a list as an entry of the list that is meant, or without a step."""
+    """Wrap a list as the entry of a list, or drop the step of a range."""
     if isinstance(example[0], list):
         return [value] if len(value) == len(example[0]) else None
     keys = list(example[0]) if isinstance(example[0], dict) else []
@@ -175,7 +175,7 @@ def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
 
 
 def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
-    """Return a text of numbers, or of one name, as the list that is meant."""
+    """Convert a text of numbers, or one name, to a list."""
     if all(isinstance(entry, str) for entry in example):
         return [text]
     ends = _PAIR.fullmatch(text)

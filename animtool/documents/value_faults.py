@@ -57,7 +57,7 @@ _SWITCHES = {
 
 
 def fitting(faults: Sequence[Any]) -> list[Any]:
-    """Return the faults of the type that was meant, of those of a union."""
+    """Return the faults of the union member that was most likely intended."""
     for kinds in _FIT_PRIORITY:
         meant = [fault for fault in faults if fault["type"] in kinds]
         if meant:
@@ -94,7 +94,7 @@ def values_message(faults: Sequence[Any]) -> str:
 
 
 def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
-    """Return a hint that shows the value as it was meant."""
+    """Return a hint that shows the intended value."""
     value = faults[0]["input"]
     kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
     if kinds & {"a number", "a whole number"}:
@@ -231,7 +231,7 @@ def _are(count: int) -> str:
 
 
 def _shown_value(value: Any) -> str:
-    """Return a value as a message shows it."""
+    """Return a value as text for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

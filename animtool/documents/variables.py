@@ -158,7 +158,7 @@ class _Resolver:
     parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
-        """Read the document's default values; each may use those above it."""
+        """Read the document's default values; each may use earlier ones."""
         default_values = self.document.value.get(DEFAULTS)
         for name, value in (
             default_values if isinstance(default_values, dict) else {}

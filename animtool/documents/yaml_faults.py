@@ -131,7 +131,7 @@ def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
 
 
 def _bare_key(line: str) -> str | None:
-    """Return the text of a line that may lack a colon behind its first word."""
+    """Return the text of a line that may lack a colon after its first word."""
     match = re.fullmatch(r"[ -]*([A-Za-z_][^:#]*?)\s*(#.*)?", line)
     return match[1] if match else None
 

@@ -1,4 +1,4 @@
-"""Slips of the hand that make a text invalid YAML, found where they were made.
+"""Locate typing mistakes that make a text invalid YAML.
 
 The YAML scanner reports what it could not read next, often a line later. These checks
 read the lines up to there for what the author most likely mistyped.
@@ -35,7 +35,7 @@ class YamlFault(NamedTuple):
 
 
 def find_slip(text: str, stop: int) -> YamlFault | None:
-    r"""Return the first slip of a text that is not YAML; None if none is known.
+    r"""Return the first mistake in invalid YAML; None if it is not recognised.
 
     Args:
         text: The text.
@@ -133,7 +133,7 @@ class _Slips:
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
     def _rest(self, indent: int) -> YamlFault | None:
-        """Return the first slip within a line; update what is open."""
+        """Return the first mistake in a line; update the open brackets and quotes."""
         line = self.line
         at = self._quoted(0) if self.quote else 0
         fresh = True  # whether a value may start
@@ -219,7 +219,7 @@ class _Slips:
         return self._slip(message, hint, column - 1)
 
     def _scalar(self, at: int) -> str:
-        """Return the text from a column to the end of what looks like one value."""
+        """Return the text from a column to the likely end of its value."""
         rest = re.sub(r"\s+#.*", "", self.line[at:]).rstrip()
         if not self.open:
             return rest

@@ -382,7 +382,7 @@ class _Open:
             self.brackets += _open_brackets(unquoted)
 
     def _tight_key(self, reader: _YamlReader) -> None:
-        """Report a key that contains its value, for want of a space."""
+        """Report a key that contains its value because a space is missing."""
         key, position = reader.before()
         match = _TIGHT_KEY.fullmatch(key)
         if match is not None:

@@ -117,7 +117,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most decimals in a column; 15 for exponents."""
+        """Return the maximum number of decimals in a column; 15 for exponents."""
         max_decimals = 0
         for text in self.texts:
             begin = text[: MAX_CELL * (column + 1)]

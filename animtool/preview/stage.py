@@ -126,7 +126,7 @@ def _instance_streams(
 def _point_stream(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
 ) -> int:
-    """Return the stream of animated points; wrong lengths repeat the last sample."""
+    """Return the stream of animated points; wrong sizes repeat the last sample."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)

@@ -227,7 +227,7 @@ class Packer:
 def _split_by_size(
     streams: Sequence[_Stream], max_bytes: int, samples: int
 ) -> list[list[_Stream]]:
-    """Return streams up to a total size; a larger one is alone."""
+    """Group streams up to a total size; a larger stream gets its own group."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:

@@ -80,7 +80,7 @@ def _posed_targets(
     frames: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
-    """Return the rig of targets and its joints, in the axes of its file."""
+    """Return the rig of the targets and its world transforms, in the file's axes."""
     if page_take is None or not page_take.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))

@@ -73,7 +73,7 @@ def compare_weights(
 
 
 def missing_text(noun: str, missing: Sequence[str], other: str) -> str:
-    """Return text that lists what the other of two files or takes lacks."""
+    """Return text that lists names missing from the other file or take."""
     are = "is" if len(missing) == 1 else "are"
     return f"{counted(len(missing), noun)} {are} not in the {other}: {listed(missing)}"
 
@@ -272,7 +272,7 @@ def _skeleton_pairs(
 def _merged_difference(
     total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Return the differences of several skeletons merged with one more."""
+    """Merge the difference of another skeleton into the total."""
     quantities = ("world", "translation", "rotation", "scale", "weight")
     larger = {
         quantity: replace(difference, skeleton=skeleton)

@@ -39,7 +39,7 @@ from animtool.core.values import at_path
 
 @dataclass(frozen=True, slots=True)
 class Each:
-    """Lines for each entry of a field; its names shadow the record's.
+    """Lines for each entry of a field; entry fields shadow those of the record.
 
     Attributes:
         name: Name of the field, with a printer after a colon if it has no entries

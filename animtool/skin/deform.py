@@ -143,7 +143,7 @@ def _deform(
     times: FloatArray | None,
     buffers: _Buffers | None,
 ) -> Deformed:
-    """Return the deformed mesh like `deform`, in the buffers if given."""
+    """Return the deformed mesh like `deform`, reusing buffers if given."""
     frames = _frames(values, world)
     points = _points(mesh, values, world, frames, buffers)
     return Deformed(
@@ -310,7 +310,7 @@ def displaced_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> Deformed:
-    """Return frames of a mesh with its points replaced, such as simulated ones.
+    """Return frames of a mesh with replaced points, such as simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 

@@ -1,4 +1,4 @@
-"""The HIERARCHY block of a BVH file and the two lines that open its MOTION."""
+"""The HIERARCHY block of a BVH file, and the first two lines of its MOTION block."""
 
 from __future__ import annotations
 

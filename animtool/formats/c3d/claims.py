@@ -1,4 +1,4 @@
-"""Layout claims: values that header and parameters of a C3D state for its layout."""
+"""Layout claims: layout values stated by the header and parameters of a C3D."""
 
 from __future__ import annotations
 

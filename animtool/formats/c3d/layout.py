@@ -279,7 +279,7 @@ def _may_solve(claims: Sequence[Claim]) -> bool:
 
 
 def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
-    """Return frame counts that fit the size, with cost and whether solved.
+    """Return frame counts solved from the file size, with cost and a flag.
 
     That is, if stated counts are full 16-bit values, wrap around, differ, or are
     missing.
@@ -376,5 +376,5 @@ def _is_noise(layout: Layout, evidence: Evidence) -> bool:
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:
-    """Return the values that determine which number is which coordinate."""
+    """Return the values that assign numbers to coordinates."""
     return layout.begin, layout.width, layout.points, layout.row

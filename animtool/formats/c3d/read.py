@@ -56,7 +56,7 @@ _UP_ROTATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The up axis, and the axis permutation that leads to it.
+    """The up axis, and the axis permutation that converts to it.
 
     Attributes:
         up: The up axis of the converted positions.

@@ -127,7 +127,7 @@ def _extrapolation(curve: FbxCurve, outside: FbxExtrapolation) -> Extrapolation 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SegmentedCurve:
-    """A curve over the segments between N + 1 times that include all of its keys."""
+    """A curve split into N segments, whose N + 1 times include all keys."""
 
     is_cubic: BoolArray  # ``(N,)``
     is_stepped: BoolArray
@@ -205,7 +205,7 @@ def _segmented_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
 
 
 def _never(k: IntArray) -> FloatArray:
-    """Return weights that no keys have, as NaN."""
+    """Return NaN weights, for curves without weighted keys."""
     return np.full((len(k), 2), np.nan)
 
 

@@ -150,7 +150,7 @@ class FbxSampler:
 def frames_of(
     scene: FbxScene, take: AnimTake | None, fps: Fraction | None, width: int
 ) -> FbxFrames:
-    """Return the frame range of a take: its span, else that of its keys.
+    """Return the frame range of a take: its span, or the range of its keys.
 
     Args:
         scene: The file.

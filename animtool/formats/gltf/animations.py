@@ -358,7 +358,7 @@ def _values(
 def _sorted_keys(
     times: FloatArray, table: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys sorted by time; of equal times the first.
+    """Return keys sorted by time; only the first of several at one time.
 
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """

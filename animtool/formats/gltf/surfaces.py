@@ -93,7 +93,7 @@ def names_of_shapes(
 
 
 def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
-    """Return a mesh's vertices, each shared set once."""
+    """Return a mesh's vertex sets; primitives may share one."""
     vertex_sets: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:

@@ -152,7 +152,7 @@ def write_clip(
 
 
 def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
-    """Return the keys of the clip or glTF that a take still equals."""
+    """Return the source keys of a take that still equals its clip or glTF."""
     start = take.clock.start
     if not is_of_curve(take):
         return {}

@@ -200,7 +200,7 @@ def _node_of(
 def _carrier(
     builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
 ) -> tuple[int, FloatArray]:
-    """Return the joint that rigidly carries a mesh, -1 for none, and its bind.
+    """Return the joint that a mesh moves rigidly with (-1: none), and its bind.
 
     The bind is the transform from the points to the joint, or to the world without a
     joint. A node has one mesh: a second mesh at the same joint is skinned.

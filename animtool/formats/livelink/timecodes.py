@@ -208,7 +208,7 @@ def _frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
 
 
 def _on_beat(exact: FloatArray, step: int) -> BoolArray:
-    """Return which rows are an integer number of steps after the previous one."""
+    """Return which rows are a whole number of steps after the previous row."""
     beats = exact / step
     return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)
 

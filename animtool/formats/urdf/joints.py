@@ -32,7 +32,7 @@ _LIMITED_KINDS = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 def add_joint(
     element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
 ) -> None:
-    """Add a joint to those of a file; record faults."""
+    """Add a joint to the file's joints; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -90,7 +90,7 @@ def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
 
 
 def unit(values: FloatArray) -> Vector:
-    """Return a direction normalised to the last digit."""
+    """Return a direction, normalised to full precision."""
     direction = values / np.abs(values).max()
     return vector(direction / math.sqrt(float(direction @ direction)))
 

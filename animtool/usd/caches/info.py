@@ -103,7 +103,7 @@ class PointsDescription:
 
 
 def describe_points(path: Path) -> PointsDescription | None:
-    """Describe a USD file that has points and no character; otherwise None.
+    """Describe a USD file with points but no character; None for other files.
 
     Only array lengths and extents are read of each sample of a crate file.
     """

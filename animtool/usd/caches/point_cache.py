@@ -173,7 +173,7 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
-    """Return the layer metadata of a cache with frames from first to last."""
+    """Return the layer metadata of a cache, with its frame range."""
     frames = job.frames or (Fraction(first), Fraction(last))
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
@@ -198,7 +198,7 @@ class ChunkedCache:
 
 
 def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
-    """Write the points of a cache in files of some samples each.
+    """Write the points of a cache in chunk files.
 
     Files appear under their names only after all are written, the layer last.
     """

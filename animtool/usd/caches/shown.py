@@ -375,7 +375,7 @@ class StageContents:
 
     @property
     def span(self) -> tuple[Fraction, Fraction]:
-        """First and last time code, authored or of the samples."""
+        """First and last time code: the authored range, or the range of the samples."""
         if self.stage.HasAuthoredTimeCodeRange():
             codes = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:

@@ -203,7 +203,7 @@ def _prototypes(
 
 
 def _lengths(attr: Any, array: SampledArray, indices: SampledArray) -> Iterator[Fault]:
-    """Compare array lengths with those of protoIndices at each sample."""
+    """Compare array lengths with protoIndices at each sample."""
     if not len(indices.counts):
         return
     previous = np.zeros(len(array.counts), np.int64)

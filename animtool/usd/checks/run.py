@@ -1,4 +1,4 @@
-"""All checks on a stage or a layer, ours and those of USD."""
+"""Run animtool's and USD's checks on a stage or a layer."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _FAMILIES = {
 
 
 def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
-    """Run every validator of UsdValidation, except those that our checks cover."""
+    """Run the UsdValidation validators that animtool's checks do not cover."""
     registry = UsdValidation.ValidationRegistry()
     names = [
         metadata.name
@@ -143,7 +143,7 @@ class Inspection:
 
 
 def inspect_layer(path: Path | str) -> Inspection:
-    """Return all findings in a USD layer and what it composes, and its takes.
+    """Return the takes of a USD layer, and all findings in its composed stage.
 
     If it cannot be opened, that is the only finding. USD's own warnings about the layer
     are

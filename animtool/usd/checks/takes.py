@@ -71,7 +71,7 @@ class AnimationTake:
 
 @dataclass(frozen=True, slots=True)
 class _StageData:
-    """Stage data that all animations need, read once."""
+    """Stage data shared by all animations, read once."""
 
     # First and last sample of each prim, by path.
     spans: dict[Any, tuple[float, float]]

@@ -1,4 +1,4 @@
-"""The layer that fixes edit, and copies of it in other files.
+"""The layer edited by fixes, and copies of it in other files.
 
 The layer is edited under its own name, so that its dependencies resolve as before; its
 file stays unchanged, and the layer is reloaded from it at the end.

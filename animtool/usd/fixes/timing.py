@@ -100,7 +100,7 @@ def rates(target: FixTarget, _: Fault) -> Edit:
 
 
 def sample_range(target: FixTarget, _: Fault) -> Edit:
-    """Set the layer's range to that of its samples."""
+    """Set the layer's frame range to the range of its samples."""
     return lambda: _fit_range(target, widen=False)
 
 

@@ -1,4 +1,4 @@
-"""The one loop over time codes that writes frames, into one layer or into chunks.
+"""Writes frames, time code by time code, into one layer or into chunks.
 
 Layers are saved while they grow, so that memory stays constant however long they get:
 the samples of a saved crate are on disk.

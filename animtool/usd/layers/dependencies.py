@@ -115,7 +115,7 @@ def open_composed(layer: Any, path: Path) -> Any:
 
 
 def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
-    """Record the files that a stage is composed of, and missing ones."""
+    """Record the files that a stage composes, and missing ones."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:
             continue

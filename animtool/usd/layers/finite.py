@@ -1,4 +1,4 @@
-"""Guards USD output: values that USD cannot store as finite numbers are refused.
+"""Refuse values that USD cannot store as finite numbers.
 
 Attributes are float16, float32 or float64. A number beyond the range of its type would
 silently become infinite in the file, so each is checked before it is written.
@@ -168,7 +168,7 @@ def _refuse(
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
-    """Raise an error that names the first value not finite in the file, if any."""
+    """Raise an error for the first value that would not be finite in the file."""
     limit = _LIMITS[letter]
     not_finite = np.argwhere(~(np.abs(converted) <= limit))
     if not len(not_finite):

@@ -264,7 +264,7 @@ class _Group:
         attribute(root, "extent", _TYPES.Float3Array, box)
 
     def _sharing(self) -> BoolArray:
-        """Return which characters only stand and can share an animation ``(n,)``."""
+        """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
         static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
         static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
@@ -391,7 +391,7 @@ class _Group:
         ]
 
     def _write_shared(self, path: str) -> None:
-        """Write the shared standing animation from 0 s, as long as any needs it."""
+        """Write the shared standing animation, from 0 s to its last use."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.animated)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
@@ -446,7 +446,7 @@ def _continuous(rotations: Float32Array) -> Float32Array:
 
 
 def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:
-    """Return the frames of values ``(F, K)`` without those between equal neighbors."""
+    """Return the frames to keep of values ``(F, K)``, omitting repeated values."""
     steps = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
     if not steps.any():
         return np.zeros(1, np.int64)

@@ -180,7 +180,7 @@ def matrices_inside(
 def _premultiplied_transforms(
     transforms: Transforms, matrices: FloatArray
 ) -> Transforms:
-    """Return transforms multiplied by matrices; as T, R, S if these have no shear."""
+    """Return transforms multiplied by matrices, as T, R, S if there is no shear."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))

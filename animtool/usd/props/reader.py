@@ -258,7 +258,7 @@ class _Sampler:
     scales: FloatArray | None = None
 
     def find_constants(self) -> None:
-        """Collect the keys, and find out what is constant."""
+        """Collect the keys, and detect constant values."""
         varying = list(self._varying())
         sample_times = {time for source in varying for time in source.GetTimeSamples()}
         self.keys = np.array(sorted(sample_times))

@@ -294,7 +294,7 @@ def read_rig(path: Path) -> Rig:
 def read_rig_with_data(
     path: Path, prim_path: str | None = None
 ) -> tuple[Rig, list[Fault]]:
-    """Return the rig of a USD file's Skeleton, that of its default prim first.
+    """Return the rig of a USD file's Skeleton; the default prim's comes first.
 
     Includes bind pose, meshes, shapes and strands, and the customData that USD cannot
     express.

@@ -109,7 +109,7 @@ def nearest_samples(
 
 
 def _time_text(time: Any) -> str:
-    """Return a time as text; the earliest stands for a constant value."""
+    """Return a time as text; the earliest time means a constant value."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
@@ -169,7 +169,7 @@ class SampleGrid:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """First frame, and the last if the take or its stage authors one."""
+    """First frame, and the last frame if the take or its stage authors it."""
 
     first: Fraction
     last: Fraction | None
@@ -187,7 +187,7 @@ def _span(stage: Any, animation: Any) -> _Span:
 def with_rest(
     rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
-    """Return values of some joints, the others at rest ``(F, J, …)``.
+    """Return values of all joints ``(F, J, …)``; joints without values are at rest.
 
     ``columns`` are the rig joints of the rows, -1 if unknown; without rows all are at
     rest.
@@ -289,7 +289,7 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
 
 
 def _snapped_grid(times: list[float]) -> SampleGrid | None:
-    """Return the integer grid of samples of which some are slightly off.
+    """Return the integer grid of samples, some of them slightly off.
 
     None if two samples would fall on one frame, or if the others fit no grid either.
     """
@@ -324,7 +324,7 @@ def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
 
 
 def _from_authored_start(grid: SampleGrid, span: _Span) -> SampleGrid:
-    """Return a grid that starts at the authored first frame, if just before its own.
+    """Return a grid extended to the authored first frame, if that is just before it.
 
     Samples up to a frame earlier are used for its motion blur.
     """

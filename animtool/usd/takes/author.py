@@ -125,7 +125,7 @@ class _LayerPart:
 def _author_take(
     job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
 ) -> _LayerPart:
-    """Author a SkelAnimation and its binding; extents and curves come later."""
+    """Author a SkelAnimation and its binding; extents and curves are added later."""
     layer, paths = authored.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths

@@ -1,4 +1,4 @@
-"""Extents of a SkelRoot over time, and a check of the binding that UsdSkel resolves."""
+"""Extents of a SkelRoot over time, and a check of the resolved UsdSkel binding."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _computed_extent(root: Any, code: Any) -> Float32Array:
 def _are_computed(
     root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
 ) -> bool:
-    """Return whether bounds equal those of USD to the last bit.
+    """Return whether bounds are bit-identical to those that USD computes.
 
     Compares the first, the middle and the last.
     """

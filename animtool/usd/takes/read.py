@@ -196,7 +196,7 @@ def _placement(
     where: PrimLocation,
     choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
-    """Return the placement of a Skeleton at time codes, which its take includes."""
+    """Return the placement of a Skeleton at time codes; its take includes it."""
     if prim is None:
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
@@ -288,7 +288,7 @@ def _join_stored(
 def _with_columns(
     blocks: Iterator[Motion], columns: IntArray, count: int
 ) -> Iterator[Motion]:
-    """Yield blocks whose weights fill some columns; the others are 0."""
+    """Yield blocks with weights in the given columns; other columns are 0."""
     for block in blocks:
         channel = block.weights
         if channel is None:

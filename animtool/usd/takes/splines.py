@@ -146,7 +146,7 @@ def author_curve(
 
 @dataclass(frozen=True, slots=True)
 class _CurveSegment:
-    """A segment of a curve, or a part of one.
+    """A curve segment, or part of one.
 
     The control points ``(4, 2)`` are (time from the segment's first key, value).
     """
