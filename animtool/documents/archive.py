@@ -272,9 +272,9 @@ class Archive:
             raise ArrayError(f"{self._path.name}#{key} is truncated")
         if not header.count:
             return np.zeros(header.shape, header.dtype)
-        flat = np.frombuffer(data, header.dtype, header.count)
+        numbers = np.frombuffer(data, header.dtype, header.count)
         return np.require(
-            flat.reshape(header.shape, order=header.order), requirements="A"
+            numbers.reshape(header.shape, order=header.order), requirements="A"
         )
 
     def _read_directory(self) -> tuple[dict[str, ZipInfo], set[str]]:
@@ -311,20 +311,22 @@ class Archive:
         other_arrays = self._total_size - self._sizes.get(key, 0)
         plausible = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
         if other_arrays + size > MAX_BYTES or not plausible:
-            configured = _configured_limit(self._path)
-            if configured is None or other_arrays + size > configured:
-                raise self._too_large(key, other_arrays + size, configured, plausible)
+            configured_limit = _configured_limit(self._path)
+            if configured_limit is None or other_arrays + size > configured_limit:
+                raise self._too_large(
+                    key, other_arrays + size, configured_limit, plausible
+                )
         self._sizes[key], self._total_size = size, other_arrays + size
 
     def _too_large(
-        self, key: str, size: int, configured: int | None, plausible: bool
+        self, key: str, size: int, configured_limit: int | None, plausible: bool
     ) -> ArrayError:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
-        if configured is None and not plausible:
+        if configured_limit is None and not plausible:
             message += f", more than {MAX_RATIO} times what it takes in the file"
         else:
-            limit = MAX_BYTES if configured is None else configured
+            limit = MAX_BYTES if configured_limit is None else configured_limit
             message += f" with what was read before, and {limit // 1_000_000} are "
             message += "allowed"
         return ArrayError(

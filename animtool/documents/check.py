@@ -171,10 +171,10 @@ def record_of_options(
     try:
         return TypeAdapter(kind).validate_python(known_options), faults
     except ValidationError as error:
-        wrong = wrong_values(known_options, error)
+        wrong_options = wrong_values(known_options, error)
     return None, faults + [
         ((keys.get(str(at[0]), at[0]), *at[1:]) if at else at, fault)
-        for at, fault in wrong
+        for at, fault in wrong_options
     ]
 
 
@@ -259,10 +259,10 @@ class _Faults:
             return
         value = node.pop(key)
         kind = next((name for name in KINDS if name in self.value), "")
-        renamed = new_key(kind, location, value)
-        if renamed in names and renamed not in node:
-            node[renamed] = value
-            _note_renamed(self.document, location, renamed)
+        renamed_key = new_key(kind, location, value)
+        if renamed_key in names and renamed_key not in node:
+            node[renamed_key] = value
+            _note_renamed(self.document, location, renamed_key)
             return
         if self._depends_on_kind(location):
             return

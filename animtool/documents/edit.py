@@ -257,10 +257,10 @@ def _flow(value: Any) -> str:
 def _plain_or_quoted(value: str) -> str:
     """Return a text without quotes if it still parses to itself inside brackets."""
     try:
-        parsed = document_of(f"a: [{value}]", Path("a.yaml")).value
+        parsed_value = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:
         return plain_text(value)
-    return value if parsed == {"a": [value]} else plain_text(value)
+    return value if parsed_value == {"a": [value]} else plain_text(value)
 
 
 def _quoted_text(value: str) -> str:

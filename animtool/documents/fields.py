@@ -193,12 +193,12 @@ def with_fields(
     """
 
     def decorate(model: type[Model]) -> type[Model]:
-        declared: dict[str, Any] = {
+        declared_keys: dict[str, Any] = {
             name: (model.model_fields[name].annotation, model.model_fields[name])
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        at = list(declared).index(before) if before else len(declared)
+        at = list(declared_keys).index(before) if before else len(declared_keys)
         keys = keys_of(record, file_kind)
         new_fields = {}
         for name in names or keys:
@@ -206,9 +206,9 @@ def with_fields(
             if names or key not in model.model_fields:
                 new_fields[key] = _definition(record, name, keys[name], ranges)
         definitions = [
-            *list(declared.items())[:at],
+            *list(declared_keys.items())[:at],
             *new_fields.items(),
-            *list(declared.items())[at:],
+            *list(declared_keys.items())[at:],
         ]
         if order:
             definitions.sort(

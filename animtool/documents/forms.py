@@ -116,10 +116,12 @@ def paired_entries(
     if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
-        required = [key for key, info in fields.items() if info.is_required()]
-        is_pair = len(required) == 2 and "type" not in fields
+        required_keys = [key for key, info in fields.items() if info.is_required()]
+        is_pair = len(required_keys) == 2 and "type" not in fields
         if is_pair and fields.keys().isdisjoint(value):
-            return [dict(zip(required, pair, strict=True)) for pair in value.items()]
+            return [
+                dict(zip(required_keys, pair, strict=True)) for pair in value.items()
+            ]
     return []
 
 

@@ -183,8 +183,8 @@ def migrate(
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
     # A file and links to it are migrated once.
     by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    outdated = list(reversed(by_path.values()))
-    if check or not outdated:
+    outdated_documents = list(reversed(by_path.values()))
+    if check or not outdated_documents:
         return plans
     if not overwrite:
         hint = (
@@ -193,11 +193,14 @@ def migrate(
         )
         message = "would be replaced"
         raise OptionError(
-            [Fault("OUT001", message, str(plan.path), (), hint) for plan in outdated]
+            [
+                Fault("OUT001", message, str(plan.path), (), hint)
+                for plan in outdated_documents
+            ]
         )
-    check_outputs([plan.path for plan in outdated], [], overwrite=True)
+    check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
-        for plan in outdated:
+        for plan in outdated_documents:
             write_parts(plan.path, [plan.after.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]
 

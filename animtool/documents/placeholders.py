@@ -163,13 +163,13 @@ def annotation_inside(annotation: Any, node: Any, step: str | int) -> Any:
 
 def _alternatives(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
-    unwrapped = annotation
-    if get_origin(unwrapped) is Annotated:
-        unwrapped = get_args(unwrapped)[0]
-    if get_origin(unwrapped) in {Union, UnionType}:
+    inner_type = annotation
+    if get_origin(inner_type) is Annotated:
+        inner_type = get_args(inner_type)[0]
+    if get_origin(inner_type) in {Union, UnionType}:
         alternatives = [
             member
-            for argument in get_args(unwrapped)
+            for argument in get_args(inner_type)
             for member in _alternatives(argument)
         ]
         return [member for member in alternatives if member is not NoneType]

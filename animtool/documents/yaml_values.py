@@ -235,7 +235,7 @@ class _YamlReader:
 
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
-        masked = masked_text is not text
+        is_masked = masked_text is not text
         parser = cast("Any", yaml.CSafeLoader(masked_text))
         root: list[Any] = []
         stack: list[_Open] = [_Open(root)]
@@ -244,7 +244,7 @@ class _YamlReader:
             kind = type(event)
             if kind is yaml.ScalarEvent:
                 position = self._node_position(event)
-                if masked:
+                if is_masked:
                     event.value = event.value.translate(_UNMASK)
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:

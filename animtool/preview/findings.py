@@ -40,8 +40,8 @@ def finding_entry(
     joint = fault.joint
     if joint is None:
         # Rules quote the joints concerned in their messages.
-        quoted = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
-        joint = next((name for name in quoted if name in set(joints)), None)
+        quoted_texts = [a or b for a, b in _QUOTED_TEXT.findall(fault.message)]
+        joint = next((name for name in quoted_texts if name in set(joints)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {
         "code": fault.code,

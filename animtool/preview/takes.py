@@ -156,13 +156,13 @@ def add_take(
     scales = motion.track("scales")
     kinds = {"t": translations, "r": rotations, "s": scales}
     quantized = {kind: _stored(kind, track) for kind, track in kinds.items()}
-    decoded = {
+    decoded_tracks = {
         kind: None if track is None else _decoded_track(track, quantized[kind])
         for kind, track in kinds.items()
     }
 
     def world(
-        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded
+        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
     ) -> WorldTransforms:
         t, r, s = (
             None if track is None else track.dense(cut) for track in tracks.values()

@@ -206,5 +206,5 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    moving = any(prim.deforms or prim.travels for prim in contents.prims)
-    return contents.span if moving or contents.cameras() else None
+    is_moving = any(prim.deforms or prim.travels for prim in contents.prims)
+    return contents.span if is_moving or contents.cameras() else None

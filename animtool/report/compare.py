@@ -55,10 +55,14 @@ def compare_weights(
     pairs = _pairs(*names)
     mismatches = []
     for column, (weights, other) in enumerate(((a, "second"), (b, "first"))):
-        unmatched = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
-        missing = [names[column][s] for s in sorted(unmatched) if weights[:, s].any()]
-        if missing:
-            mismatches.append(missing_text("shape", missing, other))
+        unmatched_columns = set(range(weights.shape[1])) - {
+            pair[column] for pair in pairs
+        }
+        missing_names = [
+            names[column][s] for s in sorted(unmatched_columns) if weights[:, s].any()
+        ]
+        if missing_names:
+            mismatches.append(missing_text("shape", missing_names, other))
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(a[:frames, first_columns] - b[:frames, second_columns])
     if not difference.size:
@@ -380,10 +384,12 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
     names = []
     for take, other, column in ((first, "second", 0), (second, "first", 1)):
-        matched = {pair[column] for pair in pairs}
-        unmatched = [n for i, n in enumerate(take.rig.names) if i not in matched]
-        if unmatched:
-            names.append(missing_text("joint", unmatched, other))
+        matched_joints = {pair[column] for pair in pairs}
+        unmatched_names = [
+            n for i, n in enumerate(take.rig.names) if i not in matched_joints
+        ]
+        if unmatched_names:
+            names.append(missing_text("joint", unmatched_names, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
         names.append(f"{frames} instead of {second.clock.count}")

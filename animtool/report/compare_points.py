@@ -121,9 +121,11 @@ def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:
         (source_a, source_b, "second"),
         (source_b, source_a, "first"),
     ):
-        missing = [name for name in source.names if name not in other_source.names]
-        if missing:
-            names.append(missing_text("prim", missing, ordinal))
+        missing_names = [
+            name for name in source.names if name not in other_source.names
+        ]
+        if missing_names:
+            names.append(missing_text("prim", missing_names, ordinal))
     return names
 
 

@@ -201,14 +201,16 @@ class _Renderer:
             [self.filled((entry, *scope), cell) or "" for cell in templates]
             for entry in self._entries(scope, table.name)
         ]
-        shown = [
+        shown_columns = [
             (i, header)
             for i, header in enumerate(table.columns)
             if header not in table.optional or any(row[i] for row in cells)
         ]
-        rows = [[header.strip() for _, header in shown]]
-        rows += [[row[i] for i, _ in shown] for row in cells]
-        return rows, {i for i, (_, header) in enumerate(shown) if header in table.left}
+        rows = [[header.strip() for _, header in shown_columns]]
+        rows += [[row[i] for i, _ in shown_columns] for row in cells]
+        return rows, {
+            i for i, (_, header) in enumerate(shown_columns) if header in table.left
+        }
 
     def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
         """Return the text of a part; None if one of its fields is missing."""

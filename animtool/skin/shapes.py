@@ -186,17 +186,17 @@ def _blend(
     active = np.asarray(weights.any(axis=0), np.bool_)
     active_dense = np.asarray(columns.dense & active, np.bool_)
     active_sparse = np.asarray(~columns.dense & active, np.bool_)
-    blended = result(out, (len(weights), *columns.rest.shape[1:]))
+    blended_rows = result(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if active_dense.any():
-        _product(columns, weights, active, blended.reshape(len(blended), -1))
-        points = blended
+        _product(columns, weights, active, blended_rows.reshape(len(blended_rows), -1))
+        points = blended_rows
     if active_sparse.any():
         first, numbers, offsets = _active_offsets(columns, active_sparse)
-        _kernels.add_sparse(points, weights, first, numbers, offsets, blended)
+        _kernels.add_sparse(points, weights, first, numbers, offsets, blended_rows)
     elif not active_dense.any():
-        blended[:] = points
-    return blended
+        blended_rows[:] = points
+    return blended_rows
 
 
 def _product(

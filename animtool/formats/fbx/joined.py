@@ -69,21 +69,21 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     if not keyed_curves or extrapolation is None:
         return None
     ticks = np.unique(np.concatenate([curve_.times for curve_ in keyed_curves]))
-    segmented = [
+    segmented_curves = [
         _segmented_curve(curve_, ticks) for curve_ in curves if curve_ is not None
     ]
-    interps = _segment_interpolations(segmented, len(ticks) - 1)
-    weights = _weights(segmented)
+    interps = _segment_interpolations(segmented_curves, len(ticks) - 1)
+    weights = _weights(segmented_curves)
     if interps is None or weights is None:
         return None
     seconds = np.diff(ticks) / TICKS
     count, width = len(ticks), len(curves)
     ins, outs = np.zeros((count, 1 + width)), np.zeros((count, 1 + width))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
-    remaining = iter(segmented)
+    curve_iterator = iter(segmented_curves)
     for component, curve in enumerate(curves):
         if curve is not None:
-            curve_ = next(remaining)
+            curve_ = next(curve_iterator)
             outs[:-1, 1 + component] = curve_.out_slopes * outs[:-1, 0]
             ins[1:, 1 + component] = curve_.in_slopes * ins[1:, 0]
     values = track.at(base, ticks)

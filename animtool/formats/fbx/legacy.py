@@ -47,10 +47,12 @@ def _add_model(
             notes.fail("FBX004", child.where, excerpt(message))
     kind = model.find("Type")
     subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
-    copied = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
-    converted = Element("Model", [f"Model::{name}", subtype], model.where, copied)
-    converted.children.append(_properties(model, notes))
-    objects.children.append(converted)
+    geometry_elements = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
+    new_model = Element(
+        "Model", [f"Model::{name}", subtype], model.where, geometry_elements
+    )
+    new_model.children.append(_properties(model, notes))
+    objects.children.append(new_model)
     for children in model.all("Children"):
         for child in children.values:
             if isinstance(child, str):

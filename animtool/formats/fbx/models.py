@@ -133,8 +133,10 @@ def read_models(file: FbxFile) -> list[Model]:
         models.append(node)
         stack += [(child, index) for child in reversed(children.get(element.id, []))]
     if len(models) < len(objects):
-        reachable = {model.object.id for model in models}
-        in_cycle = next(element for element in objects if element.id not in reachable)
+        reachable_ids = {model.object.id for model in models}
+        in_cycle = next(
+            element for element in objects if element.id not in reachable_ids
+        )
         message = f"the node {in_cycle.name!r} is its own ancestor"
         file.notes.fail("FBX009", in_cycle.element.where, message)
     return models

@@ -133,9 +133,14 @@ def open_gltf(path: Path | str) -> Gltf:
 
 
 def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
-    unused = unused_parts(container.root.values)
+    unused_indices = unused_parts(container.root.values)
     return Accessors(
-        container, path.parent, notes, unused.accessors, unused.views, unused.buffers
+        container,
+        path.parent,
+        notes,
+        unused_indices.accessors,
+        unused_indices.views,
+        unused_indices.buffers,
     )
 
 
@@ -161,16 +166,16 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
 def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
     root = container.root
-    used = root.list_of("extensionsUsed")
+    declared_names = root.list_of("extensionsUsed")
     for key, names in (
-        ("extensionsUsed", used),
+        ("extensionsUsed", declared_names),
         ("extensionsRequired", root.list_of("extensionsRequired")),
     ):
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
                 notes.warn("GLT106", f"{root.at(key)}/{i}", message)
-    _check_lists(root, used, notes)
+    _check_lists(root, declared_names, notes)
     for i, name in enumerate(root.list_of("extensionsRequired")):
         where = f"{root.at('extensionsRequired')}/{i}"
         if not isinstance(name, str):
@@ -188,7 +193,7 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         notes.fail("GLT004", where, message, hint)
     in_use = _extensions(root) if container.may_have_extensions else {}
     for name, where in in_use.items():
-        if name not in used:
+        if name not in declared_names:
             consequence = "" if name in SUPPORTED else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)

@@ -389,13 +389,13 @@ def skin_weights(
     if has_data and abs(worst - 1.0) > SUM_TOLERANCE:
         message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are normalised")
-    empty = weight_sums == 0.0
-    if empty.any():
+    is_unweighted = weight_sums == 0.0
+    if is_unweighted.any():
         if has_data:
-            message = f"{int(empty.sum())} vertices have no weights"
+            message = f"{int(is_unweighted.sum())} vertices have no weights"
             notes.warn("GLT104", where, f"{message}: they follow the first joint")
-        weights[empty, 0], indices[empty, 0] = 1.0, 0
-        weight_sums = np.where(empty, 1.0, weight_sums)
+        weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
+        weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
 
 

@@ -54,8 +54,8 @@ class _Animation:
         for k, (node, path, keys) in enumerate(self.tracks):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
-                extended = Keys(times, np.repeat(keys.values, 2, axis=0))
-                self.tracks[k] = (node, path, extended)
+                extended_keys = Keys(times, np.repeat(keys.values, 2, axis=0))
+                self.tracks[k] = (node, path, extended_keys)
                 return True
         return False
 

@@ -223,11 +223,11 @@ def _notices(
         (recording.weights, recording.shapes),
         (recording.rotations, recording.angles),
     ):
-        missing = ~np.isfinite(values)
-        for c in np.flatnonzero(missing.any(axis=0)).tolist():
-            lines = recording.lines[missing[:, c]].tolist()
+        is_missing = ~np.isfinite(values)
+        for c in np.flatnonzero(is_missing.any(axis=0)).tolist():
+            lines = recording.lines[is_missing[:, c]].tolist()
             treatment = "interpolated from its neighbours"
-            if missing[:, c].all():
+            if is_missing[:, c].all():
                 treatment = "set to 0"
             message = (
                 f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"

@@ -61,9 +61,9 @@ class TimecodeFrames:
     @property
     def dropped(self) -> IntArray:
         """Frames without a row."""
-        missing = np.ones(self.count, np.bool_)
-        missing[self.frames] = False
-        return np.flatnonzero(missing)
+        is_dropped = np.ones(self.count, np.bool_)
+        is_dropped[self.frames] = False
+        return np.flatnonzero(is_dropped)
 
 
 def row_frames(

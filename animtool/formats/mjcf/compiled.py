@@ -202,7 +202,7 @@ def _move(
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return a body's simple geoms: colliding ones, and visible ones."""
-    colliding, visible = [], []
+    colliding_geoms, visible = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
@@ -220,10 +220,10 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
             kind, tuple(size), position, rotation_of(model.geom_quat[geom])
         )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            colliding.append(solid)
+            colliding_geoms.append(solid)
         if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
             visible.append(triangles_of(solid))
-    return colliding, visible
+    return colliding_geoms, visible
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:
@@ -270,11 +270,11 @@ def _note(
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
     if reduced.idle:
-        constrained = {*equalities.mimics, *equalities.drivers}
+        constrained_joints = {*equalities.mimics, *equalities.drivers}
         idle = [
             j
             for j in scalar
-            if names[j] not in reduced.actuated and j not in constrained
+            if names[j] not in reduced.actuated and j not in constrained_joints
         ]
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
     if reduced.with_unknown_mass:

@@ -217,13 +217,19 @@ def _resampled_rows(
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
-    resampled = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
+    resampled_values = np.stack(
+        [np.interp(at, times, column) for column in values.T], axis=-1
+    )
     message = (
         f"times are uneven, up to {steps.error:.3g} s off: resampled at "
         f"{float(rate):g} fps, linearly between rows"
     )
     hint = f"{argument('source.fps')} reads each row as a frame"
-    return rate, resampled, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
+    return (
+        rate,
+        resampled_values,
+        [Fault("MOF105", message, path, (), hint, Severity.WARNING)],
+    )
 
 
 def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:

@@ -39,10 +39,10 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
     _note_degrees(root, notes)
-    driven, drives = _actuated_joints(root)
+    actuated_joints, drives = _actuated_joints(root)
     notes.leave_out(_not_read(root))
     name = root.attributes.get("name", "")
-    return UrdfFile(name, links, joints, driven, drives)
+    return UrdfFile(name, links, joints, actuated_joints, drives)
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:

@@ -43,8 +43,8 @@ def add_joint(
         hint = f"the first is in line {first_line}"
         notes.add("URD009", element, message, hint, joint=name)
         return
-    allowed = ", ".join(UrdfJointKind)
-    text = text_of(element, "type", where, notes, f"allowed: {allowed}")
+    kind_names = ", ".join(UrdfJointKind)
+    text = text_of(element, "type", where, notes, f"allowed: {kind_names}")
     if text not in list(UrdfJointKind):
         if text:
             message = f"unknown joint type {excerpt(text)}"

@@ -62,13 +62,13 @@ def visible_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record what is not shown."""
-    loaded: dict[Path, Triangles | None] = {}
-    unreadable: dict[str, None] = {}
+    cache: dict[Path, Triangles | None] = {}
+    unreadable_files: dict[str, None] = {}
     surfaces: dict[str, list[Triangles]] = {}
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            surface = _visible_surface(visual, files, loaded, unreadable, notes)
+            surface = _visible_surface(visual, files, cache, unreadable_files, notes)
             if surface is None:
                 continue
             total += len(surface.faces)
@@ -76,9 +76,9 @@ def visible_surfaces(
                 notes.leave_out([f"more than {MAX_TRIANGLES:,} triangles of visuals"])
                 return surfaces
             surfaces.setdefault(link.name, []).append(surface)
-    if unreadable:
-        message = f"{counted(len(unreadable), 'mesh', 'meshes')} not shown: "
-        message += listed(list(unreadable), MAX_NAMED)
+    if unreadable_files:
+        message = f"{counted(len(unreadable_files), 'mesh', 'meshes')} not shown: "
+        message += listed(list(unreadable_files), MAX_NAMED)
         hint = "export it as STL or OBJ again"
         notes.add("URD110", None, message, hint, severity=Severity.WARNING)
     return surfaces
@@ -87,8 +87,8 @@ def visible_surfaces(
 def _visible_surface(
     visual: Visual,
     files: dict[str, Path],
-    loaded: dict[Path, Triangles | None],
-    unreadable: dict[str, None],
+    cache: dict[Path, Triangles | None],
+    unreadable_files: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
     """Return a visual's surface in its link frame; None if not shown."""
@@ -101,13 +101,13 @@ def _visible_surface(
     if path.suffix.lower() not in SUFFIXES:
         notes.leave_out([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
         return None
-    if path not in loaded:
+    if path not in cache:
         try:
-            loaded[path] = read_mesh(path)
+            cache[path] = read_mesh(path)
         except ValueError as error:
-            loaded[path] = None
-            unreadable[f"{excerpt(name, 60)}: {error}"] = None
-    mesh = loaded[path]
+            cache[path] = None
+            unreadable_files[f"{excerpt(name, 60)}: {error}"] = None
+    mesh = cache[path]
     if mesh is None:
         return None
     position, rotation = (

@@ -201,8 +201,12 @@ def _check(
     light_of(pictures)
     sheet = sheet_of(pictures)
     size_of(pictures, kind, sheet=bool(sheet or frames))
-    requested = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
-    several = [name for name, value in requested.items() if value]
+    requested_options = {
+        "sheet": sheet,
+        "frames": frames,
+        "camera": pictures.camera[1:],
+    }
+    several = [name for name, value in requested_options.items() if value]
     if several and not kind.picture:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"

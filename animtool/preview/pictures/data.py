@@ -94,5 +94,5 @@ def _unpacked_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     )
     if entry.get("gaps"):
         values[stored == NAN_STORED] = np.nan
-    decoded: Float32Array = values.astype(np.float32)
-    return decoded
+    decoded_values: Float32Array = values.astype(np.float32)
+    return decoded_values

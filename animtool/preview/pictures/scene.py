@@ -146,9 +146,9 @@ class DrawnScene:
         for mesh in self._meshes:
             mesh.bound(characters if mesh.skinned else bounds)
         bounds.join(characters)
-        drawn: list[Instances | PointCloud | DrawnStrands]
-        drawn = [*self._instances, *self._clouds, *self._strands]
-        for item in drawn:
+        drawn_objects: list[Instances | PointCloud | DrawnStrands]
+        drawn_objects = [*self._instances, *self._clouds, *self._strands]
+        for item in drawn_objects:
             item.bound(bounds)
         cast.join(characters, shift)
         box.join(bounds, shift)
@@ -218,12 +218,12 @@ class DrawnScene:
     def _draw_casting(
         self, eye: EyeMatrices, visible: list[DrawnPose], radius: float
     ) -> None:
-        casting = [
+        shadow_casters = [
             solid
             for solid in self._solids()
             if not (isinstance(solid, DrawnMesh) and solid.surrounds(radius))
         ]
-        self._draw_shapes(eye, casting)
+        self._draw_shapes(eye, shadow_casters)
         if not self._solid:
             self._draw_bones(eye, visible, axes=False)
 

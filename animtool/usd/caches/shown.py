@@ -394,15 +394,15 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
 
 def _visible(prim: Any, codes: FloatArray) -> BoolArray:
     """Return whether a prim is visible at each time code ``(F,)``."""
-    image, hidden = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
+    image, invisible_token = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
         UsdGeom.Imageable(ancestor).GetVisibilityAttr().ValueMightBeTimeVarying()
         for ancestor in upwards(prim)
         if UsdGeom.Imageable(ancestor)
     ):
-        return np.full(len(codes), image.ComputeVisibility() != hidden)
+        return np.full(len(codes), image.ComputeVisibility() != invisible_token)
     times = [Usd.TimeCode(code) for code in codes.tolist()]
-    return np.array([image.ComputeVisibility(t) != hidden for t in times])
+    return np.array([image.ComputeVisibility(t) != invisible_token for t in times])
 
 
 def _prim_kind(prim: Any) -> str:

@@ -263,9 +263,9 @@ def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault
 
 
 def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
-    blocked = [mesh.name for mesh in meshes if mesh.blocked]
-    if not blocked:
+    blocked_names = [mesh.name for mesh in meshes if mesh.blocked]
+    if not blocked_names:
         return []
-    message = f"normals of {listed(blocked, MAX_NAMED)} are not one per vertex"
+    message = f"normals of {listed(blocked_names, MAX_NAMED)} are not one per vertex"
     hint = "they are blocked, as they would not match deformed points"
     return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

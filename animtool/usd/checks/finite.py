@@ -29,10 +29,13 @@ def check_types(subject: StageSubject) -> Iterator[Fault]:
     Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
     for attr in subject.attributes:
-        type_name, expected = attr.GetPropertyStack()[0].typeName, _expected_type(attr)
-        if expected is not None and type_name.type != expected.type:
+        type_name, expected_type = (
+            attr.GetPropertyStack()[0].typeName,
+            _expected_type(attr),
+        )
+        if expected_type is not None and type_name.type != expected_type.type:
             message = (
-                f"it is {type_name}, but its schema has {expected}; there may be "
+                f"it is {type_name}, but its schema has {expected_type}; there may be "
                 "more errors"
             )
             yield finding("USD280", attr.GetPath(), message)
@@ -136,8 +139,12 @@ def _layer_name(layer: Any) -> str:
 def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
     """Yield the first findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
-        omitted = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
-        suffix = f"; so are {omitted} more values of this prim" if omitted > 0 else ""
+        omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+        suffix = (
+            f"; so are {omitted_count} more values of this prim"
+            if omitted_count > 0
+            else ""
+        )
         yield finding("USD171", path, f"{message}{where}{suffix}")
 
 

@@ -106,10 +106,10 @@ def _velocities(
     yield from _finite(subject, attr, survey, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(survey.times.tolist()):
-        expected = points.counts[index.get(time, 0)]
-        if survey.counts[i] not in {0, expected}:
+        expected_count = points.counts[index.get(time, 0)]
+        if survey.counts[i] not in {0, expected_count}:
             message = (
-                f"{survey.counts[i]} velocities for {expected} points "
+                f"{survey.counts[i]} velocities for {expected_count} points "
                 f"{at_samples(survey, np.array([i]))}"
             )
             yield finding("USD266", attr.GetPath(), message)

@@ -180,9 +180,11 @@ def _faults(subject: StageSubject) -> list[Fault]:
     # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [fault for check in TIMED for fault in _run(check, subject)]
-    covered = {fault.where for fault in faults if fault.code in COVERED_CODES}
+    covered_locations = {fault.where for fault in faults if fault.code in COVERED_CODES}
     everywhere = _run(check_finite, subject)
-    return faults + [fault for fault in everywhere if fault.where not in covered]
+    return faults + [
+        fault for fault in everywhere if fault.where not in covered_locations
+    ]
 
 
 def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:

@@ -317,9 +317,9 @@ def _range(
     If another prim of the stage has samples over a longer time, the stage's range is
     not about this animation.
     """
-    authored = take_range(animation)
-    if authored is not None:
-        return float(authored[0]), float(authored[1])
+    authored_range = take_range(animation)
+    if authored_range is not None:
+        return float(authored_range[0]), float(authored_range[1])
     stage = subject.stage
     if not (
         stage.HasAuthoredMetadata("startTimeCode")

@@ -235,10 +235,10 @@ def _bounds(boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None) -> 
         return Vt.Vec3fArray(extent)
     # Rounded outwards, so that no point is outside.
     infinities = np.array([[-np.inf], [np.inf]], np.float32)
-    widened = np.nextafter(
+    widened_bounds = np.nextafter(
         point_bounds.astype(np.float32), infinities, dtype=np.float32
     )
-    union = joined_bounds(np.array(extent, np.float32), widened)
+    union = joined_bounds(np.array(extent, np.float32), widened_bounds)
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 

@@ -189,10 +189,10 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
     if not output.exists():
         return
     with edited_layer(source) as edited_copy:
-        composed = [
+        composed_paths = [
             Path(layer.realPath) for layer in edited_copy.target.stage.GetUsedLayers()
         ]
-    if output.resolve() in {path.resolve() for path in composed}:
+    if output.resolve() in {path.resolve() for path in composed_paths}:
         message = f"is a layer of {source}"
         hint = f"choose another {argument('output')}, or fix that layer separately"
         raise OptionError(Fault("OUT003", message, str(output), (), hint))

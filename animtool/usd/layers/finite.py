@@ -73,10 +73,10 @@ def narrowed(
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
-        converted = values.astype(dtype)
-    if converted.size and not _is_within(converted, _LIMITS[letter]):
-        _refuse(values, converted, letter, labels, codes)
-    return converted
+        converted_values = values.astype(dtype)
+    if converted_values.size and not _is_within(converted_values, _LIMITS[letter]):
+        _refuse(values, converted_values, letter, labels, codes)
+    return converted_values
 
 
 def rounded(
@@ -163,23 +163,23 @@ def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse(
     values: npt.NDArray[Any],
-    converted: npt.NDArray[Any],
+    converted_values: npt.NDArray[Any],
     letter: str,
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
     limit = _LIMITS[letter]
-    not_finite = np.argwhere(~(np.abs(converted) <= limit))
+    not_finite = np.argwhere(~(np.abs(converted_values) <= limit))
     if not len(not_finite):
         return
     index = tuple(not_finite[0].tolist())
     value = float(values[index])
     element_index = index if codes is None else index[1:]
     at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
-    allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
+    range_text = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _error(
-        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {allowed}"
+        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {range_text}"
     )
 
 

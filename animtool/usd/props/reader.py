@@ -259,8 +259,10 @@ class _Sampler:
 
     def find_constants(self) -> None:
         """Collect the keys, and detect constant values."""
-        varying = list(self._varying())
-        sample_times = {time for source in varying for time in source.GetTimeSamples()}
+        varying_objects = list(self._varying())
+        sample_times = {
+            time for source in varying_objects for time in source.GetTimeSamples()
+        }
         self.keys = np.array(sorted(sample_times))
         codes = self.keys
         if not len(codes):
@@ -271,7 +273,7 @@ class _Sampler:
         transforms = self.at(codes)
         # Values such as splines vary over time without samples.
         self.is_animated = any(
-            not source.GetTimeSamples() for source in varying
+            not source.GetTimeSamples() for source in varying_objects
         ) or any(
             bool((values != values[:1]).any())
             for values in (transforms.matrix(), *transforms.values)
@@ -373,9 +375,11 @@ class _Sampler:
 
 def _without_rounding(scales: FloatArray) -> FloatArray:
     """Return scales without the rounding error of short decimals."""
-    rounded = np.round(scales, 9)
+    rounded_scales = np.round(scales, 9)
     return np.where(
-        np.abs(rounded - scales) <= ROUNDING * np.abs(scales), rounded, scales
+        np.abs(rounded_scales - scales) <= ROUNDING * np.abs(scales),
+        rounded_scales,
+        scales,
     )
 
 

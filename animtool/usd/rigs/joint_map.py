@@ -231,10 +231,14 @@ def match_shapes(
         message = f"{len(unknown)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights have no effect there", Severity.WARNING
         notices.append(naming("USD114", message, unknown, where, hint, kind))
-    respelled = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
-    if respelled:
-        message = f"{len(respelled)} shapes are written with the rig's spelling: "
-        notices.append(naming("USD118", message, respelled, where, None, Severity.NOTE))
+    respelled_names = [
+        f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
+    ]
+    if respelled_names:
+        message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
+        notices.append(
+            naming("USD118", message, respelled_names, where, None, Severity.NOTE)
+        )
     return tuple(matches), notices
 
 

@@ -176,9 +176,9 @@ class _Span:
 
 
 def _span(stage: Any, animation: Any) -> _Span:
-    authored = take_range(animation)
-    if authored is not None:
-        return _Span(*authored)
+    authored_range = take_range(animation)
+    if authored_range is not None:
+        return _Span(*authored_range)
     is_authored = stage.HasAuthoredTimeCodeRange()
     last_code = time_fraction(stage.GetEndTimeCode()) if is_authored else None
     return _Span(time_fraction(stage.GetStartTimeCode()), last_code)
@@ -296,10 +296,10 @@ def _snapped_grid(times: list[float]) -> SampleGrid | None:
     codes = np.array(times)
     nearest = np.round(codes)
     distances = np.abs(codes - nearest)
-    snapped = np.where(distances <= MAX_OFF_FRAME, nearest, codes)
-    if (np.diff(snapped) <= 0).any():
+    snapped_codes = np.where(distances <= MAX_OFF_FRAME, nearest, codes)
+    if (np.diff(snapped_codes) <= 0).any():
         return None
-    grid = _exact_grid(snapped.tolist())
+    grid = _exact_grid(snapped_codes.tolist())
     if grid is None:
         return None
     distances[distances > MAX_OFF_FRAME] = 0.0

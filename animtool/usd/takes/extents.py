@@ -195,8 +195,8 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
 
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
-    collapsed = Sdf.Layer.CreateAnonymous(".usda")
-    animation_spec = prim(collapsed, job.paths.animation, over=True)
+    collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
+    animation_spec = prim(collapsed_layer, job.paths.animation, over=True)
     count, types = len(joints), Sdf.ValueTypeNames
     attribute(animation_spec, "joints", types.TokenArray, joints, uniform=True)
     attribute(animation_spec, "translations", types.Float3Array, [(0, 0, 0)] * count)
@@ -205,9 +205,9 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     )
     attribute(animation_spec, "scales", types.Half3Array, [(1, 1, 1)] * count)
     session = stage.GetSessionLayer()
-    session.subLayerPaths.insert(0, collapsed.identifier)
+    session.subLayerPaths.insert(0, collapsed_layer.identifier)
     extent = _computed_extent(root, Usd.TimeCode.Default())
-    session.subLayerPaths.remove(collapsed.identifier)
+    session.subLayerPaths.remove(collapsed_layer.identifier)
     return np.float32(extent[1].max())
 
 
